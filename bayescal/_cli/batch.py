@@ -38,20 +38,13 @@ def batch(
     json_: bool = False,
 ) -> None:
     """Fit every device of files with a column 'device' by itself: one table of coefficients."""
-    from bayescal._cli.request import (
-        compose,
-        instrument_named,
-        method_named,
-        typed_effects,
-        user_effects,
-    )
+    from bayescal._cli.request import compose, instrument_named, method_named, own_effects
 
     apart = find or workers is not None or scheduler is not None
     apart = apart or any(path.is_dir() for path in files)
     _refuse_place(out, files, apart)
     chosen = instrument_named(instrument)
-    typed = typed_effects(choice.typed, chosen, None)
-    own = {effect.name: effect for effect in (*user_effects(choice.effects_file), *typed)}
+    own = own_effects(choice, chosen, None)
     model = compose(chosen, choice, own)
     asked: dict[str, Any] = {
         "method": method_named(method),
@@ -59,12 +52,26 @@ def batch(
         "seed": seed,
         "reference": {**named_numbers(choice.reference, "--reference")},
     }
-    if apart or out.suffix != ".parquet":
-        asked["find"] = find and bc.Find(effects=tuple(own.values()))
-        with _cluster(workers, scheduler, _own_files(instrument, choice)) as client:
-            _by_partition(model, files, out, client, columns, asked, json_)
+    if not apart and out.suffix:
+        _at_once(model, files, out, columns, asked, json_)
         return
-    _at_once(model, files, out, columns, asked, json_)
+    find_how = bc.Find(effects=own) if find else False
+    own_files = [] if choice.effects_file is None else [choice.effects_file]
+    if in_a_file(instrument):  # the workers need the user's Python files too
+        own_files.append(Path(instrument.rpartition(":")[0]))
+    with _cluster(workers, scheduler, own_files) as client:
+        how = {"client": client, "columns": columns.for_read(), "find": find_how, **asked}
+        fleet = bc.fit_batch(model, list(files), out=out, **how)
+    columns.keep()
+    print_result(fleet.data() if json_ else fleet)
+    if not json_:
+        print(f"\nwritten: {fleet.folder}")
+    bad, lost = fleet.devices - fleet.trusted, len(fleet.missing)
+    said = [f"{bad} of {fleet.devices} devices have no result, or none to rely on"] * bool(bad)
+    said += [
+        f"{lost} files have none: put right what is said of them, and the same command goes on from there"
+    ] * bool(lost)
+    exit_unless(not said, "; ".join(said))
 
 
 def _at_once(
@@ -75,6 +82,7 @@ def _at_once(
     asked: dict[str, Any],
     json_: bool,
 ) -> None:
+    """All devices in this process, into one file."""
     needs = tuple(column for effect in model.effects for column in effect.columns)
     devices = bc.split_devices(list(files), model.instrument, **columns.for_read(), needs=needs)
     columns.keep()
@@ -129,33 +137,3 @@ def _cluster(
         for own in own_files:
             client.upload_file(str(own))
         yield client
-
-
-def _own_files(instrument: str, choice: ModelOptions) -> list[Path]:
-    """Python files of the user's own, which workers need too."""
-    own = [Path(instrument.rpartition(":")[0])] if in_a_file(instrument) else []
-    return own if choice.effects_file is None else [*own, choice.effects_file]
-
-
-def _by_partition(
-    model: Model,
-    files: list[Path],
-    out: Path,
-    client: Client | None,
-    columns: ColumnOptions,
-    asked: dict[str, Any],
-    json_: bool,
-) -> None:
-    fleet = bc.fit_batch(
-        model, list(files), out=out, client=client, columns=columns.for_read(), **asked
-    )
-    columns.keep()
-    print_result(fleet.data() if json_ else fleet)
-    if not json_:
-        print(f"\nwritten: {fleet.folder}")
-    bad, lost = fleet.devices - fleet.trusted, len(fleet.missing)
-    said = [f"{bad} of {fleet.devices} devices have no result, or none to rely on"] * bool(bad)
-    said += [
-        f"{lost} files have none: put right what is said of them, and the same command goes on from there"
-    ] * bool(lost)
-    exit_unless(not said, "; ".join(said))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import webbrowser
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from bayescal._cli.request import Early
     from bayescal._data.measurements import Measurements
     from bayescal._model.effect import Effect
+    from bayescal._model.model import Model
     from bayescal._workbench.serve import Sessions
     from bayescal._workbench.start import Waiting
 
@@ -78,7 +80,7 @@ def workbench(
     print_notes([at.exposed] if at.exposed else [])
     # A file that cannot be used is refused before a browser opens.
     names = [] if channels is None else options.channel_names(channels)
-    early = request.read_early(asked, **({"outputs": names} if names else {}))
+    early = request.read_early(asked, names)
     method = None if asked.method == "marginal" else request.method_named(asked.method)
     settings = {**asked.settings(), "method": method, "time_limit": asked.time_limit}
     with result_folder(out) as folder:
@@ -110,14 +112,8 @@ def _sessions(
     """The sessions of a server, by channel ("" where there is one output); the first of them is open."""
     from bayescal._cli import request
 
-    if names := [n for n in folders if n]:
-        general, models, readings = request.open_channels(names, asked, early)
-        kept = request.open_kept_channels(names, general, asked) or {}
-    else:
-        chosen, model, one = request.open_request(asked, early)
-        models, readings = {"": model}, {"": one}
-        kept = {"": request.open_kept(chosen, asked)}
-    print_notes(_flags(readings))
+    names = [n for n in folders if n]
+    models, readings, kept = _opened(names, asked, early)
     waiting.doing = "Loading the page …"
     from bayescal._workbench.origin import Origin
     from bayescal._workbench.serve import Sessions
@@ -129,34 +125,17 @@ def _sessions(
         if asked.choice.typed:
             own_files.append(_written(own, folder))
         reference = request.reference_of(asked.choice.reference, readings[channel]) or None
-        outputs = {"outputs": names} if channel else {}
-        origin = Origin.of(
-            asked.instrument,
-            asked.files,
-            asked.holdout,
-            {**asked.columns.for_read(), **outputs},
-            own_files,
-            average=asked.average,
-            keep_spikes=asked.keep_spikes,
-            channel=channel,
-        )
+        how = asked.columns.for_read() | ({"outputs": names} if channel else {})
+        averaged = {"average": asked.average, "keep_spikes": asked.keep_spikes}
+        files = (asked.files, asked.holdout, how, own_files)
+        origin = Origin.of(asked.instrument, *files, channel=channel, **averaged)
+        given = {"holdout": kept.get(channel), "effects": own, "reference": reference, **settings}
 
         def begin(inner: Path) -> Session:
-            return Session.begin(
-                models[channel],
-                readings[channel],
-                holdout=kept.get(channel),
-                effects=own,
-                folder=inner,
-                origin=origin,
-                reference=reference,
-                **settings,
-            )
+            one = models[channel], readings[channel]
+            return Session.begin(*one, folder=inner, origin=origin, **given)
 
-        def resume(inner: Path) -> Session:
-            return Session.resume(inner, of=origin, trust=trust)
-
-        return Sessions(folder, begin, resume)
+        return Sessions(folder, begin, partial(Session.resume, of=origin, trust=trust))
 
     found = {channel: of_channel(channel, folder) for channel, folder in folders.items()}
     waiting.doing = "Fitting the first model …"
@@ -192,9 +171,8 @@ def _one(
             f"{out} holds the channels of a unit ({CHANNELS}), of which reports and parameters would still be made: "
             "give another folder, or remove it"
         )
-    chosen, model, readings = request.open_request(asked)
-    kept = request.open_kept(chosen, asked)
-    print_notes(readings.flags)
+    models, all_readings, kept = _opened([], asked)
+    model, readings = models[""], all_readings[""]
     own = request.own_effects(asked.choice, model.instrument, readings)
     if output_unit is not None:
         from bayescal._report.in_output_unit import OutputUnit
@@ -205,22 +183,18 @@ def _one(
         from bayescal._cli.output import ConsoleReporter, loop_text
         from bayescal._report.under_way import earlier
 
-        told, seeds = (
-            ConsoleReporter(folder, json_, verbose),
-            earlier(folder, model, readings) if folder else (),
-        )
+        told = ConsoleReporter(folder, json_, verbose)
+        seeds = earlier(folder, model, readings) if folder else ()
         if seeds:
             print_notes([f"goes on with the search in {folder}, which was ended early"])
         trail = bc.calibrate(
             model,
             readings,
-            holdout=kept,
+            holdout=kept.get(""),
             effects=own,
-            method=request.method_named(asked.method),
-            reference=request.reference_of(asked.choice.reference, readings),
+            **_how(asked, readings, settings),
             seeds=seeds,
             follow=told,
-            **settings,
         )
         from bayescal._report.result_json import result
         from bayescal._report.whole_folder import AVERAGED, files_of
@@ -253,20 +227,16 @@ def _several(
     """Channels of one unit."""
     from bayescal._cli import request
 
-    general, models, readings = request.open_channels(names, asked)
-    kept = request.open_kept_channels(names, general, asked)
-    print_notes(_flags(readings))
+    models, readings, kept = _opened(names, asked)
     name, first = next(iter(readings.items()))
     own = request.own_effects(asked.choice, models[name].instrument, first)
     with result_folder(out) as folder:
         found = bc.calibrate_channels(
             models,
             readings,
-            holdout=kept,
+            holdout=kept or None,
             effects=own,
-            method=request.method_named(asked.method),
-            reference=request.reference_of(asked.choice.reference, first),
-            **settings,
+            **_how(asked, first, settings),
         )
         from bayescal._cli.output import channels_in_short
         from bayescal._report.save_search import channels_data
@@ -284,6 +254,27 @@ def _several(
 
         deadline.finish(write)
     exit_unless(found.ok, found.reason)
+
+
+def _opened(
+    names: Sequence[str], asked: SearchRequest, early: Early | None = None
+) -> tuple[dict[str, Model], dict[str, Measurements], dict[str, Measurements]]:
+    """Models, readings and hold-out data by channel ("" where there is one output); what is to be noted is said."""
+    from bayescal._cli import request
+
+    general, models, readings = request.open_channels(names, asked, early)
+    kept = request.open_kept(general if names else models[""].instrument, asked, names)
+    print_notes(_flags(readings))
+    return models, readings, kept
+
+
+def _how(asked: SearchRequest, readings: Measurements, settings: dict[str, Any]) -> dict[str, Any]:
+    """How `calibrate` and `calibrate_channels` are to search."""
+    from bayescal._cli import request
+
+    method = request.method_named(asked.method)
+    reference = request.reference_of(asked.choice.reference, readings)
+    return {"method": method, "reference": reference, **settings}
 
 
 def _flags(readings: Mapping[str, Measurements]) -> list[str]:

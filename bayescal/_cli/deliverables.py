@@ -1,4 +1,4 @@
-"""Commands for what the user takes away: compensate, export, budget, decide, report.
+"""Commands for what the user takes away: plan, triad, compensate, export, budget, decide, report.
 
 Heavy modules load inside the commands.
 """
@@ -11,19 +11,25 @@ from pathlib import Path
 import typer
 
 import bayescal as bc
-from bayescal._cli.console import exit_unless, print_notes, print_result
+from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
 from bayescal._cli.options import (
     ColumnOptions,
     Commands,
     DecisionRule,
     InUse,
+    ModelOptions,
     OwnParts,
+    ReadRequest,
     named_numbers,
+    named_values,
 )
 from bayescal._core.as_json import write_json
+from bayescal._core.errors import InputError
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 
 commands = Commands()
+MOST = 5  # effects that are added
+FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 
 
 def exit_unless_reliable(given: Mapping[str, bc.Compensator]) -> None:
@@ -40,6 +46,80 @@ def exit_unless_conforms(found: bc.Decisions) -> None:
     if open_:
         print_notes([f"not shown to conform: {', '.join(open_)}"])
         raise typer.Exit(1)
+
+
+@commands.example('bayescal plan result --limit "corrected reading: ±0.1 °/s over -20..60 °C"')
+def plan(
+    calibration: Path,
+    own: OwnParts,
+    limit: str,
+    count: int = 12,
+    member: list[str] | None = None,
+    json_: bool = False,
+) -> None:
+    """Where to measure next: campaigns, and their readings, by the uncertainty that they would leave."""
+    from bayescal._cli import saved
+
+    members = named_values(member, "--member")
+    found = bc.plan_readings(
+        saved.load_saved(calibration, own), limit, count=count, members=members
+    )
+    print_result(found.data() if json_ else found)
+
+
+@commands.example(
+    "bayescal triad log.csv --columns output_x=ax,output_y=ay,output_z=az --out result"
+)
+def triad(
+    files: list[Path],
+    columns: ColumnOptions,
+    instrument: str = "accelerometer_triad",
+    poses: bool = False,
+    shortest: float = 2.0,
+    dry_run: bool = False,
+    baseline: bool = False,
+    seed: int = 0,
+    out: Path | None = None,
+    json_: bool = False,
+) -> None:
+    """Calibrate three axes by poses at rest or known rates; corrections as C99, Python, JSON and YAML."""
+    from bayescal._cli.request import open_request
+    from bayescal._use.vector_export import data
+
+    chosen, model, readings = open_request(ReadRequest(instrument, files, columns, ModelOptions()))
+    if chosen.vector is None:
+        raise InputError(
+            f"--instrument {instrument}: it has one output; `bayescal calibrate` is for it"
+        )
+    print_notes(readings.flags)
+    with result_folder(out) as folder:
+        if not poses:
+            readings = bc.poses(readings, chosen, shortest=shortest)
+            print_notes(readings.flags)
+        untold = bc.undetermined(model, readings)
+        if dry_run:
+            print(untold)
+            return
+        if untold.add:
+            print_notes([str(untold)])
+        trail = bc.calibrate(model, readings, seed=seed, max_effects=0 if baseline else MOST)
+        calibration = trail.final.calibration
+        correction = bc.vector_correction(calibration)
+        print_notes(correction.notes)
+        if json_:
+            print_result(data(correction))
+        else:
+            print(f"{trail}\n\n{calibration}")
+        if folder is not None:
+            trail.save(folder)
+            bc.report(trail, folder / "report.html")
+            for name in FILES:
+                bc.export_vector(correction, folder / name)
+            readings.write(folder / "poses.csv")
+            if not json_:
+                names = ("result.json", "calibration.nc", "report.html", "poses.csv")
+                print(f"written: {folder}/{', '.join((*FILES, *names))}")
+    exit_unless(trail.ok, trail.gate.reason)
 
 
 @commands.example("bayescal compensate result/calibration.nc flight.csv --out done.csv")

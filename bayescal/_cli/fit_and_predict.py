@@ -1,10 +1,11 @@
-"""Commands from readings to a calibration: fit, check, discover, compare, predict.
+"""Commands from readings to a calibration: fit, check, discover, compare, predict; and to the noise of a sensor.
 
 Imports stand where they are first needed: a bad file is refused before a sampler loads.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import bayescal as bc
@@ -23,6 +24,8 @@ from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 
 commands = Commands()
+# The instrument whose output does not change but by its noise and temperature.
+AT_REST = "still_sensor"
 
 
 @commands.example("bayescal fit readings.csv --instrument mems_gyro --out result")
@@ -99,16 +102,14 @@ def discover(
 ) -> None:
     """Which effect is missing from a fitted model; and which experiment would tell rivals apart."""
     from bayescal._cli.output import unexplained_text
-    from bayescal._cli.request import typed_effects, user_effects
+    from bayescal._cli.request import own_effects
     from bayescal._cli.saved import load_saved
     from bayescal._report.result_json import experiment_data, missing_data
 
     loaded = load_saved(calibration, own)
     model, readings = loaded.model, loaded.readings
-    effects = (
-        *user_effects(own.effects_file),
-        *typed_effects(typed, model.instrument, readings),
-    )
+    choice = ModelOptions(effects_file=own.effects_file, typed=typed)
+    effects = own_effects(choice, model.instrument, readings)
     allowed = options.causes(ignore, covariates)
     with deadline.until(time_limit, apart=True) as end:
         found = bc.discover(loaded, effects=effects, max_effects=max_effects, **allowed)
@@ -155,26 +156,20 @@ def compare(
     json_: bool = False,
 ) -> None:
     """Set model structures side by side: leave-one-group-out, leave-one-out, evidence, weights."""
-    from bayescal._cli.request import (
-        method_named,
-        open_request,
-        reference_of,
-        structure_with,
-        typed_effects,
-        user_effects,
-    )
+    from bayescal._cli import request
 
-    baseline = ModelOptions(effects_file=effects_file)
-    chosen, _, readings = open_request(ReadRequest(instrument, files, columns, baseline, average))
+    choice = ModelOptions(effects_file=effects_file, typed=typed)
+    asked = ReadRequest(instrument, files, columns, replace(choice, typed=None), average)
+    chosen, _, readings = request.open_request(asked)
     names = structure or [name for name, _ in chosen.structures]
     if len(set(names)) < 2:
         raise InputError("compare needs two structures or more: give --structure twice, or never")
-    own = (*user_effects(effects_file), *typed_effects(typed, chosen, readings))
-    models = {name: structure_with(chosen, name, own) for name in names}
+    own = request.own_effects(choice, chosen, readings)
+    models = {name: request.structure_with(chosen, name, own) for name in names}
     for model in models.values():
         model.require(readings)
     print_notes(readings.flags)
-    constants, how = reference_of(reference, readings), method_named(method)
+    constants, how = request.reference_of(reference, readings), request.method_named(method)
     fits = {
         name: bc.fit(model, readings, how, seed=seed, strict=False, reference=constants)
         for name, model in models.items()
@@ -224,3 +219,52 @@ def predict(
         {**data, "unit": loaded.unit, "file": str(out) if out else None} if json_ else text
     )
     exit_unless(loaded.verdict.reliable, loaded.verdict.why_not)
+
+
+@commands.example(
+    "bayescal noise still.csv --columns output=gyro_x --unit gyro_x=deg/s --yaml imu.yaml"
+)
+def noise(
+    files: list[Path],
+    columns: ColumnOptions,
+    channels: str | None = None,
+    yaml: Path | None = None,
+    quantile: float = 0.95,
+    topic: str = "/imu0",
+    average: str | None = None,
+    seed: int = 0,
+    out: Path | None = None,
+    json_: bool = False,
+) -> None:
+    """Noise density, bias instability and random walk of a sensor at rest, with 95 % intervals."""
+    from bayescal._cli.request import open_channels
+    from bayescal._use.kalibr_file import kalibr_yaml
+
+    if not 0 < quantile < 1:
+        raise InputError(
+            f"--quantile {quantile:g}: give a probability between 0 and 1, such as 0.95"
+        )
+    asked = ReadRequest(AT_REST, files, columns, ModelOptions(), average)
+    names = [] if channels is None else options.channel_names(channels)
+    _, _, readings = open_channels(names, asked)
+    if channels is None:  # called as the file calls its output
+        one = readings[""]
+        readings = {next((s.output for s in one.sources if s.output), "output"): one}
+    with result_folder(out) as folder:
+        found = {}
+        for name, one in readings.items():
+            print_notes(one.flags)
+            found[name] = bc.noise(one, seed=seed)
+            if not json_:
+                print(f"{name}\n\n{found[name]}\n")
+        if json_:
+            print_result({name: one.data() for name, one in found.items()})
+        written = []
+        if yaml is not None:
+            yaml.write_text(kalibr_yaml(found, topic, quantile), encoding="utf-8")
+            written.append(yaml)
+        for name, one in found.items() if folder is not None else ():
+            assert folder is not None
+            written.append(bc.plot.save(bc.plot.noise(one), folder / f"noise_{name}.png"))
+        if written and not json_:
+            print(f"written: {', '.join(map(str, written))}")

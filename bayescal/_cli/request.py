@@ -6,7 +6,8 @@ A bad file is refused first, before the instrument loads, and JAX with it; no sa
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,57 +34,21 @@ if TYPE_CHECKING:
     from bayescal._model.model import Model
     from bayescal._model.noise_law import Noise
 
-Early = tuple[Any, FileColumns | None]  # readings, or None; and by which columns they were read
+Early = tuple[
+    dict[str, Any] | None, FileColumns | None
+]  # readings; by which columns they were read
 LONG_LOG = 20_000  # readings, beyond which means over short times say as much and are sooner done
 LONG = 50_000_000  # bytes of files that take longer to read than an instrument takes to load
 
 
-def open_request(
-    asked: ReadRequest, early: Early | None = None
-) -> tuple[Instrument, Model, Measurements]:
+def open_request(asked: ReadRequest) -> tuple[Instrument, Model, Measurements]:
     """Instrument, model and readings that are asked for; the instrument tailored to the readings.
-
-    Args:
-        asked: what is.
-        early: what `read_early` gave, where it was called already.
 
     Raises:
         InputError, ModelError: something in it cannot be used; says what.
     """
-    general, readings = _opened(asked, early)
-    own = {effect.name: effect for effect in user_effects(asked.choice.effects_file)}
-    model = general.baseline() if asked.choice.typed else compose(general, asked.choice, own)
-    asked.columns.keep()
-    if asked.average is None:
-        print_notes(long_log(readings))
-    readings = averaged(readings, asked.average, asked.keep_spikes)
-    tailored = general.for_readings(readings)
-    if tailored is not general or asked.choice.typed:
-        own |= {e.name: e for e in typed_effects(asked.choice.typed, tailored, readings)}
-        model = compose(tailored, asked.choice, own)
-    return tailored, model, readings
-
-
-def own_effects(
-    choice: ModelOptions, instrument: Instrument, readings: Measurements
-) -> tuple[Effect, ...]:
-    """Effects of the user's own: of a file, and typed.
-
-    Raises:
-        InputError: the file fails, or a formula is none; the place is marked.
-    """
-    return (*user_effects(choice.effects_file), *typed_effects(choice.typed, instrument, readings))
-
-
-def typed_effects(
-    typed: Sequence[str] | None, instrument: Instrument, readings: Measurements | None
-) -> tuple[Effect, ...]:
-    """The effects that --effect gives.
-
-    Raises:
-        InputError: a formula is none, its units do not go together, or a size is missing; the place is marked.
-    """
-    return tuple(bc.effect(line, readings=readings, instrument=instrument) for line in typed or ())
+    _, models, readings = open_channels((), asked)
+    return models[""].instrument, models[""], readings[""]
 
 
 def open_channels(
@@ -91,62 +56,74 @@ def open_channels(
 ) -> tuple[Instrument, dict[str, Model], dict[str, Measurements]]:
     """Instrument, models and readings of the channels of one unit; a model has it tailored to its readings.
 
+    Args:
+        names: of the channels; none: a single output, called "".
+        asked: what is.
+        early: what `read_early` gave, where it was called already.
+
     Raises:
         InputError, ModelError: something in it cannot be used; says what.
     """
-    general, read_ = _opened(asked, early, outputs=list(names))
-    own = {effect.name: effect for effect in user_effects(asked.choice.effects_file)}
+    # A file that cannot be used is refused before the instrument loads.
+    found, holds = read_early(asked, names) if early is None else early
+    general, choice = instrument_named(asked.instrument), asked.choice
+    if found is None or holds != FileColumns.of(general):
+        found = _read(asked.files, general, asked, names)
+    if not choice.typed:  # what is typed may need the readings
+        compose(general, choice, user_effects(choice.effects_file))
     asked.columns.keep()
     if asked.average is None:
-        print_notes(dict.fromkeys(note for one in read_.values() for note in long_log(one)))
-    readings = {n: averaged(one, asked.average, asked.keep_spikes) for n, one in read_.items()}
-    models: dict[str, Model] = {}
-    for n, one in readings.items():
+        print_notes(dict.fromkeys(note for one in found.values() for note in long_log(one)))
+    readings = {n: averaged(one, asked.average, asked.keep_spikes) for n, one in found.items()}
+    models = {}
+    for name, one in readings.items():
         tailored = general.for_readings(one)
-        typed = {e.name: e for e in typed_effects(asked.choice.typed, tailored, one)}
-        models[n] = compose(tailored, asked.choice, own | typed)
+        models[name] = compose(tailored, choice, own_effects(choice, tailored, one))
     return general, models, readings
 
 
-def _opened(asked: ReadRequest, early: Early | None = None, **more: Any) -> tuple[Instrument, Any]:
-    """The instrument, and what `read` gives; a file that cannot be used is refused before the instrument loads."""
-    found, holds = read_early(asked, **more) if early is None else early
-    general = instrument_named(asked.instrument)
-    if found is not None and holds == FileColumns.of(general):
-        return general, found
-    return general, read(list(asked.files), general, **asked.columns.for_read(), **more)
+def own_effects(
+    choice: ModelOptions, instrument: Instrument, readings: Measurements | None
+) -> tuple[Effect, ...]:
+    """Effects of the user's own: of a file, and typed.
+
+    Raises:
+        InputError: the file fails; a formula is none, its units do not go together, or a size is missing: the place is
+            marked.
+    """
+    made = (bc.effect(t, readings=readings, instrument=instrument) for t in choice.typed or ())
+    return (*user_effects(choice.effects_file), *made)
 
 
-def read_early(asked: ReadRequest, **more: Any) -> Early:
+def _read(
+    files: Sequence[Path], of: Any, asked: ReadRequest, names: Sequence[str]
+) -> dict[str, Measurements]:
+    outputs: dict[str, Any] = {"outputs": list(names)} if names else {}
+    found = read(list(files), of, **asked.columns.for_read(), **outputs)
+    return found if names else {"": found}  # pyright: ignore[reportReturnType]
+
+
+def read_early(asked: ReadRequest, names: Sequence[str] = ()) -> Early:
     """What `read` gives before the instrument loads, and by which columns; None where that cannot be, or takes long.
 
     Raises:
         InputError: a file cannot be used, or no instrument is of that name.
     """
-    files, how = list(asked.files), {**asked.columns.for_read(), **more}
     holds = (
         None if in_a_file(asked.instrument) else file_columns(known_instrument(asked.instrument))
     )
-    short = sum(path.stat().st_size for path in files if path.is_file()) <= LONG
-    return (read(files, holds, **how) if holds and short else None), holds
+    short = sum(path.stat().st_size for path in asked.files if path.is_file()) <= LONG
+    return (_read(asked.files, holds, asked, names) if holds and short else None), holds
 
 
-def open_kept(instrument: Instrument, asked: SearchRequest) -> Measurements | None:
-    """Hold-out data, averaged as the others are; None where there are none."""
+def open_kept(
+    instrument: Instrument, asked: SearchRequest, names: Sequence[str] = ()
+) -> dict[str, Measurements]:
+    """Hold-out data of each channel, averaged as the others are; none where there are none."""
     if not asked.holdout:
-        return None
-    readings = read(list(asked.holdout), instrument, **asked.columns.for_read())
-    return averaged(readings, asked.average, asked.keep_spikes)
-
-
-def open_kept_channels(
-    names: Sequence[str], general: Instrument, asked: SearchRequest
-) -> dict[str, Measurements] | None:
-    """The same of the channels of one unit."""
-    if not asked.holdout:
-        return None
-    readings = read(list(asked.holdout), general, **asked.columns.for_read(), outputs=list(names))
-    return {n: averaged(one, asked.average, asked.keep_spikes) for n, one in readings.items()}
+        return {}
+    found = _read(asked.holdout, instrument, asked, names)
+    return {n: averaged(one, asked.average, asked.keep_spikes) for n, one in found.items()}
 
 
 def averaged(
@@ -176,13 +153,14 @@ def long_log(readings: Measurements) -> list[str]:
     ] * (usual > 0)
 
 
-def compose(instrument: Instrument, choice: ModelOptions, own: Mapping[str, Effect]) -> Model:
+def compose(instrument: Instrument, choice: ModelOptions, own: Sequence[Effect] = ()) -> Model:
     """The model that is asked for: a structure or the baseline, effects added, coefficients fixed."""
-    model = (
-        structure_named(instrument, choice.structure) if choice.structure else instrument.baseline()
-    )
+    known = {effect.name: effect for effect in own}
+    model = instrument.baseline()
+    if choice.structure:
+        model = structure_named(instrument, choice.structure)
     for name in choice.add or []:
-        model = model + own.get(name, name)
+        model = model + known.get(name, name)
     return model.fix(named_numbers(choice.fix, "--fix"))
 
 
@@ -204,10 +182,7 @@ def structure_named(instrument: Instrument, name: str) -> Model:
 def structure_with(instrument: Instrument, text: str, own: Sequence[Effect]) -> Model:
     """A structure with effects added to it: "line+bias.thermal_lag"."""
     first, *added = (part.strip() for part in text.split("+"))
-    model, known = structure_named(instrument, first), {effect.name: effect for effect in own}
-    for name in added:
-        model = model + known.get(name, name)
-    return model
+    return compose(instrument, ModelOptions(structure=first, add=added), own)
 
 
 def law_named(name: str, model: Model, readings: Measurements) -> Noise:

@@ -16,6 +16,7 @@ add nothing. The sums add up over any parts of a fleet.
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -23,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayescal._core.errors import InputError
 from bayescal._core.jax_setup import configure_jax
 from bayescal._core.parallel import over
 
@@ -44,6 +46,30 @@ class DeviceEstimates(NamedTuple):
     precision: np.ndarray
     estimate: np.ndarray
     rest: np.ndarray
+
+    def save(self, path: Path) -> None:
+        """Keep them as numbers (b, k, k + 2), which workers map into memory."""
+        columns = self.precision, self.estimate[:, :, None], self.rest[:, :, None]
+        with path.open("wb") as file:
+            np.save(file, np.concatenate(columns, axis=2))
+
+
+Part = DeviceEstimates | Path  # of a fleet: its devices, or the file that they were saved to
+
+
+def loaded(part: Part) -> DeviceEstimates:
+    """Estimates, from their file if they stand in one.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    if isinstance(part, DeviceEstimates):
+        return part
+    try:
+        held = np.load(part, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{part} cannot be read: {error}. Run the same command again") from None
+    return DeviceEstimates(held[:, :, :-2], held[:, :, -2], held[:, :, -1])
 
 
 class Sums(NamedTuple):
@@ -67,16 +93,22 @@ class DeviceMoments(NamedTuple):
     covariance: np.ndarray
 
 
-def sums(devices: DeviceEstimates, centre: np.ndarray, scale: np.ndarray, v: np.ndarray) -> Sums:
+def count(part: Part) -> tuple[int, np.ndarray]:
+    """How many devices, and the sum of their estimates, (k,)."""
+    own = loaded(part).estimate
+    return len(own), own.sum(axis=0)
+
+
+def sums(part: Part, centre: np.ndarray, scale: np.ndarray, v: np.ndarray) -> Sums:
     """Sums over devices, counted from a centre, at the standard deviations τ = scale·exp(v), v (s, k)."""
-    return Sums(*map(np.asarray, _sums(_padded(devices, centre), scale, v)))
+    return Sums(*map(np.asarray, _sums(_padded(loaded(part), centre), scale, v)))
 
 
 def sums_and_slopes(
-    devices: DeviceEstimates, centre: np.ndarray, scale: np.ndarray, v: np.ndarray
+    part: Part, centre: np.ndarray, scale: np.ndarray, v: np.ndarray
 ) -> tuple[Sums, Sums]:
     """The sums, and their derivatives along each of v, (s, k, …)."""
-    values, slopes = _sums_and_slopes(_padded(devices, centre), scale, v)
+    values, slopes = _sums_and_slopes(_padded(loaded(part), centre), scale, v)
     return Sums(*map(np.asarray, values)), Sums(*map(np.asarray, slopes))
 
 

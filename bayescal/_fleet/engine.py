@@ -9,7 +9,7 @@ import functools
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import jax
 
@@ -39,58 +39,29 @@ class TaskOutcome(NamedTuple):
     error: str
 
 
-class Engine(Protocol):
-    """Where tasks run."""
-
-    def each(self, function: Callable[..., Any], tasks: Sequence[tuple]) -> Iterator[TaskOutcome]:
-        """Run a function on each of several arguments; outcomes as they come in."""
-        ...
-
-    def total(self, function: Callable[..., T], tasks: Sequence[tuple]) -> T:
-        """The sum of a function over several arguments (tuples of numbers and arrays), added up in their order."""
-        ...
+class _ClusterGone(InputError):
+    """The scheduler cannot be reached."""
 
 
-def every(engine: Engine, function: Callable[..., T], tasks: Sequence[tuple]) -> list[T]:
-    """What a function makes of each of several arguments, in their order.
+class Engine:
+    """The workers of a client's cluster; this process without a client."""
 
-    Raises:
-        InputError: one of them fails.
-    """
-    values: dict[int, T] = {}
-    for outcome in engine.each(function, tasks):
-        if outcome.error:
-            raise InputError(outcome.error)
-        values[outcome.index] = outcome.value
-    return [values[index] for index in range(len(tasks))]
-
-
-class LocalEngine:
-    """This process."""
-
-    def each(self, function: Callable[..., Any], tasks: Sequence[tuple]) -> Iterator[TaskOutcome]:
-        for index, task in enumerate(tasks):
-            try:
-                yield TaskOutcome(index, function(*task), "")
-            except (BayescalError, OSError) as error:
-                yield TaskOutcome(index, None, str(error))
-
-    def total(self, function: Callable[..., T], tasks: Sequence[tuple]) -> T:
-        return _added_up([function(*task) for task in tasks], added)
-
-
-class DaskEngine:
-    """The workers of a cluster."""
-
-    def __init__(self, client: Client) -> None:
+    def __init__(self, client: Client | None = None) -> None:
         self.client = client
 
     def each(self, function: Callable[..., Any], tasks: Sequence[tuple]) -> Iterator[TaskOutcome]:
-        """Run a function on each of several arguments.
+        """Run a function on each of several arguments; outcomes as they come in.
 
         Raises:
             InputError: the scheduler is gone, or no worker has come for some minutes; what was written stays.
         """
+        if self.client is None:
+            for index, task in enumerate(tasks):
+                try:
+                    yield TaskOutcome(index, function(*task), "")
+                except (BayescalError, OSError) as error:
+                    yield TaskOutcome(index, None, str(error))
+            return
         from distributed import as_completed
 
         left = {future: index for index, future in enumerate(self._futures(function, tasks))}
@@ -98,9 +69,15 @@ class DaskEngine:
         while left:
             try:
                 for future in as_completed(list(left), timeout=LOOK):
-                    outcome = self._outcome(left.pop(future), future)
+                    index, value, why = left.pop(future), None, ""
+                    try:
+                        value = self._value(future)
+                    except _ClusterGone:
+                        raise
+                    except BayescalError as error:
+                        why = str(error)
                     future.release()
-                    yield outcome
+                    yield TaskOutcome(index, value, why)
             except TimeoutError:
                 alone = 0.0 if self.client.nthreads() else alone + LOOK
             if alone > PATIENCE:
@@ -109,50 +86,59 @@ class DaskEngine:
                     "the same command goes on from there"
                 )
 
-    def _futures(self, function: Callable[..., Any], tasks: Sequence[tuple]) -> list[Any]:
-        return self.client.map(function, *zip(*tasks, strict=True), pure=False, retries=RETRIES)
+    def every(self, function: Callable[..., T], tasks: Sequence[tuple]) -> list[T]:
+        """What a function makes of each of several arguments, in their order.
 
-    def _outcome(self, index: int, future: Any) -> TaskOutcome:
-        try:
-            return TaskOutcome(index, future.result(), "")
-        except BayescalError as error:
-            return TaskOutcome(index, None, str(error))
-        except (Exception, CancelledError) as error:  # whatever a cluster says of tasks it gave up
-            self._refuse_if_gone(future)
-            return TaskOutcome(index, None, _in_words(error))
+        Raises:
+            InputError: one of them fails.
+        """
+        values: dict[int, T] = {}
+        for outcome in self.each(function, tasks):
+            if outcome.error:
+                raise InputError(outcome.error)
+            values[outcome.index] = outcome.value
+        return [values[index] for index in range(len(tasks))]
 
     def total(self, function: Callable[..., T], tasks: Sequence[tuple]) -> T:
-        """The sum of a function over several arguments.
+        """The sum of a function over several arguments (tuples of numbers and arrays), added up in their order.
 
         Raises:
             InputError: a part of it failed for good, or the scheduler is gone.
         """
+        if self.client is None:
+            return _added_up([function(*task) for task in tasks], added)
         add = functools.partial(self.client.submit, added, pure=False, retries=RETRIES)
-        whole: Any = _added_up(self._futures(function, tasks), add)
-        try:
-            return whole.result()
-        except BayescalError:
-            raise
-        except (Exception, CancelledError) as error:
-            self._refuse_if_gone(whole)
-            raise InputError(
-                f"a part of the sum over partitions failed: {_in_words(error)}"
-            ) from None
+        return self._value(_added_up(self._futures(function, tasks), add))
 
-    def _refuse_if_gone(self, future: Any) -> None:
-        """Say that the scheduler is gone, if a task failed for that.
+    def _futures(self, function: Callable[..., Any], tasks: Sequence[tuple]) -> list[Any]:
+        assert self.client is not None
+        return self.client.map(function, *zip(*tasks, strict=True), pure=False, retries=RETRIES)
+
+    def _value(self, future: Any) -> Any:
+        """What came of a task.
 
         Raises:
-            InputError: it is.
+            BayescalError: it failed for good, or the scheduler is gone; says which.
         """
-        if self.client.status == "running" and future.status not in ("cancelled", "lost"):
-            return
-        scheduler = self.client.scheduler
-        address = "the scheduler" if scheduler is None else scheduler.address
-        raise InputError(
-            f"the scheduler at {address} is gone. The partitions that were finished are kept: start it again, and the "
-            "same command goes on from there"
-        )
+        from distributed.scheduler import KilledWorker
+
+        assert self.client is not None
+        try:
+            return future.result()
+        except BayescalError:
+            raise
+        except (Exception, CancelledError) as error:  # whatever a cluster says of tasks it gave up
+            if self.client.status != "running" or future.status in ("cancelled", "lost"):
+                scheduler = self.client.scheduler
+                address = "the scheduler" if scheduler is None else scheduler.address
+                raise _ClusterGone(
+                    f"the scheduler at {address} is gone. The partitions that were finished are kept: start it again, "
+                    "and the same command goes on from there"
+                ) from None
+            why = str(error) or type(error).__name__
+            if isinstance(error, KilledWorker):
+                why = "the workers that it ran on died one after the other: is there memory enough for a partition?"
+            raise InputError(why) from None
 
 
 def _added_up(level: list[Any], add: Callable[..., Any]) -> Any:
@@ -165,12 +151,3 @@ def _added_up(level: list[Any], add: Callable[..., Any]) -> Any:
 def added(*parts: Any) -> Any:
     """The sum of tuples of numbers and arrays, from the first to the last."""
     return functools.reduce(lambda a, b: jax.tree.map(operator.add, a, b), parts)
-
-
-def _in_words(error: BaseException) -> str:
-    """Why a task was given up: what it raised, or that its workers died."""
-    from distributed.scheduler import KilledWorker
-
-    if isinstance(error, KilledWorker):
-        return "the workers that it ran on died one after the other: is there memory enough for a partition?"
-    return str(error) or type(error).__name__

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
 from bayescal._core.errors import InputError
 from bayescal._data.measurements import Measurements
@@ -33,34 +33,36 @@ Readings = (
 )
 
 
+class _How(TypedDict, total=False):
+    """Keywords of `fit_batch` that batches and fleets share."""
+
+    method: Method | None
+    population: AskedPopulation
+    seed: int
+    chunk: int
+    reference: Reference | None
+
+
 @overload
 def fit_batch(
     model: Model,
     readings: Readings,
     *,
-    method: Method | None = None,
-    population: AskedPopulation = False,
-    seed: int = 0,
-    chunk: int = CHUNK,
-    reference: Reference | None = None,
     client: None = None,
     out: None = None,
+    **how: Unpack[_How],
 ) -> BatchResult: ...
 @overload
 def fit_batch(
     model: Model,
     readings: str | Path | Sequence[str | Path],
     *,
-    method: Method | None = None,
-    population: AskedPopulation = False,
-    seed: int = 0,
-    chunk: int = CHUNK,
-    reference: Reference | None = None,
     client: Client | None = None,
     out: str | Path,
     partition_rows: int | None = None,
     columns: Mapping[str, Any] | None = None,
     find: bool | Find = False,
+    **how: Unpack[_How],
 ) -> FleetResult: ...
 def fit_batch(
     model: Model,
@@ -115,46 +117,41 @@ def fit_batch(
     """
     options = FitOptions.of(model, method, seed, chunk, reference)
     chosen(model, population)  # a wrong name is refused before anything is read
+    paths = _paths(readings)
     if out is not None:
+        if not paths:
+            raise InputError(
+                "fit_batch with out= reads its files itself, partition by partition: give paths, not readings"
+            )
         search = Find() if find is True else find or None
         how = {"client": client, "rows": partition_rows, "columns": columns, "find": search}
-        return fit_fleet(model, _paths(readings), Path(out), options, population, **how)
+        resolved = [path.resolve() for path in paths]
+        return fit_fleet(model, resolved, Path(out), options, population, **how)
     if client is not None or find:
         raise InputError("workers and searches write by partition: give out=, a folder")
-    devices = _devices(model, readings)
+    needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
+    devices = split_devices(paths, model.instrument, needs=needs) if paths else _given(readings)
     model, _ = tailored_to_first(model, devices)
     return fit_devices(model, devices, options, chosen(model, population))
 
 
-def _are_paths(readings: Any) -> bool:
-    """Whether these are paths of files; one path is."""
-    if isinstance(readings, str | Path):
-        return True
-    if isinstance(readings, Devices | Mapping):
-        return False
-    return len(readings) > 0 and all(isinstance(one, str | Path) for one in readings)
-
-
 def _paths(readings: Any) -> list[Path]:
-    """Paths for workers to read.
+    """Paths of files, where they are given; else none."""
+    if isinstance(readings, str | Path):
+        return [Path(readings)]
+    if isinstance(readings, Devices | Mapping):
+        return []
+    return [Path(p) for p in readings] if all(isinstance(p, str | Path) for p in readings) else []
+
+
+def _given(readings: Any) -> Devices:
+    """Devices as they were given, or of measurements.
 
     Raises:
-        InputError: something else was given.
+        InputError: one of them is none.
     """
-    if not _are_paths(readings):
-        raise InputError(
-            "fit_batch with out= reads its files itself, partition by partition: give paths, not readings"
-        )
-    given = [readings] if isinstance(readings, str | Path) else readings
-    return [Path(path).resolve() for path in given]
-
-
-def _devices(model: Model, readings: Any) -> Devices:
     if isinstance(readings, Devices):
         return readings
-    if _are_paths(readings):
-        needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
-        return split_devices(readings, model.instrument, needs=needs)
     given = readings if isinstance(readings, Mapping) else list(readings)
     for i, one in enumerate(given.values() if isinstance(given, Mapping) else given):
         if not isinstance(one, Measurements):

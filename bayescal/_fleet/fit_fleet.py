@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 
 from bayescal._core.errors import InputError
@@ -21,7 +22,7 @@ from bayescal._core.settings_in_force import given_settings, use_settings
 from bayescal._core.version import __version__
 from bayescal._data.read_options import ReadOptions
 from bayescal._fleet.batch_result import first_few
-from bayescal._fleet.engine import DaskEngine, Engine, LocalEngine, every
+from bayescal._fleet.engine import Engine
 from bayescal._fleet.find_devices import Find
 from bayescal._fleet.fit_devices import (
     FitOptions,
@@ -32,7 +33,6 @@ from bayescal._fleet.fit_devices import (
 )
 from bayescal._fleet.fit_partition import (
     PARTITION,
-    Moments,
     PartitionSummary,
     Request,
     fit_partition,
@@ -70,7 +70,7 @@ def fit_fleet(
         InputError: there are no such files, none of their devices can be used, or the cluster is gone.
     """
     begun = time.monotonic()
-    engine: Engine = LocalEngine() if client is None else DaskEngine(client)
+    engine = Engine(client)
     if client is not None and client.cluster is None and client.dashboard_link:
         tell(f"the cluster's dashboard: {client.dashboard_link}")
     unread = left_out(paths)
@@ -89,8 +89,8 @@ def fit_fleet(
     if not any(one.trusted for one in done):
         raise InputError(f"none of the devices can be used; {run.first_reason}")
     learned, apart = None, dict[str, float]()
+    files = [folder / ALONE / partitions[one.number].file for one in done]
     if named:
-        files = [folder / ALONE / partitions[one.number].file for one in done]
         learned, apart = learn_population(files, folder / POOLED, named, fit_options.seed, engine)
     doubted = {name: why for one in done for name, why in one.doubted.items()}
     fleet = FleetResult(
@@ -100,7 +100,7 @@ def fit_fleet(
         readings=sum(one.readings for one in done),
         doubted=dict(list(doubted.items())[:DOUBTED]),
         missing=run.missing,
-        table=_table([moments for one in done for moments in one.moments]),
+        table=_table(files),
         population=learned,
         apart=apart,
         effects=effects_table([each for one in done for each in one.structures], fit_options.seed),
@@ -119,22 +119,25 @@ def fit_fleet(
     return fleet
 
 
-def _table(all_moments: Sequence[Moments]) -> pd.DataFrame:
-    """One row a coefficient, over the devices that are reliable: sums of partitions put together."""
-    alike: dict[tuple[str, str], list[tuple]] = {}
-    for name, unit, *own in all_moments:
-        alike.setdefault((name, unit), []).append(tuple(own))
-    rows = []
-    for (name, unit), own in alike.items():
-        count, mean, square, variance = np.array(own).T
-        total = count.sum()
-        centre = count @ mean / total
-        # Σ over all devices of (x − centre)², from each partition's about its own mean
-        about = square.sum() + count @ (mean - centre) ** 2
-        between, typical = np.sqrt(about / total), np.sqrt(variance.sum() / total)
-        rows.append((name, centre, between, typical, unit, int(total)))
-    columns = ["coefficient", "mean", "between devices", "typical sd", "unit", "devices"]
-    return pd.DataFrame(rows, columns=columns)
+def _table(files: Sequence[Path]) -> pd.DataFrame:
+    """One row a coefficient, over the devices that are reliable."""
+    columns: dict[str, Any] = {n: pads.field(n) for n in ("coefficient", "unit", "mean")}
+    columns["variance"] = pads.field("sd") * pads.field("sd")
+    # In one thread, so that the sums do not depend on which file was first.
+    once = {"use_threads": False}
+    rows = pads.dataset(files).to_table(columns=columns, filter=pads.field("ok"), **once)
+    asked = [("mean", "mean"), ("mean", "stddev"), ("variance", "mean"), ("mean", "count")]
+    found = rows.group_by(["coefficient", "unit"], **once).aggregate(asked).to_pandas()
+    return pd.DataFrame(
+        {
+            "coefficient": found["coefficient"],
+            "mean": found["mean_mean"],
+            "between devices": found["mean_stddev"],
+            "typical sd": np.sqrt(found["variance_mean"]),
+            "unit": found["unit"],
+            "devices": found["mean_count"],
+        }
+    )
 
 
 def _temperature_sums(request: Request, partition: Partition) -> list[tuple[str, float, int]]:
@@ -155,7 +158,7 @@ def _with_common(
     """The request with what has to be the same in all partitions: T0 of a population, unit, open sizes."""
     if pooled and "T0" not in request.fit_options.reference:
         tell("reading all temperatures, for a common T0 (a reference given spares that)")
-        sums = every(engine, _temperature_sums, [(request, p) for p in partitions])
+        sums = engine.every(_temperature_sums, [(request, p) for p in partitions])
         common = common_reference([one for some in sums for one in some])
         request = replace(request, fit_options=request.fit_options.with_common(common))
     model = request.model
@@ -257,12 +260,9 @@ class _Run:
         names = [_names_in(self.folder / partition.file) for partition in self.partitions]
         numbers = np.repeat(np.arange(len(names)), [len(some) for some in names])
         table = pa.table({"device": pa.chunked_array(names, pa.string()), "at": numbers})
-        counts = table.group_by("device").aggregate([("at", "count")])
-        twice = counts.filter(pc.greater(counts["at_count"], 1))["device"]  # pyright: ignore
-        rows = table.filter(pc.is_in(table["device"], value_set=twice)).to_pydict()  # pyright: ignore
-        places: dict[str, list[int]] = {}
-        for device, number in zip(rows["device"], rows["at"], strict=True):
-            places.setdefault(device, []).append(number)
+        found = table.group_by("device").aggregate([("at", "list"), ("at", "count")])
+        twice = found.filter(pc.greater(found["at_count"], 1)).to_pydict()  # pyright: ignore
+        places = {d: sorted(at) for d, at in zip(twice["device"], twice["at_list"], strict=True)}
         elsewhere: dict[int, dict[str, str]] = {}
         for device, (first, *others) in sorted(places.items()):
             shown = " and ".join(repr(self.partitions[n].name) for n in (first, others[0]))

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -78,17 +77,6 @@ class Request:
         return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
-class Moments(NamedTuple):
-    """Of one coefficient over devices: their number, mean, sum of squares about it, sum of their variances."""
-
-    name: str
-    unit: str
-    count: int
-    mean: float
-    square: float
-    variance: float
-
-
 @dataclass(frozen=True)
 class PartitionSummary:
     """What the client gets of a partition: never more than a few lines, but for searched structures.
@@ -98,7 +86,6 @@ class PartitionSummary:
         devices, trusted, readings: how many.
         doubted: some devices whose result is not reliable, and why.
         unreadable: file → why it cannot be used.
-        moments: of each coefficient over the devices that are reliable.
         structures: of the devices that were searched.
         elsewhere: devices that stand in other partitions too, as of `fit_partition`.
         again: whether its results stood there before.
@@ -112,7 +99,6 @@ class PartitionSummary:
     readings: int
     doubted: dict[str, str]
     unreadable: dict[str, str]
-    moments: tuple[Moments, ...]
     structures: tuple[DeviceStructure, ...]
     elsewhere: dict[str, str]
     again: bool = False
@@ -186,17 +172,6 @@ def _fitted(
 
 def _summary(partition: Partition, result: BatchResult) -> PartitionSummary:
     own, bad = result.about[PARTITION], np.flatnonzero(~result.ok)
-    moments = []
-    for part in result.parts:
-        good = result.ok[part.devices]
-        if not (count := int(good.sum())):
-            continue
-        mean, centre = part.mean[good], part.mean[good].mean(axis=0)
-        square = np.sum((mean - centre) ** 2, axis=0)
-        variance = np.sum(part.sd[good] ** 2, axis=0)
-        numbers = zip(centre.tolist(), square.tolist(), variance.tolist(), strict=True)
-        each = zip(part.names, part.units, numbers, strict=True)
-        moments += [Moments(name, unit, count, *three) for name, unit, three in each]
     return PartitionSummary(
         partition.number,
         devices=len(result),
@@ -204,7 +179,6 @@ def _summary(partition: Partition, result: BatchResult) -> PartitionSummary:
         readings=own["readings"],
         doubted={result.devices[i]: result.reasons[i] for i in bad[:SHOWN]},
         unreadable=own["unreadable"],
-        moments=tuple(moments),
         structures=tuple(DeviceStructure(**held) for held in own["structures"].values()),
         elsewhere=own["elsewhere"],
     )

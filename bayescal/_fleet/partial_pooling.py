@@ -16,18 +16,10 @@ from scipy import stats
 
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._fleet.batch_result import BatchPart, BatchResult, load_batch
-from bayescal._fleet.device_sums import DeviceEstimates
-from bayescal._fleet.engine import Engine, every
+from bayescal._fleet.device_sums import DeviceEstimates, loaded
+from bayescal._fleet.engine import Engine
 from bayescal._fleet.fleet_settings import fleet_settings
-from bayescal._fleet.population import (
-    Learned,
-    Named,
-    Population,
-    estimates,
-    learn,
-    load_estimates,
-    save_estimates,
-)
+from bayescal._fleet.population import Learned, Named, Population, estimates, learn
 
 KEPT = 100  # devices that stand out most, of which the whole keeps the p
 
@@ -66,10 +58,10 @@ def learn_population(
     folder.mkdir(parents=True)
     places = [folder / f".{file.stem}.npy" for file in files]  # hidden: a dataset passes over it
     pairs = list(zip(files, places, strict=True))
-    every(engine, write_estimates, [(*pair, named) for pair in pairs])
+    engine.every(write_estimates, [(*pair, named) for pair in pairs])
     learned = learn(places, named, seed, engine)
     tasks = [(file, place, folder / file.name, named, learned) for file, place in pairs]
-    outliers = sorted(one for some in every(engine, write_pooled, tasks) for one in some)[:KEPT]
+    outliers = sorted(one for some in engine.every(write_pooled, tasks) for one in some)[:KEPT]
     for place in places:
         place.unlink(missing_ok=True)
     devices = learned.population.devices
@@ -81,14 +73,14 @@ def learn_population(
 def write_estimates(file: Path, place: Path, named: Named) -> None:
     """Keep what a partition's readings alone say of its devices."""
     with replacing_for_user(place) as partial:
-        save_estimates(_estimates_of(load_batch(file), named), partial)
+        _estimates_of(load_batch(file), named).save(partial)
 
 
 def write_pooled(
     file: Path, place: Path, to: Path, named: Named, learned: Learned
 ) -> list[tuple[float, str]]:
     """Write a partition's devices under the population; those that stand out from it most, (p, device)."""
-    result, own = load_batch(file), load_estimates(place)
+    result, own = load_batch(file), loaded(place)
     _under_population(result, own, named, learned).save(to)
     return _standing_out(result, own, learned)
 

@@ -33,11 +33,11 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from bayescal._core.errors import InputError, ModelError
+from bayescal._core.errors import ModelError
 from bayescal._core.importance_weights import smoothed
 from bayescal._fleet import device_sums
 from bayescal._fleet.device_sums import DeviceEstimates, DeviceMoments, Sums
-from bayescal._fleet.engine import Engine, LocalEngine
+from bayescal._fleet.engine import Engine
 from bayescal._fleet.fleet_settings import fleet_settings
 from bayescal._inference import trust
 from bayescal._inference.mode import climb, gaussian_fit
@@ -95,7 +95,7 @@ class Population:
         return f"{head}{'' if self.ok else ': ' + self.reason}\n{self.table.to_string(index=False)}"
 
 
-def chosen(model: Model, asked: AskedPopulation) -> dict[str, tuple[Coefficient, GroupSdPrior]]:
+def chosen(model: Model, asked: AskedPopulation) -> Named:
     """The coefficients of a population, each with the prior of its standard deviation between devices.
 
     Raises:
@@ -174,7 +174,7 @@ def learn(
     """Learn a population from sums over its devices.
 
     Args:
-        parts: the devices, in arrays or in files as `save_estimates` writes them.
+        parts: the devices, in arrays or in files as `DeviceEstimates.save` writes them.
         named: the population's coefficients.
         seed: of every random number.
         engine: where the sums are made; this process if None.
@@ -182,8 +182,8 @@ def learn(
     Raises:
         ModelError: fewer than three devices that can be trusted.
     """
-    engine = engine or LocalEngine()
-    count, total = engine.total(_count, [(part,) for part in parts])
+    engine = engine or Engine()
+    count, total = engine.total(device_sums.count, [(part,) for part in parts])
     if count < (fewest := fleet_settings().fewest_devices):
         raise ModelError(
             f"a population is learned from at least {fewest} devices that converge; here {count} did"
@@ -207,41 +207,6 @@ def learn(
     reason = why and f"weights of the between-group standard deviations were uneven ({why})"
     population = Population(table, not why, reason, count, k_hat)
     return Learned(population, size, density.centre, density.scale, v, weights, mean, covariance)
-
-
-def save_estimates(own: DeviceEstimates, path: Path) -> None:
-    """Keep estimates as numbers (b, k, k + 2), which workers map into memory."""
-    columns = own.precision, own.estimate[:, :, None], own.rest[:, :, None]
-    with path.open("wb") as file:
-        np.save(file, np.concatenate(columns, axis=2))
-
-
-def load_estimates(part: DeviceEstimates | Path) -> DeviceEstimates:
-    """Estimates, from their file if they stand in one.
-
-    Raises:
-        InputError: it cannot be read.
-    """
-    if isinstance(part, DeviceEstimates):
-        return part
-    try:
-        held = np.load(part, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{part} cannot be read: {error}. Run the same command again") from None
-    return DeviceEstimates(held[:, :, :-2], held[:, :, -2], held[:, :, -1])
-
-
-def _count(part: DeviceEstimates | Path) -> tuple[int, np.ndarray]:
-    own = load_estimates(part).estimate
-    return len(own), own.sum(axis=0)
-
-
-def _sums(part: DeviceEstimates | Path, *at: np.ndarray) -> Sums:
-    return device_sums.sums(load_estimates(part), *at)
-
-
-def _sums_and_slopes(part: DeviceEstimates | Path, *at: np.ndarray) -> tuple[Sums, Sums]:
-    return device_sums.sums_and_slopes(load_estimates(part), *at)
 
 
 class _Density:
@@ -273,7 +238,7 @@ class _Density:
 
     def log_density(self, v: np.ndarray) -> tuple[np.ndarray, Sums]:
         """At several v (s, k), and the sums that it was made of."""
-        given = self._summed(_sums, v)
+        given = self._summed(device_sums.sums, v)
         return self.log_prior(v) + self._of_sums(given), given
 
     def log_prior(self, v: np.ndarray) -> np.ndarray:
@@ -297,7 +262,7 @@ class _Density:
 
     def slope(self, v: np.ndarray) -> tuple[float, np.ndarray]:
         """Its logarithm at one v (k,), and the slopes."""
-        given, slopes = self._summed(_sums_and_slopes, v[None])
+        given, slopes = self._summed(device_sums.sums_and_slopes, v[None])
         (mean,), (covariance,) = self.population_mean(given)
         level, pull, precision = (leaf[0] for leaf in slopes)
         # ∂(aᵀA⁻¹a − log|A|), where A⁻¹a and A⁻¹ are mean and covariance of m

@@ -65,14 +65,34 @@ def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> 
     names = sorted({name for device in devices for name in device.prior})
     if not names:
         return {}
-    fleet = _Fleet.of(devices, names)
-    rng, share, has = np.random.default_rng(seed), fleet.prior, np.ones(len(names), dtype=bool)
+    # All devices' structures, one below the other, each with the effects that it has.
+    sets = [effects for device in devices for effects in device.log_evidence]
+    has_effect = np.array([[n in effects for n in names] for effects in sets], dtype=float)
+    log_evidence = np.array([v for device in devices for v in device.log_evidence.values()])
+    lengths = np.array([len(device.log_evidence) for device in devices])
+    begins = np.cumsum(lengths) - lengths
+    priors = [[d.prior[n] for d in devices if n in d.prior] for n in names]
+    able, prior = np.array([len(own) for own in priors]), np.array([np.mean(p) for p in priors])
+    of_any = np.minimum(2 * prior, 0.5)  # half of it is then that of one device
+    nowhere = of_any / (able + 1)  # the less probable, the more devices could show it and do not
+    rng = np.random.default_rng(seed)
+
+    def drawn(share: Float[np.ndarray, "e"]) -> Int[np.ndarray, "e"]:
+        """How many devices have each effect, with a structure drawn for each device."""
+        inside = np.clip(share, NONE, ALL)
+        weight = log_evidence + has_effect @ (np.log(inside) - np.log1p(-inside))
+        weight += rng.gumbel(size=len(weight))  # the largest is a draw by weight
+        taken = weight == np.repeat(np.maximum.reduceat(weight, begins), lengths)
+        return has_effect[taken].sum(axis=0).astype(int)
+
+    share, has = prior, np.ones(len(names), dtype=bool)
     shown, counts, there = [], [], []
     for i in range(BURN_IN + rounds):
-        count = fleet.drawn(np.where(has, share, 0.0), rng)
-        share = rng.beta(1.0 + count, 1.0 + fleet.able - count)
+        count = drawn(np.where(has, share, 0.0))
+        share = rng.beta(1.0 + count, 1.0 + able - count)
         if i >= BURN_IN // 2:  # before, every effect may find its devices
-            has = fleet.has(count, rng)
+            # The fleet has an effect surely where a device has.
+            has = (count > 0) | (rng.random(len(count)) < nowhere / (nowhere + 1 - of_any))
         if i >= BURN_IN:
             shown.append(share)
             counts.append(count)
@@ -101,52 +121,3 @@ def effects_table(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.Da
     ]
     rows.sort(key=lambda row: (-row[4], -row[1]))
     return pd.DataFrame(rows, columns=COLUMNS)
-
-
-@dataclass(frozen=True, eq=False)
-class _Fleet:
-    """All devices' structures, one below the other.
-
-    Attributes:
-        begins: where each device's structures begin.
-        log_evidence: of each structure.
-        has_effect: which effects it has.
-        able: devices that can show an effect.
-        prior: probability that the one device of a fleet of one lacks it.
-    """
-
-    begins: Int[np.ndarray, "d"]
-    log_evidence: Float[np.ndarray, "s"]
-    has_effect: Float[np.ndarray, "s e"]
-    able: Int[np.ndarray, "e"]
-    prior: Float[np.ndarray, "e"]
-
-    @classmethod
-    def of(cls, devices: Sequence[Evidence], names: Sequence[str]) -> _Fleet:
-        sets = [effects for device in devices for effects in device.log_evidence]
-        has_effect = np.array([[n in effects for n in names] for effects in sets], dtype=float)
-        lengths = [len(device.log_evidence) for device in devices]
-        priors = [[device.prior[n] for device in devices if n in device.prior] for n in names]
-        return cls(
-            begins=np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int),
-            log_evidence=np.array([v for d in devices for v in d.log_evidence.values()]),
-            has_effect=has_effect,
-            able=np.array([len(own) for own in priors]),
-            prior=np.array([np.mean(own) for own in priors]),
-        )
-
-    def drawn(self, share: Float[np.ndarray, "e"], rng: np.random.Generator) -> np.ndarray:
-        """How many devices have each effect, with a structure drawn for each device."""
-        inside = np.clip(share, NONE, ALL)
-        weight = self.log_evidence + self.has_effect @ (np.log(inside) - np.log1p(-inside))
-        weight += rng.gumbel(size=len(weight))  # the largest is a draw by weight
-        largest = np.maximum.reduceat(weight, self.begins)
-        lengths = np.diff(np.append(self.begins, len(weight)))
-        taken = weight == np.repeat(largest, lengths)
-        return self.has_effect[taken].sum(axis=0).astype(int)
-
-    def has(self, count: Int[np.ndarray, "e"], rng: np.random.Generator) -> np.ndarray:
-        """Whether the fleet has an effect: surely where a device has; else less probably the more devices have not."""
-        of_any = np.minimum(2 * self.prior, 0.5)  # half of it is then that of one device
-        without = of_any / (self.able + 1)
-        return (count > 0) | (rng.random(len(count)) < without / (without + 1 - of_any))

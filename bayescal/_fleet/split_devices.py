@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -166,15 +167,12 @@ def split_table(
 
 def _read_once(table: Table) -> Table:
     """The table, whose columns are kept once they were read: rows of it are taken again and again."""
-    kept: dict[tuple[int, bool], Cells] = {}
 
-    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        for position, number in wanted.items():
-            if (position, number) not in kept:
-                kept[position, number] = load_whole(table, {position: number})[position]
-        return {position: kept[position, number] for position, number in wanted.items()}
+    @cache
+    def cells(position: int, number: bool) -> Cells:
+        return load_whole(table, {position: number})[position]
 
-    return replace(table, load=load)
+    return replace(table, load=lambda wanted: {p: cells(p, n) for p, n in wanted.items()})
 
 
 def _less(table: Table, position: int) -> Table:
@@ -192,14 +190,12 @@ def _further(
     table: Table, instrument: InstrumentLike, options: ReadOptions, needs: Sequence[str]
 ) -> tuple[Column, ...]:
     """Columns that effects need and the instrument does not know, in their base units."""
-    known = expected_columns(instrument)
     headers = {h.name: h for h in table.headers}
     further = []
-    for name in needs:
+    for name in [n for n in needs if n not in expected_columns(instrument)]:
         header = headers.get(options.columns.get(name, name))
-        if name in known or header is None or (unit := unit_of(header, name, options)) is None:
-            continue
-        further.append(Column(name, base_unit(unit), required=False))
+        if header is not None and (unit := unit_of(header, name, options)) is not None:
+            further.append(Column(name, base_unit(unit), required=False))
     return tuple(further)
 
 
