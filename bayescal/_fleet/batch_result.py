@@ -45,6 +45,11 @@ def first_few(items: Mapping[str, str], total: int, head: str = "", more: str = 
     return [*lines, f"  … and {rest} more{more}"] if rest > 0 else lines
 
 
+def printed(table: pd.DataFrame, digits: int) -> str:
+    """A table with so many significant digits."""
+    return table.to_string(index=False, float_format=lambda v: f"{v:.{digits}g}")
+
+
 @dataclass(frozen=True, eq=False)
 class BatchPart:
     """Devices that have the same unknowns.
@@ -172,31 +177,27 @@ class BatchResult:
 
     def _rows(self) -> pa.Table:
         """The table as it is saved, with each unknown's row of the covariance."""
+        devices, reasons = (pa.array(own, pa.string()) for own in (self.devices, self.reasons))
+
+        def rows(at: np.ndarray, names: Any, mean: Any, sd: Any, units: Any, rest: Any) -> pa.Table:
+            whose = pa.array(at)
+            said = (names, mean, sd, units, self.ok[at], reasons.take(whose), rest)
+            return pa.table([devices.take(whose), *said], schema=SCHEMA)
+
         fitted = np.concatenate([np.zeros(0, int), *(part.devices for part in self.parts)])
         refused = np.setdiff1d(np.arange(len(self)), fitted)
-        pieces, places = [], []
+        nothing, no_name = np.full(len(refused), np.nan), pa.nulls(len(refused), pa.string())
+        no_row = pa.nulls(len(refused), SCHEMA.field("covariance").type)
+        places = [refused]
+        tables = [rows(refused, no_name, nothing, nothing, no_name, no_row)]
         for part in self.parts:
             b, q = part.mean.shape
-            covariance = pa.ListArray.from_arrays(
-                np.arange(0, b * q * q + 1, q, dtype=np.int32), part.covariance.ravel()
-            )
-            unknowns = np.tile(np.arange(q), b)
-            names, units = (pa.array(own, pa.string()) for own in (part.names, part.units))
-            own = names.take(unknowns), part.mean.ravel(), part.sd.ravel(), units.take(unknowns)
-            pieces.append((*own, covariance))
+            ends = np.arange(0, b * q * q + 1, q, dtype=np.int32)
+            covariance = pa.ListArray.from_arrays(ends, part.covariance.ravel())
+            names, units = (pa.array(own * b, pa.string()) for own in (part.names, part.units))
             places.append(np.repeat(part.devices, q))
-        count = len(refused)
-        nothing, no_name = np.full(count, np.nan), pa.nulls(count, pa.string())
-        no_row = pa.nulls(count, SCHEMA.field("covariance").type)
-        pieces.append((no_name, nothing, nothing, no_name, no_row))
-        places.append(refused)
-        devices, reasons = (pa.array(own, pa.string()) for own in (self.devices, self.reasons))
-        tables = [
-            pa.table(
-                [devices.take(at), *own[:4], self.ok[at], reasons.take(at), own[4]], schema=SCHEMA
-            )
-            for at, own in zip(map(pa.array, places), pieces, strict=True)
-        ]
+            numbers = names, part.mean.ravel(), part.sd.ravel(), units, covariance
+            tables.append(rows(places[-1], *numbers))
         return pa.concat_tables(tables).take(np.argsort(np.concatenate(places), kind="stable"))
 
     def save(self, path: str | Path) -> Path:
@@ -232,9 +233,7 @@ class BatchResult:
                 "typical sd": np.median(part.sd[good], axis=0),
                 "unit": part.units,
             }
-            lines.append(
-                pd.DataFrame(rows).to_string(index=False, float_format=lambda v: f"{v:.4g}")
-            )
+            lines.append(printed(pd.DataFrame(rows), 4))
         return "\n".join([*lines, *([str(self.population)] if self.population else [])])
 
 
@@ -316,13 +315,5 @@ def _parts(columns: dict[str, np.ndarray], starts: list[int]) -> tuple[BatchPart
                 f"the covariance of device {columns['device'][rows[0, 0]]!r} is {covariance.shape[1:]}, it has "
                 f"{len(own)} unknowns"
             )
-        parts.append(
-            BatchPart(
-                devices=np.array(devices),
-                names=own,
-                units=units,
-                mean=columns["mean"][rows],
-                covariance=covariance,
-            )
-        )
+        parts.append(BatchPart(np.array(devices), own, units, columns["mean"][rows], covariance))
     return tuple(parts)

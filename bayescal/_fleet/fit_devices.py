@@ -251,31 +251,17 @@ def sized_for(model: Model, readings: Measurements, reference: Reference) -> Mod
 
 
 class _Solved(NamedTuple):
-    """Devices of one layout, every unknown in its reported unit.
-
-    Attributes:
-        layout: where the unknowns stand.
-        mean: (b, q).
-        covariance: (b, q, q); NaN where a standard deviation is held at its estimate.
-        reasons: what stands against each device; empty if nothing.
-        notes: how it was done.
-    """
+    """Devices of one layout, every unknown in its reported unit; covariances of what is held are NaN."""
 
     layout: Layout
-    mean: np.ndarray
-    covariance: np.ndarray
-    reasons: Sequence[str]
-    notes: tuple[str, ...] = ()
+    mean: np.ndarray  # (b, q)
+    covariance: np.ndarray  # (b, q, q)
+    reasons: Sequence[str]  # what stands against each device; empty if nothing
+    notes: tuple[str, ...] = ()  # how it was done
 
 
 class _Fits:
-    """Fits as they come in.
-
-    Attributes:
-        refused: devices that cannot be fitted, and why.
-        reasons: what stands against each device that was fitted.
-        notes: how it was done, once each.
-    """
+    """Fits as they come in: devices that are refused, what stands against others, how it was done."""
 
     def __init__(self, options: FitOptions) -> None:
         self.options, self.method = options, options.method
@@ -376,13 +362,12 @@ def _in_closed_form(stack: DeviceStack) -> _Solved:
     y, real = jnp.asarray(padded.y), jnp.asarray(padded.real)
     solved = closed_form.solve(stack.layout, padded.frame, y, real)
     line = jax.tree.map(lambda a: np.asarray(a)[:few], solved)
-    if closed_form.NOISE in dict(stack.layout.model.fixed):
-        mean, covariance = line.x, line.covariance
-        line = line._replace(scatter=np.ones(few, dtype=bool))
-    else:
+    known = closed_form.NOISE in dict(stack.layout.model.fixed)
+    mean, covariance = line.x, line.covariance
+    if not known:
         mean = np.column_stack([line.x, line.noise])
-        covariance = _held(line.covariance, range(line.x.shape[1]), mean.shape[1])
-    reasons = np.where(line.scatter, "", NO_SCATTER)
+        covariance = _held(covariance, range(line.x.shape[1]), mean.shape[1])
+    reasons = np.where(line.scatter | known, "", NO_SCATTER)
     reasons = np.where(line.determined, reasons, trust.SINGULAR).tolist()
     return _Solved(stack.layout, mean, covariance, reasons)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -177,20 +177,11 @@ def _with_common(
 
 @dataclass
 class _Run:
-    """Partitions as they are done.
-
-    Attributes:
-        request: what is fitted.
-        partitions: all of them.
-        folder: that each writes its file to.
-        engine: where they are fitted.
-        done: by number.
-        failed: partition → why it has no results.
-    """
+    """Partitions as they are done, by number; of those that have no results, why."""
 
     request: Request
     partitions: Sequence[Partition]
-    folder: Path
+    folder: Path  # that each writes its file to
     engine: Engine
     done: dict[int, PartitionSummary] = field(default_factory=dict)
     failed: dict[int, str] = field(default_factory=dict)
@@ -241,16 +232,27 @@ class _Run:
     def _each(self, wanted: Mapping[int, dict[str, str] | None]) -> None:
         some = [self.partitions[number] for number in wanted]
         tasks = [(self.request, p, self.folder, wanted[p.number]) for p in some]
-        progress = _Progress(sum(p.readings for p in some))
-        for outcome in self.engine.each(fit_partition, tasks):
-            partition = some[outcome.index]
+        begun = last = time.monotonic()
+        passed, readings = 0, sum(p.readings for p in some)
+        for count, outcome in enumerate(self.engine.each(fit_partition, tasks), 1):
+            number = some[outcome.index].number
+            self.done.pop(number, None)
             if outcome.error:
-                self.failed[partition.number] = outcome.error
-                self.done.pop(partition.number, None)
+                self.failed[number] = outcome.error
             else:
-                self.done[partition.number] = outcome.value
-            progress.add(partition.readings, outcome.value)
-        progress.end()
+                self.done[number] = outcome.value
+            passed += some[outcome.index].readings
+            if time.monotonic() > last + EVERY or (count == len(tasks) and last > begun):
+                last = time.monotonic()
+                self._tell(wanted, last - begun, passed / max(readings, 1))
+
+    def _tell(self, wanted: Iterable[int], seconds: float, share: float) -> None:
+        """Say how many devices are done, their rate, and what is left."""
+        done = [self.done[number] for number in wanted if number in self.done]
+        devices, before = sum(d.devices for d in done), sum(d.devices for d in done if d.again)
+        found = f", {before:,} of them found done" if before else ""
+        rate, left = (devices - before) / seconds, seconds * (1 / max(share, 1e-9) - 1)
+        tell(f"{devices:,} devices{found}, {rate:,.0f} a second, about {left:,.0f} s left")
 
     def _elsewhere(self) -> dict[int, dict[str, str]]:
         """Partition → its devices that stand in others too, as `fit_partition` takes them, after all were fitted.
@@ -284,31 +286,3 @@ def _names_in(path: Path) -> pa.Array:
     elsewhere = head["about"][PARTITION]["elsewhere"]
     left_out = pa.array([name for name, why in elsewhere.items() if not why], pa.string())
     return pa.concat_arrays([column.cast(pa.string()), left_out])
-
-
-class _Progress:
-    """Lines on stderr: devices done, their rate, and what is left."""
-
-    def __init__(self, readings: int) -> None:
-        self.readings, self.begun = max(readings, 1), time.monotonic()
-        self.last, self.passed, self.devices, self.before = self.begun, 0, 0, 0
-
-    def add(self, readings: int, done: PartitionSummary | None) -> None:
-        self.passed += readings
-        if done is not None:
-            self.devices += done.devices
-            self.before += done.devices if done.again else 0
-        if time.monotonic() > self.last + EVERY:
-            self.last = time.monotonic()
-            self._tell()
-
-    def end(self) -> None:
-        if self.last > self.begun:
-            self._tell()
-
-    def _tell(self) -> None:
-        seconds = time.monotonic() - self.begun
-        rate = (self.devices - self.before) / seconds
-        left = seconds * (self.readings / max(self.passed, 1) - 1)
-        before = f", {self.before:,} of them found done" if self.before else ""
-        tell(f"{self.devices:,} devices{before}, {rate:,.0f} a second, about {left:,.0f} s left")

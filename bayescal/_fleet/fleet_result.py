@@ -13,7 +13,14 @@ import pyarrow.dataset as pads
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
-from bayescal._fleet.batch_result import COLUMNS, SHOWN, DeviceResult, first_few, load_batch
+from bayescal._fleet.batch_result import (
+    COLUMNS,
+    SHOWN,
+    DeviceResult,
+    first_few,
+    load_batch,
+    printed,
+)
 from bayescal._fleet.population import Population
 from bayescal._fleet.shares import COLUMNS as EFFECTS
 
@@ -108,9 +115,9 @@ class FleetResult:
         lines += first_few(self.doubted, self.devices - self.trusted)
         lines += first_few(self.missing, len(self.missing), "no results of ", " files")
         lines += first_few(self.left_out, len(self.left_out), "not read: ", ", not read either")
-        lines.append(self.table.to_string(index=False, float_format=lambda v: f"{v:.4g}"))
+        lines.append(printed(self.table, 4))
         if len(self.effects):
-            shown = self.effects.head(SHOWN).to_string(index=False, float_format="{:.3g}".format)
+            shown = printed(self.effects.head(SHOWN), 3)
             lines.append(f"missing from the devices' models:\n{shown}")
         lines += [str(self.population)] if self.population else []
         if self.apart:

@@ -197,17 +197,17 @@ def _stretches(path: Path, file: pq.ParquetFile, rows: int, device: str) -> list
     starts = np.cumsum([0, *groups])
     fields = zip(file.schema_arrow.names, arrow_headers(file.schema_arrow), strict=True)
     column = next((name for name, header in fields if header.name == device), None)
-    ends = [0]
+    ends, last = [0], int(starts[-1])
     for group in range(1, len(groups)) if column else ():
         if starts[group] > ends[-1] and starts[group + 1] - ends[-1] > rows:
             ends.append(_next_device(file, str(column), group, starts))
-    ends = [*(end for end in ends if end < starts[-1]), int(starts[-1])]
+    ends = [*(end for end in ends if end < last), last]
     if len(ends) < 3:
-        return [Piece(path, max(1, ends[-1]))]
+        return [Piece(path, max(1, last))]
     pieces = []
     for begin, end in pairwise(ends):
-        first, last = np.searchsorted(starts, [begin, end - 1], side="right") - 1
-        own = tuple(range(first, last + 1))
+        first, final = np.searchsorted(starts, [begin, end - 1], side="right") - 1
+        own = tuple(range(first, final + 1))
         pieces.append(Piece(path, end - begin, (begin, end), own, int(starts[first])))
     return pieces
 

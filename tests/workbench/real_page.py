@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -76,20 +77,21 @@ class Bench:
         assert self.process.stdout is not None
         self.said.extend(self.process.stdout)
 
-    def kill(self) -> None:
-        """As a power cut does it."""
-        self.process.kill()
-        self._end()
-
-    def close(self) -> None:
-        self.process.terminate()
-        self._end()
-
-    def _end(self) -> None:
-        self.process.wait(30)
+    def end(self, how: signal.Signals) -> int:
+        """End it by a signal; its exit status."""
+        self.process.send_signal(how)
+        status = self.process.wait(60)
         self._reader.join(30)
         assert self.process.stdout is not None
         self.process.stdout.close()
+        return status
+
+    def kill(self) -> None:
+        """As a power cut does it."""
+        self.end(signal.SIGKILL)
+
+    def close(self) -> None:
+        self.end(signal.SIGTERM)
 
 
 @contextmanager

@@ -9,8 +9,6 @@ import http.client
 import os
 import re
 import signal
-import subprocess
-import sys
 import threading
 import time
 import urllib.error
@@ -27,10 +25,9 @@ from bayescal._workbench.session import Session
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.open_ports import listening, needs_proc
 from tests.workbench.conftest import Campaign
+from tests.workbench.real_page import Bench
 
 pytest.importorskip("panel", reason="bayescal[workbench] is not installed")
-ROOT = Path(__file__).resolve().parents[2]
-COMMAND = "from bayescal._cli.main import main; main()"
 LATE = 300.0  # seconds after which a server is given up
 
 
@@ -42,23 +39,14 @@ def get(url: str) -> tuple[int, str]:
         return error.code, error.read().decode("utf-8", "replace")
 
 
-class Server:
-    """`bayescal workbench` in a process of its own."""
+class Server(Bench):
+    """`bayescal workbench` of a file, in a process of its own."""
 
     def __init__(self, file: Path, folder: Path) -> None:
-        command = ["workbench", str(file), *GYRO, "--no-open", "--out", str(folder)]
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", COMMAND, *command],
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        assert self.process.stdout is not None
-        told = self.process.stdout.readline()
-        found = re.search(r"http://127\.0\.0\.1:(\d+)(/\S+)/\?session=(\w+)", told)
-        assert found is not None, told + (self.process.stderr.read() if self.process.stderr else "")
-        self.url, self.port, self.path, self.session = found[0], int(found[1]), found[2], found[3]
+        super().__init__(file, *GYRO, "--out", folder)
+        found = re.search(r"http://127\.0\.0\.1:(\d+)(/\S+)/\?session=(\w+)", self.url)
+        assert found is not None, self.said
+        self.port, self.path, self.session = int(found[1]), found[2], found[3]
         self.waited = False
 
     def ready(self) -> str:
@@ -74,12 +62,6 @@ class Server:
             self.waited = self.waited or (status == 200 and "readings.csv" in page)
             time.sleep(0.1)
         raise AssertionError("the workbench did not come up")
-
-    def end(self, how: signal.Signals = signal.SIGINT) -> tuple[int, str, str]:
-        if self.process.poll() is None:
-            self.process.send_signal(how)
-        out, err = self.process.communicate(timeout=60)
-        return self.process.returncode, out, err
 
 
 @pytest.fixture(scope="module")
@@ -192,15 +174,16 @@ def test_ended_and_gone_on_with(campaign: Campaign, tmp_path: Path) -> None:
     folder = tmp_path / "out"
     first = Server(campaign.file, folder)
     first.ready()
-    assert first.end(signal.SIGKILL)[0] == -signal.SIGKILL
+    assert first.end(signal.SIGKILL) == -signal.SIGKILL
     session = Session.resume(folder / first.session)
     session.add("bias.drift")
     again = Server(campaign.file, folder)
     assert again.session == first.session and again.path != first.path
     again.ready()
-    status, out, err = again.end()
-    assert (status, "Traceback" in err) == (0, False), err
-    assert out.endswith("bayescal workbench: ended\n")
+    assert again.end(signal.SIGINT) == 0
+    assert (
+        "Traceback" not in "".join(again.said) and again.said[-1] == "bayescal workbench: ended\n"
+    )
     assert sorted(p.name for p in folder.iterdir()) == ["session_1"]
 
 
