@@ -20,6 +20,7 @@ from bayescal._cli.options import (
     ModelOptions,
     OwnParts,
     ReadRequest,
+    UsedParts,
     named_numbers,
     named_values,
 )
@@ -34,10 +35,12 @@ FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 
 def exit_unless_reliable(given: Mapping[str, bc.Compensator]) -> None:
     """Leave with status 1 if what was written is of a result that is not to be used."""
-    from bayescal._cli.saved import why_not
-
-    told = {name: why_not(compensator) for name, compensator in given.items()}
-    exit_unless(not any(told.values()), "; ".join(f"{n} {w}".strip() for n, w in told.items() if w))
+    told = []
+    for name, one in given.items():
+        of = one.calibration.verdict if one.calibration else one.loaded and one.loaded.about
+        if of and of.why_not:
+            told.append(f"{name} {of.why_not}".strip())
+    exit_unless(not told, "; ".join(told))
 
 
 def exit_unless_conforms(found: bc.Decisions) -> None:
@@ -186,19 +189,29 @@ def export(
     from bayescal._cli import saved
     from bayescal._core.atomic_file import write_text
 
-    saved.refuse_format(format_, out)
+    known, paths = ", ".join(saved.KNOWN), calibrations or []
+    if format_ is None and out is None:
+        raise InputError(f"say which format: --format {known}")
+    if format_ not in (None, *saved.KNOWN):
+        raise InputError(f"--format {format_!r} is not one of {known}")
+    gravity = local_gravity or STANDARD_GRAVITY
     if format_ in saved.PARAMETERS:
-        given = saved.by_axis(calibrations or [], axis, own)
-        found = saved.parameters(given, str(format_), device_id, local_gravity or STANDARD_GRAVITY)
+        given = saved.by_axis(paths, axis, own)
+        found = saved.parameters(given, str(format_), device_id, gravity)
         if out is None:
             print(found.text(), end="")
         else:
             print(f"{found}\n\nwritten: {found.write(out)}")
         exit_unless_reliable(given)
         return
-    chosen = saved.single(calibrations or [], axis, device_id, own)
+    if len(paths) != 1 or axis or device_id:
+        raise InputError(
+            f"a program is of one calibration, {len(paths)} were given"
+            + (", and --axis or --device-id" if axis or device_id else "")
+            + f": several, by axis, make parameters (--format {' or '.join(saved.PARAMETERS)})"
+        )
+    chosen = saved.compensator_from(paths[0], own)
     if format_ == saved.DCC:
-        gravity = local_gravity or STANDARD_GRAVITY
         text = saved.certified(chosen, certificate, gravity, limit, by)
         print(text.rstrip("\n") if out is None else f"written: {write_text(text, out)}")
         return
@@ -297,19 +310,15 @@ def report(
     given = saved.chapters_from(calibrations, own)
     decided = None
     if limit:
-        decided = bc.decide(
-            saved.load_decided(calibrations, own),
-            limit,
-            **vars(by),
-        )
-    written = bc.report(
-        given,
-        out,
-        title=title,
-        certificate=stated,
-        decisions=decided,
-        output_unit=output_unit,
-    )
+        if len(calibrations) != 1:
+            raise InputError(
+                f"--limit decides about one result, {len(calibrations)} were given: report each by itself"
+            )
+        # About the average over structures, where there is one.
+        used = UsedParts(own.effects_file, own.instrument_file)
+        decided = bc.decide(saved.load_saved(calibrations[0], used), limit, **vars(by))
+    how = {"title": title, "certificate": stated, "output_unit": output_unit}
+    written = bc.report(given, out, decisions=decided, **how)
     reasons = [reason for c in given for reason in c.data["verdict"]["reasons"]]
     print_result({"file": str(written), "chapters": len(given)} if json_ else f"written: {written}")
     exit_unless(all(c.data["verdict"]["ok"] for c in given), " ".join(reasons))

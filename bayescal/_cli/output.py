@@ -301,17 +301,14 @@ def write_prediction(prediction: Prediction, readings: Measurements, path: Path)
     Raises:
         InputError: the file type is not known or the folder is not there.
     """
-    unit = {"units": readings.unit("output")}
-    added = {
-        "predicted": ("reading", np.asarray(prediction.mean), unit),
-        "predicted_uncertainty": ("reading", np.asarray(prediction.sd), unit),
-        "residual": ("reading", np.asarray(prediction.residual), unit),
+    p, unit = prediction, {"units": readings.unit("output")}
+    columns: dict[str, Any] = {
+        "predicted": p.mean,
+        "predicted_uncertainty": p.sd,
+        "residual": p.residual,
     }
-    if prediction.correlated_noise is not None:
-        added["correlated_noise"] = ("reading", np.asarray(prediction.correlated_noise), unit)
-        added["correlated_noise_uncertainty"] = (
-            "reading",
-            np.asarray(prediction.correlated_noise_sd),
-            unit,
-        )
+    if p.correlated_noise is not None:
+        columns["correlated_noise"] = p.correlated_noise
+        columns["correlated_noise_uncertainty"] = p.correlated_noise_sd
+    added = {name: ("reading", np.asarray(values), unit) for name, values in columns.items()}
     Measurements(data=readings.data.assign(added), sources=readings.sources).write(path)

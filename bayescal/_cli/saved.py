@@ -23,7 +23,8 @@ from bayescal._use.compensator import Compensator, compensator, load_compensator
 from bayescal._use.decide import decide
 from bayescal._use.firmware_parameters import FirmwareParameters, axis_of, firmware_parameters
 
-PROGRAMS, PARAMETERS, DCC = tuple(FORMATS.values()), tuple(AUTOPILOTS), "dcc"
+PARAMETERS, DCC = tuple(AUTOPILOTS), "dcc"
+KNOWN = (*FORMATS.values(), *PARAMETERS, DCC)  # formats of an export
 
 
 def load_saved(path: Path, own: OwnParts) -> Calibration:
@@ -67,19 +68,6 @@ def compensator_from(path: Path, own: InUse) -> Compensator:
     return compensator(load_saved(path, own), members=own.members)
 
 
-def load_decided(paths: list[Path], own: OwnParts) -> Calibration:
-    """The one calibration of a report that decisions are about: the average over structures, where there is one.
-
-    Raises:
-        InputError: there are several, or it cannot be loaded.
-    """
-    if len(paths) != 1:
-        raise InputError(
-            f"--limit decides about one result, {len(paths)} were given: report each by itself"
-        )
-    return load_saved(paths[0], UsedParts(own.effects_file, own.instrument_file))
-
-
 def population_of(given: list[str] | None) -> Population | list[str] | None:
     """Devices of one kind: the population that `bayescal batch` learned, or as they were written.
 
@@ -101,46 +89,6 @@ def population_of(given: list[str] | None) -> Population | list[str] | None:
             'or give the devices as text, such as "sd 0.2 °/s"'
         )
     return found
-
-
-def why_not(chosen: Compensator) -> str:
-    """Why a result is not to be used, in words; empty where it may be."""
-    if chosen.calibration is not None:
-        return chosen.calibration.verdict.why_not
-    return "" if chosen.loaded is None else chosen.loaded.about.why_not
-
-
-def refuse_format(format: str | None, out: Path | None) -> None:
-    """Refuse a format that is none, or is not said.
-
-    Raises:
-        InputError: it is so.
-    """
-    known = ", ".join((*PROGRAMS, *PARAMETERS, DCC))
-    if format is None and out is None:
-        raise InputError(f"say which format: --format {known}")
-    if format not in (None, *PROGRAMS, *PARAMETERS, DCC):
-        raise InputError(f"--format {format!r} is not one of {known}")
-
-
-def single(
-    paths: list[Path],
-    axes: list[str] | None,
-    devices: list[str] | None,
-    own: InUse,
-) -> Compensator:
-    """The one calibration of a program.
-
-    Raises:
-        InputError: none or several are given, or an option of parameters.
-    """
-    if len(paths) != 1 or axes or devices:
-        raise InputError(
-            f"a program is of one calibration, {len(paths)} were given"
-            + (", and --axis or --device-id" if axes or devices else "")
-            + f": several, by axis, make parameters (--format {' or '.join(PARAMETERS)})"
-        )
-    return compensator_from(paths[0], own)
 
 
 def of_units(paths: list[Path], file: str = "") -> list[Path]:

@@ -28,35 +28,16 @@ if TYPE_CHECKING:
 LOOPBACK = "127.0.0.1"
 SESSION, FIRST = "session.json", "session_1"
 
+PARTS = Path(__file__).parent / "parts"
 # What is seen before the page is, its panes empty; also while the browser loads Panel's scripts.
-SKELETON = (Path(__file__).parent / "parts" / "skeleton.html").read_text("utf-8")
-LOOK = """<script>
-const look = async () => {
-  try {
-    const there = await fetch(location.href, { cache: "no-store" });
-    if (!there.headers.has("X-Bayescal-Waiting")) return location.reload();
-    const told = new DOMParser().parseFromString(await there.text(), "text/html");
-    document.querySelector("[role=status]").textContent = told.querySelector("[role=status]").textContent;
-    window.missed = 0;
-  } catch {
-    window.missed = (window.missed || 0) + 1;
-    if (window.missed > 30) document.querySelector("[role=status]").textContent =
-      "The workbench has ended; the terminal says why.";
-  }
-  setTimeout(look, 250);
-};
-setTimeout(look, 250);
-</script>"""
-HEAD = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>bayescal workbench</title>
-<meta name="viewport" content="width=device-width, initial-scale=1"></head><body>
-"""
+SKELETON = (PARTS / "skeleton.html").read_text("utf-8")
+LOOK = (PARTS / "waiting.html").read_text("utf-8")  # asks again until the workbench is there
 
 
 def skeleton(readings: str, doing: str) -> str:
     """The page before there is one: HTML of its empty panes, with what is opened and what is being done."""
     told = SKELETON.replace("{readings}", html_text(readings))
-    return HEAD + told.replace("{doing}", html_text(doing))
+    return told.replace("{doing}", html_text(doing))
 
 
 @dataclass(frozen=True)

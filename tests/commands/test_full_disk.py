@@ -34,9 +34,14 @@ COMMANDS = {
 }
 FEW = (0.0, 0.02, 0.97)  # of the largest file that a command writes
 MANY = tuple(np.linspace(0, 0.999, 20).round(4))
+SIZES = [(name, FEW) for name in ("calibrate", "batch")]
+SIZES += [pytest.param(name, MANY, marks=pytest.mark.slow) for name in COMMANDS]
 
 
-def refused(name: str, parts: tuple[float, ...], saved: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "parts"), SIZES)
+def test_a_disk_that_fills_at_any_size_is_said_in_words(
+    name: str, parts: tuple[float, ...], saved: Path, tmp_path: Path
+) -> None:
     lot, out = tmp_path / "lot.csv", tmp_path / "out"
     table(count=4).to_csv(lot, index=False)
     out.mkdir()
@@ -60,16 +65,3 @@ def refused(name: str, parts: tuple[float, ...], saved: Path, tmp_path: Path) ->
         assert "cannot be written: " in told["said"][0], told
         assert "File too large. Make room there, or choose another place" in told["said"][0]
         assert told["as_it_was"], told
-
-
-@pytest.mark.parametrize("name", ["calibrate", "batch"])
-def test_a_full_disk_is_said_in_words(name: str, saved: Path, tmp_path: Path) -> None:
-    refused(name, FEW, saved, tmp_path)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", COMMANDS)
-def test_a_disk_that_fills_at_any_size_is_said_in_words(
-    name: str, saved: Path, tmp_path: Path
-) -> None:
-    refused(name, MANY, saved, tmp_path)

@@ -10,9 +10,10 @@ from bokeh.models import ColumnDataSource, Whisker
 
 from bayescal._calibration.noise_in_time import AllanCheck
 from bayescal._data.unit_conversion import unit_label
+from bayescal._report.plot_colours import RED
 from bayescal._workbench.panes.pane import Pane
 from bayescal._workbench.parts.pieces import column, halves, plot, words
-from bayescal._workbench.parts.style import RED, Palette, dress, new_figure
+from bayescal._workbench.parts.style import Palette, dress, new_figure
 
 NONE = (
     "No Allan deviation: it needs a column time, and runs of 30 readings or more, evenly spaced in time "

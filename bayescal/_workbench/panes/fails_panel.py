@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, PlainText, Range1d, Span
 
+from bayescal._report.plot_colours import RED
 from bayescal._workbench.panes.fails_data import AGAINST, TIME, ResidualsOfState
-from bayescal._workbench.parts.style import RED, Palette, dress, fixed_range, new_figure
+from bayescal._workbench.parts.style import Palette, dress, fixed_range, new_figure
 
 TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
 SHORT = 48  # letters of a label

@@ -9,33 +9,7 @@ from typing import Any
 import panel as pn
 
 from bayescal._core.quoting import html_text
-from bayescal._workbench.parts.style import INSIDE
-
-PLAIN = """
-pre { font: var(--size, 13px)/1.4 var(--letters); white-space: pre-wrap; overflow-wrap: anywhere; margin: 0;
-  background: transparent; color: inherit; border: 0; padding: 0; }
-:host(.title) { --size: 14px; } :host(.title) pre { font-weight: 650; }
-:host(.small) { --size: 12px; } :host(.small) pre { color: var(--quiet); }
-:host(.table) pre { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 12px; white-space: pre; }
-:host(.about) { flex: 0 1 auto; min-width: 0; }
-:host(.status) { flex: 1 1 0; min-width: 0; max-height: 34px; overflow-y: auto; }
-:host(.refused) pre { color: var(--red); }
-"""
-
-RADIO = """
-.bk-input-group { display: flex !important; flex-wrap: wrap; gap: 4px; margin: 0 !important; }
-label, .bk-input-group > * { margin: 0 !important; }
-label { cursor: pointer; position: relative; display: inline-flex !important; }
-label input { position: absolute; opacity: 0; margin: 0; }
-label span { display: inline-block; margin: 0 !important; padding: 2px 9px; border: 1px solid var(--line);
-  border-radius: 4px; color: var(--ink); background: var(--ground); font: 12.5px/1.3 var(--letters);
-  white-space: nowrap; }
-label:hover span { border-color: var(--mark); }
-label input:checked + span { background: var(--mark); border-color: var(--mark); color: var(--ground); }
-label input:focus-visible + span { outline: 2px solid var(--mark); outline-offset: 2px; }
-:host(.several) { width: 100%; min-width: 0; max-height: 58px; overflow-y: auto; flex: 0 0 auto; padding: 2px; }
-label input:disabled + span { opacity: 0.5; cursor: default; }
-"""
+from bayescal._workbench.parts.style import INSIDE, PLAIN, RADIO
 
 
 class Text(pn.pane.Str):

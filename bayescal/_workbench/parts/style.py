@@ -17,6 +17,8 @@ YELLOW = "#F0E442"
 HERE = Path(__file__).parent
 CSS = (HERE / "page.css").read_text("utf-8")  # the grid and the colours, of the whole page
 INSIDE = (HERE / "inside.css").read_text("utf-8")  # Panel's own widgets within it
+PLAIN = (HERE / "plain.css").read_text("utf-8")  # text
+RADIO = (HERE / "radio.css").read_text("utf-8")  # choices
 
 
 class Palette(NamedTuple):
@@ -38,7 +40,6 @@ DARK = Palette(
     blue=SKY,
 )
 MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
-__all__ = ["CSS", "DARK", "GREEN", "INSIDE", "LIGHT", "MARKERS", "ORANGE", "RED", "Palette"]
 
 
 def new_figure(x_label: str, y_label: str, **settings: Any) -> Any:
