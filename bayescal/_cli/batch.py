@@ -99,11 +99,7 @@ def _at_once(
 
 
 def _refuse_place(out: Path, files: list[Path], apart: bool) -> None:
-    """Say what is wrong with the place of the results before anything is read.
-
-    Raises:
-        InputError: a suffix that is not Parquet's, a folder named as a file, a file of the readings.
-    """
+    """Refuse a place that results cannot be written to, before anything is read."""
     if out in files:
         raise InputError(f"--out {out}: that is a file of readings; name another")
     if out.suffix and out.suffix != ".parquet":
@@ -121,11 +117,7 @@ def _refuse_place(out: Path, files: list[Path], apart: bool) -> None:
 def _cluster(
     workers: int | None, scheduler: str | None, own_files: list[Path]
 ) -> Iterator[Client | None]:
-    """The cluster that is asked for, with the user's own files; None for this process.
-
-    Raises:
-        InputError: both kinds are, Dask is not installed, or nobody answers at the address.
-    """
+    """The cluster that is asked for, with the user's own files; None for this process. Refuses two kinds at once."""
     if workers is None and scheduler is None:
         yield None
         return

@@ -296,11 +296,7 @@ def load_batch(path: str | Path) -> BatchResult:
 
 
 def _parts(columns: dict[str, np.ndarray], starts: list[int]) -> tuple[BatchPart, ...]:
-    """Devices with the same unknowns together; each device's rows begin at its start.
-
-    Raises:
-        ValueError: a device's covariance is not of the size of its unknowns.
-    """
+    """Devices with the same unknowns together; each device's rows begin at its start. ValueError: of unequal sizes."""
     alike: dict[tuple, list[int]] = {}
     for d, (begin, end) in enumerate(pairwise(starts)):
         if columns["coefficient"][begin] is not None:

@@ -115,11 +115,7 @@ class Engine:
         return self.client.map(function, *zip(*tasks, strict=True), pure=False, retries=RETRIES)
 
     def _value(self, future: Any) -> Any:
-        """What came of a task.
-
-        Raises:
-            BayescalError: it failed for good, or the scheduler is gone; says which.
-        """
+        """What came of a task; refused in words if it failed for good, or the scheduler is gone."""
         from distributed.scheduler import KilledWorker
 
         assert self.client is not None

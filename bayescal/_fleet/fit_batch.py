@@ -33,7 +33,7 @@ Readings = (
 )
 
 
-class _How(TypedDict, total=False):
+class _FitKeywords(TypedDict, total=False):
     """Keywords of `fit_batch` that batches and fleets share."""
 
     method: Method | None
@@ -50,7 +50,7 @@ def fit_batch(
     *,
     client: None = None,
     out: None = None,
-    **how: Unpack[_How],
+    **how: Unpack[_FitKeywords],
 ) -> BatchResult: ...
 @overload
 def fit_batch(
@@ -62,7 +62,7 @@ def fit_batch(
     partition_rows: int | None = None,
     columns: Mapping[str, Any] | None = None,
     find: bool | Find = False,
-    **how: Unpack[_How],
+    **how: Unpack[_FitKeywords],
 ) -> FleetResult: ...
 def fit_batch(
     model: Model,
@@ -145,11 +145,7 @@ def _paths(readings: Any) -> list[Path]:
 
 
 def _given(readings: Any) -> Devices:
-    """Devices as they were given, or of measurements.
-
-    Raises:
-        InputError: one of them is none.
-    """
+    """Devices as they were given, or of measurements."""
     if isinstance(readings, Devices):
         return readings
     given = readings if isinstance(readings, Mapping) else list(readings)

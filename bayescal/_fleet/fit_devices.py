@@ -97,13 +97,7 @@ class FitOptions:
 def fit_devices(
     model: Model, devices: Devices, options: FitOptions, named: Named | None = None
 ) -> BatchResult:
-    """Fit every device by itself in a few compiled programs: see `fit_batch`.
-
-    Args:
-        model: what is fitted.
-        devices: whose readings.
-        options: of every fit.
-        named: coefficients of a population, if any.
+    """Fit every device by itself in a few compiled programs, or under a population of named coefficients.
 
     Raises:
         InputError: no device at all, or none that can be used.

@@ -193,13 +193,7 @@ def peak_memory() -> int:
 def read_partition(
     partition: Partition, request: Request, elsewhere: Mapping[str, str] | None = None
 ) -> tuple[Devices, dict[str, str]]:
-    """The devices of a partition, and its files that cannot be read → why.
-
-    Args:
-        partition: where they stand.
-        request: how they are read.
-        elsewhere: devices that stand in other partitions too, as of `fit_partition`.
-    """
+    """The devices of a partition, and its files that cannot be read → why; `elsewhere` as of `fit_partition`."""
     files: list[Devices] = []
     unreadable: dict[str, str] = {}
     needs = tuple(dict.fromkeys(c for e in request.model.effects for c in e.columns))
@@ -235,11 +229,7 @@ def content_digest(partition: Partition, request: Request) -> str:
 
 
 def _open(piece: Piece, options: ReadOptions) -> Table:
-    """A file, or a stretch of rows of a large Parquet file, as a table.
-
-    Raises:
-        InputError: it cannot be read, or is too large once unpacked.
-    """
+    """A file, or a stretch of rows of a large Parquet file, as a table; refused if it is too large once unpacked."""
     if piece.rows is None:
         return open_readings(piece.path, options)
     file, begin, groups = piece.path.name, piece.rows[0], piece.groups

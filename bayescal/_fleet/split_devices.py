@@ -206,11 +206,7 @@ def _convert_usable(
     instrument: InstrumentLike,
     options: ReadOptions,
 ) -> tuple[ConvertedColumns, np.ndarray, dict[str, str]]:
-    """The columns of all devices whose cells can be used, their rows of the table, and why the others cannot.
-
-    Raises:
-        InputError: something is wrong that is not in one row.
-    """
+    """The columns of all devices whose cells can be used, their rows of the table, and why the others cannot."""
     rows, refused = np.argsort(codes, kind="stable"), dict[str, str]()
     while rows.size:
         problems, some = Problems(), table.take(rows)

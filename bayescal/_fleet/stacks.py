@@ -88,14 +88,7 @@ Refuse = Callable[[int, BayescalError], Any]  # takes the index of a device that
 def frames(
     model: Model, block: DeviceBlock, reference: Reference, refuse: Refuse
 ) -> Iterator[DeviceFrame]:
-    """The devices of a block one by one, but for those that are refused.
-
-    Args:
-        model: what is to be fitted.
-        block: the devices.
-        reference: constants of the bases in place of the devices' own.
-        refuse: called with a device that cannot be fitted, and why.
-    """
+    """The devices of a block one by one; `refuse` is called with those that cannot be fitted, and why."""
     for i in range(len(block.names)):
         readings = block.measurements(i)
         try:

@@ -437,11 +437,7 @@ class Session:
         return self._append(replace(step, added=wanted.added, changed=wanted.in_words), parent)
 
     def _append(self, step: Step, parent: int | None, discovery: Discovery | None = None) -> State:
-        """A step as a child of a state: kept, and then the current one.
-
-        Raises:
-            InputError: it cannot be written.
-        """
+        """A step as a child of a state: kept, and then the current one."""
         with self._lock:
             number = max(self._states, default=-1) + 1
             state = State(number, parent, step, datetime.now(UTC), discovery)
