@@ -25,7 +25,6 @@ from bayescal._data.read_options import (
 )
 from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import base_unit
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._fleet.devices import DEVICE, DeviceBlock, Devices
 from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES, open_table
@@ -37,24 +36,19 @@ def split_devices(
     paths: str | Path | Sequence[str | Path],
     instrument: InstrumentLike,
     *,
-    columns: Mapping[str, str] | None = None,
-    units: Mapping[str, str] | None = None,
-    local_gravity: float = STANDARD_GRAVITY,
-    missing: str = "refuse",
-    decimal: str = "",
     needs: Sequence[str] = (),
     max_bytes: int = MAX_BYTES,
-    **more: Any,
+    **how: Any,
 ) -> Devices:
     """Read files that hold many devices, split by the column `device`; a file without one is a device by itself.
 
     Args:
         paths: CSV, Parquet or NetCDF files. Devices in a file need not stand in order; their readings do.
         instrument: whose readings they are.
-        columns, units, local_gravity, missing, decimal: as of `read`; {"device": "serial"} splits by `serial`.
         needs: further columns that a model's effects use: a device that has no number there is refused.
         max_bytes: most that a file may take in memory.
-        more: nominal_scale, nominal_zero, date_order, ignore, as of `read`.
+        how: columns, units, local_gravity, missing, decimal, nominal_scale, nominal_zero, date_order, ignore, as of
+            `read`; columns={"device": "serial"} splits by `serial`.
 
     Returns:
         The devices. Those with a cell that cannot be used, one temperature only or time that runs backwards are in
@@ -67,15 +61,7 @@ def split_devices(
     given = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     if not given:
         raise InputError("no file was given to split into devices: give at least one")
-    options = ReadOptions.of(
-        instrument,
-        columns=columns or {},
-        units=units or {},
-        local_gravity=local_gravity,
-        missing=missing,
-        decimal=decimal,
-        **more,
-    )
+    options = ReadOptions.of(instrument, **{k: v for k, v in how.items() if v is not None})
     names: dict[str, None] = {}
     files: list[Devices] = []
     for path in given:

@@ -16,6 +16,7 @@ import json
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -100,13 +101,14 @@ def keep_state(folder: Path, state: State, script: str) -> None:
     to_disk(folder)
 
 
-def keep_session(folder: Path, of: Origin, settings: Mapping[str, Any], current: int) -> None:
+def keep_session(folder: Path, of: Origin, settings: Settings, current: int) -> None:
     """Keep what the session is about, and which state is current.
 
     Raises:
         InputError: it cannot be written.
     """
-    told = {"schema": SCHEMA, "origin": of.data(), "settings": settings, "current": current}
+    about = {"origin": asdict(of), "settings": settings.data()}
+    told = {"schema": SCHEMA, **about, "current": current}
     write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", folder / SESSION)
 
 

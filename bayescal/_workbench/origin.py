@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,6 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
 from bayescal._model.installed import GROUP, installed_names
 from bayescal._model.instrument import Instrument
-from bayescal._search.calibrate import Loop
 from bayescal._search.own_files import in_a_file, instrument_named, user_effects
 
 METHODS = ("LeastSquares", "Marginal", "NUTS")
@@ -30,7 +29,7 @@ READ = {
     "outputs?": [str],
     **{"missing?": str, "decimal?": str, "date_order?": str},
 }
-SHAPE = {  # of `Origin.data`
+SHAPE = {  # of an `Origin`
     "instrument": str,
     **{"files": [str], "holdout": [str], "effect_files": [str], "channel?": str},
     "read": READ,
@@ -109,17 +108,9 @@ class Origin:
         name = instrument.name if instrument.name in installed_names() else ""
         return cls.of(name, files, apart, keep_spikes=keep_spikes)
 
-    def with_effects(self, path: Path) -> Origin:
-        """With one file more of effects of the user's own."""
-        return replace(self, effect_files=(*self.effect_files, str(path.resolve())))
-
-    def data(self) -> dict[str, Any]:
-        """As JSON has it."""
-        return asdict(self)
-
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> Origin:
-        """What `data` gave."""
+        """From plain JSON of its fields."""
         lists = {n: tuple(data[n]) for n in ("files", "holdout", "effect_files")}
         return cls(**{**data, **lists})
 
@@ -200,20 +191,6 @@ class Origin:
         ]
 
 
-def refuse_other(origin: Origin, asked: Origin, folder: Path) -> None:
-    """Refuse to go on in a folder that holds a session of other readings.
-
-    Raises:
-        InputError: it does; names both.
-    """
-    now, then = replace(asked, effect_files=()), replace(origin, effect_files=())
-    if now != then:
-        raise InputError(
-            f"{folder} holds a session of {', '.join(then.files)} ({then.instrument}), and not of "
-            f"{', '.join(now.files)} ({now.instrument}) read in this way: give another folder (--out), or remove it"
-        )
-
-
 @dataclass(frozen=True)
 class Settings:
     """What `calibrate` is asked with, apart from model and readings; see there."""
@@ -262,10 +239,3 @@ class Settings:
                 raise ValueError(f"its method {name!r} is not one of {', '.join(METHODS)}")
             method = getattr(bayescal, name)(**given)
         return cls(**{**told, "method": method})
-
-    def loop(self, readings: Measurements, holdout: Measurements | None) -> Loop:
-        """The loop that `calibrate` would run with them."""
-        return Loop(
-            *(readings, holdout, self.method, self.seed, self.reference, self.max_effects),
-            accepted=frozenset(self.accept_conflicts),
-        )

@@ -43,7 +43,7 @@ from bayescal._use.decide import decide
 from bayescal._use.decision import Decisions
 from bayescal._workbench import kept, take_away
 from bayescal._workbench.change import Change, changed
-from bayescal._workbench.origin import Origin, Settings, refuse_other
+from bayescal._workbench.origin import Origin, Settings
 from bayescal._workbench.script import script
 from bayescal._workbench.state import State
 
@@ -144,8 +144,11 @@ class Session:
         folder = Path(folder)
         told = kept.session_in(folder)
         origin, settings = told["origin"], told["settings"]
-        if of is not None:
-            refuse_other(origin, of, folder)
+        if of is not None and replace(of, effect_files=()) != replace(origin, effect_files=()):
+            raise InputError(
+                f"{folder} holds a session of {', '.join(origin.files)} ({origin.instrument}), and not of "
+                f"{', '.join(of.files)} ({of.instrument}) read in this way: give another folder (--out), or remove it"
+            )
         named = (*trust, *(of.python_files if of else ()))
         refuse_unnamed(origin.python_files, named, folder / kept.SESSION)
         instrument = origin.open_instrument()
@@ -358,7 +361,8 @@ class Session:
         self._previews.clear()
         self._seeds.clear()
         with self._lock:
-            self.origin = self.origin.with_effects(draft)
+            files = (*self.origin.effect_files, str(draft.resolve()))
+            self.origin = replace(self.origin, effect_files=files)
             self._states = {n: replace(s, discovery=None) for n, s in self._states.items()}
             self._keep()
         return tuple(e.name for e in found)
@@ -421,7 +425,9 @@ class Session:
 
     @property
     def _loop(self) -> Loop:
-        return self.settings.loop(self.readings, self.holdout)
+        s = self.settings
+        asked = (self.readings, self.holdout, s.method, s.seed, s.reference, s.max_effects)
+        return Loop(*asked, accepted=frozenset(s.accept_conflicts))
 
     def _previews_of(self, state: State) -> Previews:
         """Of the effects over one state; the caller holds `_beside`."""
@@ -463,7 +469,7 @@ class Session:
             self._states[number] = replace(self._states[number], discovery=discovery)
 
     def _keep(self) -> None:
-        kept.keep_session(self.folder, self.origin, self.settings.data(), self._at)
+        kept.keep_session(self.folder, self.origin, self.settings, self._at)
 
     def _script(self, way: list[State]) -> str:
         return script(way, self.origin, self.settings, self.folder.resolve())
