@@ -93,6 +93,24 @@ class DeviceMoments(NamedTuple):
     covariance: np.ndarray
 
 
+class PopulationDraws(NamedTuple):
+    """Weighted draws of the standard deviations τ, and of the population's mean given each.
+
+    Attributes:
+        centre: from which coefficients are counted, (k,).
+        scale, v: τ = scale·exp(v), (k,) and (s, k).
+        weights: of the draws, adding up to one, (s,).
+        mean, covariance: of the population's mean less the centre, given each draw, (s, k) and (s, k, k).
+    """
+
+    centre: np.ndarray
+    scale: np.ndarray
+    v: np.ndarray
+    weights: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
 def count(part: Part) -> tuple[int, np.ndarray]:
     """How many devices, and the sum of their estimates, (k,)."""
     own = loaded(part).estimate
@@ -112,27 +130,12 @@ def sums_and_slopes(
     return Sums(*map(np.asarray, values)), Sums(*map(np.asarray, slopes))
 
 
-def device_moments(
-    devices: DeviceEstimates,
-    centre: np.ndarray,
-    scale: np.ndarray,
-    v: np.ndarray,
-    weights: np.ndarray,
-    mean: np.ndarray,
-    covariance: np.ndarray,
-) -> DeviceMoments:
-    """Devices' own coefficients, averaged over weighted draws of log τ.
-
-    Args:
-        devices: the devices.
-        centre, scale, v: the draws, as of `sums`.
-        weights: of the draws, adding up to one, (s,).
-        mean, covariance: of the population's mean less the centre, given each draw, (s, k) and (s, k, k).
-    """
-    count, likely = len(devices.estimate), int(np.argmax(weights))
-    made = _moments(_padded(devices, centre), scale, v, weights, mean, covariance, likely)
+def device_moments(devices: DeviceEstimates, draws: PopulationDraws) -> DeviceMoments:
+    """Devices' own coefficients, averaged over the draws."""
+    count, likely = len(devices.estimate), int(np.argmax(draws.weights))
+    made = _moments(_padded(devices, draws.centre), draws, likely)
     moments = DeviceMoments(*(np.asarray(a)[:count] for a in made))
-    return moments._replace(mean=moments.mean + centre)
+    return moments._replace(mean=moments.mean + draws.centre)
 
 
 def _padded(devices: DeviceEstimates, centre: np.ndarray) -> DeviceEstimates:
@@ -145,7 +148,7 @@ def _padded(devices: DeviceEstimates, centre: np.ndarray) -> DeviceEstimates:
     )
 
 
-def _inverse(precision: Any, t: Float[Array, "k"]) -> Array:
+def _inverse(precision: Any, t: Any) -> Array:
     """M = (1 + ΛT)⁻¹ of each device."""
     return jnp.linalg.inv(jnp.eye(len(t)) + precision * t)
 
@@ -183,7 +186,9 @@ def _sums_and_slopes(devices: DeviceEstimates, scale: Array, v: Array):
 
 
 @partial(jax.jit, static_argnames="likely")
-def _moments(devices: DeviceEstimates, scale, v, weights, mean, covariance, likely):
+def _moments(devices: DeviceEstimates, draws: PopulationDraws, likely: int):
+    _, scale, v, weights, mean, covariance = draws
+
     def given(v, mean, covariance):
         """c | m has covariance T·M and mean m + T·M·(h − Λm); m is integrated over its own."""
         t = (scale * jnp.exp(v)) ** 2

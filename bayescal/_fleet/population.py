@@ -36,7 +36,7 @@ from jaxtyping import Float
 from bayescal._core.errors import ModelError
 from bayescal._core.importance_weights import smoothed
 from bayescal._fleet import device_sums
-from bayescal._fleet.device_sums import DeviceEstimates, DeviceMoments, Sums
+from bayescal._fleet.device_sums import DeviceEstimates, DeviceMoments, PopulationDraws, Sums
 from bayescal._fleet.engine import Engine
 from bayescal._fleet.fleet_settings import fleet_settings
 from bayescal._inference import trust
@@ -119,29 +119,21 @@ def chosen(model: Model, asked: AskedPopulation) -> Named:
 
 
 class Learned(NamedTuple):
-    """A population, and what each device's coefficients follow from.
+    """A population as it is reported, and the draws that each device's coefficients follow from.
 
     Attributes:
         population: as it is reported.
-        size: plausible sizes of the coefficients, the units of all below: so all matrices are of order one, (k,).
-        centre: from which coefficients are counted, (k,).
-        scale, v: draws of the standard deviations, τ = scale·exp(v), (k,) and (s, k).
-        weights: of the draws, adding up to one, (s,).
-        mean, covariance: of the population's mean less the centre, given each draw, (s, k) and (s, k, k).
+        size: plausible sizes of the coefficients, the units of the draws: so all matrices are of order one, (k,).
+        draws: of the standard deviations, and of the population's mean given each.
     """
 
     population: Population
     size: np.ndarray
-    centre: np.ndarray
-    scale: np.ndarray
-    v: np.ndarray
-    weights: np.ndarray
-    mean: np.ndarray
-    covariance: np.ndarray
+    draws: PopulationDraws
 
     def moments(self, devices: DeviceEstimates) -> DeviceMoments:
         """The devices' coefficients under the population, in their units."""
-        own = device_sums.device_moments(devices, *self[2:])
+        own = device_sums.device_moments(devices, self.draws)
         return DeviceMoments(own.mean * self.size, own.covariance * np.outer(self.size, self.size))
 
 
@@ -206,7 +198,8 @@ def learn(
     why = trust.unevenness(weights, k_hat, enough=fleet_settings().enough_of_population)
     reason = why and f"weights of the between-group standard deviations were uneven ({why})"
     population = Population(table, not why, reason, count, k_hat)
-    return Learned(population, size, density.centre, density.scale, v, weights, mean, covariance)
+    draws = PopulationDraws(density.centre, density.scale, v, weights, mean, covariance)
+    return Learned(population, size, draws)
 
 
 class _Density:
