@@ -93,8 +93,38 @@ def spoilt(out: Path, count: int, command: list[str]) -> bool:
     return killed("-m", "tests.support.spoilt_runs", "killed", str(out), str(count), *command)
 
 
-def calibrates(tmp_path: Path, counts: list[int]) -> int:
-    """Kill `calibrate` at each of these moments; how many kills met it."""
+def whole(folder: Path) -> bool:
+    """Whether a folder holds results, which are then of one run; else of a search under way, or none."""
+    refuse_mixed(folder)
+    for name in (RESULT, UNDER_WAY):
+        if (folder / name).is_file() and name not in files_of(folder):
+            assert json.loads((folder / name).read_text("utf-8"))["complete"] is False
+    if not files_of(folder):
+        assert not (folder / "calibration.nc").exists()
+        return False
+    own = identity(bc.load(folder / "calibration.nc"))
+    assert json.loads((folder / RESULT).read_text("utf-8"))["calibration"] == own
+    assert json.loads((folder / MANIFEST).read_text("utf-8"))["calibration"] == own
+    return True
+
+
+def readable(path: Path) -> bool:
+    if path.suffix == ".parquet":
+        return len(bc.load_batch(path)) == 3
+    text = path.read_text("utf-8")
+    return text.rstrip().endswith("</html>") if path.suffix == ".html" else bool(json.loads(text))
+
+
+# A calibration does some 37 things to files; kills at later moments meet none.
+EACH = np.random.default_rng(1).permutation(np.arange(1, 39)).tolist()
+
+
+@pytest.mark.parametrize(
+    ("counts", "least"), [([12], 1), pytest.param(EACH, 30, marks=pytest.mark.slow)]
+)
+def test_a_calibration_killed_at_any_moment_is_whole(
+    counts: list[int], least: int, tmp_path: Path
+) -> None:
     out, met = tmp_path / "out", 0
     folder = out / "loop"
     folder.mkdir(parents=True)
@@ -111,59 +141,7 @@ def calibrates(tmp_path: Path, counts: list[int]) -> int:
             assert again.status in (0, 1), again.err
             assert {p.name for p in folder.iterdir()} == {*files_of(folder), MANIFEST, "notes.txt"}
             assert whole(folder)
-    return met
-
-
-def whole(folder: Path) -> bool:
-    """Whether a folder holds results, which are then of one run; else of a search under way, or none."""
-    refuse_mixed(folder)
-    for name in (RESULT, UNDER_WAY):
-        if (folder / name).is_file() and name not in files_of(folder):
-            assert json.loads((folder / name).read_text("utf-8"))["complete"] is False
-    if not files_of(folder):
-        assert not (folder / "calibration.nc").exists()
-        return False
-    own = identity(bc.load(folder / "calibration.nc"))
-    assert json.loads((folder / RESULT).read_text("utf-8"))["calibration"] == own
-    assert json.loads((folder / MANIFEST).read_text("utf-8"))["calibration"] == own
-    return True
-
-
-def writes_a_file(name: str, tmp_path: Path, saved: Path, counts: list[int]) -> int:
-    """Kill a command that writes one file at each of these moments; how many kills met it."""
-    lot, out, met = tmp_path / "lot.csv", tmp_path / "out", 0
-    table(count=3).to_csv(lot, index=False)
-    out.mkdir()
-    words, file = FILES[name]
-    command = [str(word).format(out=out, lot=lot, saved=saved) for word in words]
-    old = b""
-    for count in counts:
-        met += spoilt(out, count, command)
-        now = (out / file).read_bytes() if (out / file).exists() else b""
-        assert now == old or readable(out / file)
-        old = now
-    assert run(*command).status == 0
-    assert readable(out / file)
-    assert os.listdir(out) == [file], "what killed runs left is cleared away"
-    return met
-
-
-def readable(path: Path) -> bool:
-    if path.suffix == ".parquet":
-        return len(bc.load_batch(path)) == 3
-    text = path.read_text("utf-8")
-    return text.rstrip().endswith("</html>") if path.suffix == ".html" else bool(json.loads(text))
-
-
-def test_a_killed_calibration_leaves_no_mixture(tmp_path: Path) -> None:
-    assert calibrates(tmp_path, [12]) == 1
-
-
-@pytest.mark.slow
-def test_calibrations_killed_at_each_moment_are_whole(tmp_path: Path) -> None:
-    """A calibration does some 37 things to files; kills at later moments meet none."""
-    counts = np.random.default_rng(1).permutation(np.arange(1, 39)).tolist()
-    assert calibrates(tmp_path, counts) >= 30
+    assert met >= least, "so many kills met it"
 
 
 @pytest.mark.slow
@@ -171,4 +149,18 @@ def test_calibrations_killed_at_each_moment_are_whole(tmp_path: Path) -> None:
 def test_files_of_commands_killed_at_each_moment_are_whole(
     name: str, saved: Path, tmp_path: Path
 ) -> None:
-    assert writes_a_file(name, tmp_path, saved, [1, 2, 3, 1, 2, 3, 4]) >= 3
+    lot, out, met = tmp_path / "lot.csv", tmp_path / "out", 0
+    table(count=3).to_csv(lot, index=False)
+    out.mkdir()
+    words, file = FILES[name]
+    command = [str(word).format(out=out, lot=lot, saved=saved) for word in words]
+    old = b""
+    for count in (1, 2, 3, 1, 2, 3, 4):
+        met += spoilt(out, count, command)
+        now = (out / file).read_bytes() if (out / file).exists() else b""
+        assert now == old or readable(out / file)
+        old = now
+    assert run(*command).status == 0
+    assert readable(out / file)
+    assert os.listdir(out) == [file], "what killed runs left is cleared away"
+    assert met >= 3, "so many kills met it"
