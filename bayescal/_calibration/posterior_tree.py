@@ -148,7 +148,7 @@ def _prior_draws(calibration: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarra
             v[:, i] = random.standard_cauchy(PRIOR_DRAWS)
         if isinstance(h.prior, (HalfCauchy, HalfNormal)):
             v[:, i] = np.log(np.abs(v[:, i]))
-    sd = assembly.sizes.at_several(assembly.hyper(v.T), PRIOR_DRAWS, np.ones(assembly.size))
+    sd = assembly.prior(assembly.hyper(v.T), np.ones(assembly.size), (PRIOR_DRAWS,)).sd
     x = assembly.mean_of_x + sd * random.standard_normal(sd.shape)
     rows = random.standard_normal((PRIOR_DRAWS, assembly.record.size, len(assembly.row_sd)))
     return x[None], (assembly.row_sd * rows)[None], v[None]

@@ -164,8 +164,11 @@ class Assembly:
                 found[t.at] = 0.0
         return found
 
-    def prior(self, hyper: Values, flat: np.ndarray) -> Prior:
-        sd = np.where(self.weight_of_x > 0, self.sizes.at(hyper), flat)
+    def prior(
+        self, hyper: Mapping[str, Any], flat: np.ndarray, count: tuple[int, ...] = ()
+    ) -> Prior:
+        """Of x given φ, or given each of `count`; `flat` are the scales where it is flat."""
+        sd = np.where(self.weight_of_x > 0, self.sizes.at(hyper, count), flat)
         return Prior(self.mean_of_x, sd, self.weight_of_x)
 
     @property
@@ -182,31 +185,29 @@ class Assembly:
 
     # the expected output ----------------------------------------------------------------------------------------
 
-    def _values(self, point: Point, hyper: Values) -> list[Any]:
-        """Each term's coefficient at each reading; where there is one for all, one number."""
-        found, row = [], 0
-        for t in self.terms:
-            if t.place == "row":
-                found.append(point.rows[:, row])
-                row += 1
-            else:
-                found.append(self._value(t, point.x, hyper))
-        return found
+    def values(self, x: np.ndarray, rows: np.ndarray, hyper: Mapping[str, Any]) -> list[Any]:
+        """Each term's coefficient at each reading (…, n), or one for all (…, 1), of one draw or of several."""
+        of_rows = iter(np.moveaxis(rows, -1, 0))
+        return [next(of_rows) if t.place == "row" else self.value(t, x, hyper) for t in self.terms]
 
-    def _value(self, t: Term, x: np.ndarray, hyper: Values) -> Any:
+    def value(self, t: Term, x: np.ndarray, hyper: Mapping[str, Any]) -> np.ndarray:
+        """That of one term which is none of single readings."""
+        draws = x.shape[:-1]
         if t.place == "x":
-            value = x[t.at]
+            value = x[..., t.at]
         elif t.place == "fixed":
-            value = np.full(t.size, t.value)
+            value = np.full((*draws, t.size), t.value)
         else:
-            value = np.array([hyper[name] for name in t.members])
+            value = np.stack([np.broadcast_to(hyper[name], draws) for name in t.members], axis=-1)
             if t.group_sd_name is not None:
                 # Held in units of its learned spread (non-centred), so that a spread near zero makes no funnel (O.
                 # Papaspiliopoulos, G. Roberts and M. Sköld, Stat. Sci. 22 (2007) 59).
-                value = t.known.mean + hyper[t.group_sd_name] * value
+                spread = np.broadcast_to(hyper[t.group_sd_name], draws)[..., None]
+                value = t.known.mean + spread * value
         if t.known.per is None:
-            return value[0]
-        return np.append(value, 0.0)[self.record.codes[t.known.per]]  # the code of no member is −1
+            return value
+        none = np.zeros((*draws, 1))  # the code of no member is −1
+        return np.concatenate([value, none], axis=-1)[..., self.record.codes[t.known.per]]
 
     def _columns(self, terms: Sequence[Term], hyper: Values, moves: Mapping[str, np.ndarray]):
         """The column of each term, slot units per reported unit, and its slopes by the moved columns."""
@@ -232,7 +233,7 @@ class Assembly:
         """Expected output, its slopes by slots and by corrected columns, and each term's column."""
         # Corrections of columns first, as every column may hang on them; then slots, the response, and back by the
         # chain rule: what corrects a column moves the output by ∂μ/∂column + Σ ∂μ/∂slot·∂(slot)/∂column.
-        values = self._values(point, hyper)
+        values = self.values(point.x, point.rows, hyper)
         moves: dict[str, np.ndarray] = {}
         if self.corrected:
             moves = {name: np.zeros(self.record.size) for name in self.corrected}
@@ -263,7 +264,7 @@ class Assembly:
         jacobian, rows = np.zeros((n, self.size), order="F"), np.zeros((n, len(self.row_sd)))
         for t, (column, _) in zip(self.terms, columns, strict=True):
             if t.place == "x":
-                self._place(t, slopes[t.slot] * column, jacobian)
+                self.place(t, slopes[t.slot] * column, jacobian)
             elif t.place == "row":
                 rows[:, row] = slopes[t.slot] * column
                 row += 1
@@ -298,9 +299,9 @@ class Assembly:
                 rows[:, row] = column
                 mean += column * point.rows[:, row]
                 continue
-            mean += column * self._value(t, point.x, ends[0])
+            mean += column * self.value(t, point.x, ends[0])
             if t.place == "x":
-                self._place(t, column, made)
+                self.place(t, column, made)
         which = np.concatenate(
             [np.arange(t.at.start, t.at.stop) for t in terms if t.place == "x"]
             or [np.zeros(0, int)]
@@ -315,12 +316,12 @@ class Assembly:
         for t, (column, _) in zip(moving, self._columns(moving, hyper, {}), strict=True):
             column = slopes[t.slot] * column
             if t.place == "x":
-                self._place(t, column, jacobian)
+                self.place(t, column, jacobian)
             elif t.place == "row":
                 rows[:, row] = column
                 row += 1
             else:
-                mean = mean + column * self._value(t, point.x, hyper)
+                mean = mean + column * self.value(t, point.x, hyper)
         mean = mean + jacobian @ point.x
         return Line(mean + np.sum(rows * point.rows, axis=1) if row else mean, jacobian, rows)
 
@@ -333,14 +334,10 @@ class Assembly:
             found += slopes[slot][:, None] * design
         return found
 
-    def _place(self, term: Term, column: np.ndarray, jacobian: np.ndarray) -> None:
-        start = term.at.start
-        if term.known.per is None:
-            jacobian[:, start] = column
-            return
-        codes = self.record.codes[term.known.per]
-        known = np.flatnonzero(codes >= 0)
-        jacobian[known, start + codes[known]] = column[known]
+    def place(self, term: Term, column: np.ndarray, table: np.ndarray) -> None:
+        """Put a term's column into a table with one for each entry of x."""
+        per = term.known.per
+        put(column, None if per is None else self.record.codes[per], term.at.start, table)
 
     @cached_property
     def designs(self) -> dict[str, Float[np.ndarray, "n p"]]:
@@ -350,10 +347,31 @@ class Assembly:
             if not t.known.shape_names:
                 matrix = found.setdefault(t.slot, np.zeros((self.record.size, self.size)))
                 column = self.record.columns(t.known.columns, ())[:, t.index]
-                self._place(t, column * t.factor, matrix)
+                self.place(t, column * t.factor, matrix)
         return found
 
     @cached_property
     def affine(self) -> bool:
         """Whether the expected output is affine in x and in the per-reading coefficients."""
         return not self.corrected and self.record.affine is not None
+
+
+def put(
+    column: Float[np.ndarray, "*b n"],
+    codes: Int[np.ndarray, "n"] | None,
+    start: int,
+    table: Float[np.ndarray, "*b n p"],
+) -> None:
+    """Put a coefficient's column into a table from `start` on: in one column, or in that of each reading's member.
+
+    Args:
+        column: of the coefficient.
+        codes: of the members, −1 for none; None where there is one coefficient for all.
+        start: place of the first member.
+        table: written to.
+    """
+    if codes is None:
+        table[..., start] = column
+        return
+    known = np.flatnonzero(codes >= 0)
+    table[..., known, start + codes[known]] = column[..., known]

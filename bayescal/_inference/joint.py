@@ -13,7 +13,7 @@ from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.gaussian import LOG_2PI, Drawn
 from bayescal._inference.mode import Mode
 from bayescal._inference.noise_on_record import total_log_density, variance
-from bayescal._inference.terms import ColumnsOf, Term
+from bayescal._inference.terms import Term
 
 FREEDOM = 5  # of the Student-t proposals
 Batch = Mapping[str, np.ndarray | float]  # φ by name, one value a draw, or one for all
@@ -121,12 +121,7 @@ def linearise_draws(
     mean, columns = expected_with_slopes(assembly, x, rows, hyper, assembly.in_x)
     table = np.zeros((count, assembly.size + 1, record.size)).transpose(0, 2, 1)
     for t, column in zip(assembly.in_x, columns, strict=True):
-        if t.known.per is None:
-            table[:, :, t.at.start] = column
-            continue
-        known = np.flatnonzero((codes := record.codes[t.known.per]) >= 0)
-        wide = np.broadcast_to(column, (count, record.size))
-        table[:, known, t.at.start + codes[known]] = wide[:, known]
+        assembly.place(t, column, table)
     table[:, :, -1] = record.y - mean
     return table
 
@@ -142,11 +137,13 @@ def expected_with_slopes(
     mean, slopes = record.responses(slots_of(assembly, x, rows, hyper, moves, known), moves)
     slopes, wanted, found = dict(slopes), {id(t) for t in terms}, {}
     made = {} if moves else {of: (columns, {}) for of, columns in known.items()}
-    for t, value in zip(assembly.terms, _values(assembly, x, rows, hyper), strict=True):
+    for t, value in zip(assembly.terms, assembly.values(x, rows, hyper), strict=True):
         if not (moves or id(t) in wanted):
             continue
         if (of := t.known.of) not in made:
-            made[of] = _moved_columns(assembly, t, hyper, {} if t.slot in moves else moves)
+            shapes = [hyper[name] for name in t.known.shape_names]
+            own = {} if t.slot in moves else moves
+            made[of] = record.moved_columns_of_draws(t.known.columns, shapes, own)
         columns, by_move = made[of]
         found[id(t)] = columns[..., t.index] * t.factor
         for name, slope in by_move.items():
@@ -158,7 +155,7 @@ def _moves(assembly: Assembly, x, rows, hyper: Batch) -> dict[str, np.ndarray]:
     """What columns of the readings are corrected by, (b, n) each."""
     moves = {name: np.zeros((len(x), assembly.record.size)) for name in assembly.corrected}
     if moves:
-        _sum_into(moves, assembly, _values(assembly, x, rows, hyper), hyper, {}, {})
+        _sum_into(moves, assembly, assembly.values(x, rows, hyper), hyper, {}, {})
     return moves
 
 
@@ -188,7 +185,7 @@ def slots_of(
     for name, design in assembly.designs.items():
         slots[name] += x @ design.T
     made = {} if made is None else made
-    _sum_into(slots, assembly, _values(assembly, x, rows, hyper), hyper, moves, made)
+    _sum_into(slots, assembly, assembly.values(x, rows, hyper), hyper, moves, made)
     return slots
 
 
@@ -198,54 +195,7 @@ def _sum_into(sums: dict, assembly: Assembly, values, hyper: Batch, moves: dict,
     for t, value in zip(assembly.terms, values, strict=True):
         if t.slot not in sums or (t.place == "x" and t.slot in designs and not t.known.shape_names):
             continue
-        of, names = t.known.of, t.known.shape_names
-        if of not in made:
-            made[of] = _columns(assembly, t.known.columns, names, hyper, moves)
+        if (of := t.known.of) not in made:
+            shapes = [hyper[name] for name in t.known.shape_names]
+            made[of] = assembly.record.columns_of_draws(t.known.columns, shapes, moves)
         sums[t.slot] += made[of][..., t.index] * t.factor * value
-
-
-def _columns(assembly: Assembly, columns: ColumnsOf, names, hyper: Batch, moves: dict):
-    """An effect's columns, (n, k) for all draws or (b, n, k)."""
-    if not names and not moves:
-        return assembly.record.columns(columns, ())
-    return assembly.record.columns_of_draws(columns, _shapes(names, hyper, moves), moves)
-
-
-def _moved_columns(assembly: Assembly, term: Term, hyper: Batch, moves: dict):
-    """The columns of a term's effect, and their slopes by the moves."""
-    columns, names = term.known.columns, term.known.shape_names
-    if not moves:
-        return _columns(assembly, columns, names, hyper, moves), {}
-    shapes = _shapes(names, hyper, moves)
-    return assembly.record.moved_columns_of_draws(columns, shapes, moves)
-
-
-def _shapes(names, hyper: Batch, moves: dict) -> list[np.ndarray]:
-    """Values of an effect's shapes, one a draw."""
-    count = max((len(v) for v in moves.values()), default=0)
-    shapes = np.broadcast_arrays(*(hyper[name] for name in names), np.zeros(count or 1))[:-1]
-    return [np.atleast_1d(s) for s in shapes]
-
-
-def _values(assembly: Assembly, x, rows, hyper: Batch):
-    """Each term's coefficient for each draw at each reading, (b, 1) or (b, n)."""
-    row, count = 0, len(x)
-    for t in assembly.terms:
-        if t.place == "row":
-            yield rows[:, :, row]
-            row += 1
-            continue
-        if t.place == "x":
-            value = x[:, t.at]
-        elif t.place == "fixed":
-            value = np.full((count, t.size), t.value)
-        else:
-            value = np.stack([np.broadcast_to(hyper[m], count) for m in t.members], axis=1)
-            if t.group_sd_name is not None:
-                value = (
-                    t.known.mean + np.broadcast_to(hyper[t.group_sd_name], count)[:, None] * value
-                )
-        if t.known.per is not None:  # the code of no member is −1
-            codes = assembly.record.codes[t.known.per]
-            value = np.concatenate([value, np.zeros((count, 1))], axis=1)[:, codes]
-        yield value

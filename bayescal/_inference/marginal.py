@@ -14,17 +14,13 @@ from jaxtyping import Float
 
 from bayescal._core import deadline
 from bayescal._core.importance_weights import effective_size, resample, smoothed
+from bayescal._core.parallel import over
 from bayescal._core.progress import stage
-from bayescal._inference import (
-    nuts_chains,
-    sampled_products,
-    trust,
-)
+from bayescal._inference import nuts_chains, sampled_products, trust
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome
 from bayescal._inference.mode import NOTHING_KNOWN, Mode, find_mode
-from bayescal._inference.nuts_chains import Chains
 from bayescal._inference.record import Record
 from bayescal._inference.refinement import refine
 from bayescal._inference.sampling import PROPOSALS, WeightedDraws, weighted_draws
@@ -158,30 +154,18 @@ class Marginal(Method):
             log_evidence=None if layout.improper else evidence,
         )
 
-    def _chains(self, density, start, covariance, seed: int, warmup: int, **more) -> Chains:
-        """NUTS; for a while only where neither it nor a time limit was asked for."""
-        asked = self.sampler == "nuts" or deadline.current().ends_at < math.inf
-        with deadline.until(None if asked else nuts_chains.PATIENCE, words=PATIENCE):
-            return nuts_chains.run(
-                density,
-                start,
-                covariance,
-                jax.random.key(seed),
-                warmup=warmup,
-                draws=self.draws // CHAINS,
-                chains=CHAINS,
-                **more,
-            )
-
     def _exact(self, assembly: Assembly, mode: Mode, seed: int, notes) -> Outcome:
+        """NUTS; for a while only where neither it nor a time limit was asked for."""
+        layout, asked = assembly.layout, self.sampler == "nuts"
         log_density, unpack, start, covariance = nuts_chains.whitened(assembly, mode)
+        plan = nuts_chains.Plan(800, self.draws // CHAINS, CHAINS, start.size < 40, "exact NUTS")
+        asked = asked or deadline.current().ends_at < math.inf
         with stage("NUTS on whitened unknowns"):
-            dense = start.size < 40
-            ran = self._chains(
-                log_density, start, covariance, seed, 800, dense=dense, name="exact NUTS"
-            )
-            layout = assembly.layout
-            x, rows, v = _placed(unpack, ran.draws.reshape(-1, start.size), bool(layout.row_blocks))
+            with deadline.until(None if asked else nuts_chains.PATIENCE, words=PATIENCE):
+                ran = nuts_chains.run(log_density, start, covariance, jax.random.key(seed), plan)
+            # A few at a time, because rows are as many as readings.
+            place = jax.jit(lambda q: over(lambda one: unpack(one)[:3], q, 64))
+            x, rows, v = place(ran.draws.reshape(-1, start.size))
         known = not layout.improper and np.isfinite(mode.log_evidence)
         known = known and (layout.model.noise.gaussian or not layout.row_blocks)
         return Outcome(
@@ -191,15 +175,6 @@ class Marginal(Method):
             verdict=trust.chain_verdict(ran, "NUTS on whitened unknowns", notes),
             log_evidence=(float(mode.log_evidence), None) if known else None,
         )
-
-
-def _placed(unpack, draws, has_rows: bool):
-    """Draws of whitened unknowns as x, rows and v; a few at a time, because rows are as many as readings."""
-    if (
-        not has_rows
-    ):  # `jax.lax.map` divides by the size of what it puts together, which is then zero
-        return jax.jit(jax.vmap(lambda one: unpack(one)[:3]))(draws)
-    return jax.jit(lambda q: jax.lax.map(lambda one: unpack(one)[:3], q, batch_size=64))(draws)
 
 
 class _Judged(NamedTuple):

@@ -13,12 +13,13 @@ from jaxtyping import Array
 from bayescal._core import deadline
 from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
-from bayescal._inference import nuts_chains, trust
+from bayescal._inference import trust
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Draws, Method, Outcome
 from bayescal._inference.mode import NOTHING_KNOWN, find_mode
+from bayescal._inference.nuts_chains import Chains, Plan, iterate
 from bayescal._inference.record import Record
 from bayescal._model import forward
 from bayescal._model.frame import Frame, build_frame, reference_of
@@ -55,18 +56,10 @@ class NUTS(Method):
         assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
         mode = find_mode(assembly, start=start)
         deadline.offer(lambda why: Marginal().about_the_mode(assembly, mode, seed, (), why))
-        found, sites = sampled(
-            program(layout, frame),
-            (y,),
-            warmup=self.warmup,
-            draws=self.draws,
-            chains=self.chains,
-            dense=self.dense,
-            seed=seed,
-        )
+        plan = Plan(self.warmup, self.draws, self.chains, self.dense, "NUTS")
+        ran, sites = sampled(program(layout, frame), (y,), plan, seed)
         x, rows, v = (np.asarray(sites[k]) for k in ("x", "rows", "v"))
-        joint = np.concatenate([x, v], axis=2)
-        ran = nuts_chains.Chains(jnp.asarray(joint), found.divergences, found.steps)
+        ran = ran._replace(draws=np.concatenate([x, v], axis=2))
         return Outcome(
             layout=layout,
             draws=Draws(x, rows, v),
@@ -77,35 +70,14 @@ class NUTS(Method):
 
 
 def sampled(
-    model: Callable,
-    arguments: tuple,
-    *,
-    warmup: int,
-    draws: int,
-    chains: int,
-    dense: bool,
-    seed: int,
-) -> tuple[nuts_chains.Iterated, dict[str, Array]]:
+    model: Callable, arguments: tuple, plan: Plan, seed: int
+) -> tuple[Chains, dict[str, Array]]:
     """NumPyro's NUTS on every unknown of a program: what it ran, and every site by name, (chains, draws, …)."""
-    import numpyro.infer as infer  # half a second that only these chains need
+    from numpyro.infer import init_to_median  # half a second that only these chains need
 
-    kernel = infer.NUTS(
-        model,
-        dense_mass=dense,
-        target_accept_prob=0.9,
-        init_strategy=infer.init_to_median(num_samples=50),
-    )
+    kernel = plan.kernel(model, init_strategy=init_to_median(num_samples=50))
     with stage("NUTS on every unknown"):
-        found = nuts_chains.iterate(
-            kernel,
-            jax.random.key(seed),
-            arguments,
-            None,
-            warmup=warmup,
-            draws=draws,
-            chains=chains,
-            name="NUTS",
-        )
+        found = iterate(kernel, jax.random.key(seed), arguments, None, plan)
         place = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn(arguments, {}))))
         return found, place(found.draws)
 

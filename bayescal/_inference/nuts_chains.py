@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -33,11 +34,35 @@ PATIENCE = 300.0  # s that chains get that nobody asked for, where there is no t
 
 
 class Chains(NamedTuple):
-    """Draws of a vector: (chains, draws, d), with what NUTS reported."""
+    """Draws in a sampler's coordinates, (chains, draws, …) each, with what NUTS reported."""
 
-    draws: Float[Array, "c s d"]
+    draws: Any
     divergences: int
     steps: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How chains are run.
+
+    Attributes:
+        warmup, draws: iterations of each.
+        chains: how many, side by side.
+        dense: whether a dense mass matrix is adapted.
+        name: theirs, in a checkpoint.
+    """
+
+    warmup: int
+    draws: int
+    chains: int = 4
+    dense: bool = True
+    name: str = "chains"
+
+    def kernel(self, *model: Any, **how: Any) -> Any:
+        """NumPyro's NUTS of a program or of a `potential_fn`."""
+        import numpyro.infer as infer  # half a second that only chains need
+
+        return infer.NUTS(*model, dense_mass=self.dense, target_accept_prob=0.9, **how)
 
 
 def run(
@@ -45,19 +70,9 @@ def run(
     start: Float[Array, "d"],
     covariance: Float[Array, "d d"],
     key: Array,
-    *,
-    warmup: int,
-    draws: int,
-    chains: int = 4,
-    dense: bool = True,
-    name: str = "chains",
+    plan: Plan,
 ) -> Chains:
-    """NumPyro's NUTS on a log density, its chains in parallel, started from a Laplace fit.
-
-    `name` is that of these chains in a checkpoint.
-    """
-    import numpyro.infer as infer  # only where chains are asked for
-
+    """NumPyro's NUTS on a log density, its chains in parallel, started from a Laplace fit."""
     k1, k2 = jax.random.split(key)
     # Scaled by the Laplace fit, so that the first mass matrix, the identity, is already right.
     chol = np.linalg.cholesky(np.asarray(covariance)) if start.size else np.zeros((0, 0))
@@ -69,31 +84,12 @@ def run(
         value = log_density(start + chol @ q)
         return jnp.where(jnp.isfinite(value), -value, 1e300)
 
-    kernel = infer.NUTS(potential_fn=potential, dense_mass=dense, target_accept_prob=0.9)
-    begin = 0.5 * jax.random.normal(k1, (chains, start.size))
-    ran = iterate(kernel, k2, (), begin, warmup=warmup, draws=draws, chains=chains, name=name)
-    return Chains(start + ran.draws @ chol.T, ran.divergences, ran.steps)
+    begin = 0.5 * jax.random.normal(k1, (plan.chains, start.size))
+    ran = iterate(plan.kernel(potential_fn=potential), k2, (), begin, plan)
+    return ran._replace(draws=start + ran.draws @ chol.T)
 
 
-class Iterated(NamedTuple):
-    """Draws in the sampler's own unconstrained coordinates, (chains, draws, …) each."""
-
-    draws: Any
-    divergences: int
-    steps: float
-
-
-def iterate(
-    kernel: Any,
-    key: Array,
-    arguments: tuple,
-    begin: Any,
-    *,
-    warmup: int,
-    draws: int,
-    chains: int,
-    name: str,
-) -> Iterated:
+def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -> Chains:
     """Run a NumPyro kernel, all chains side by side, in pieces of a few iterations.
 
     Where the fit keeps a checkpoint, the sampler's state is kept with the draws after each piece. The draws do not
@@ -104,17 +100,16 @@ def iterate(
         key: split over the chains.
         arguments: of the kernel's model.
         begin: first point of each chain; None where the kernel finds it.
-        warmup, draws, chains: how many.
-        name: of these chains, in the checkpoint.
+        plan: how many, and how long.
 
     Raises:
         TimeIsUp: the deadline came first, or surely would.
     """
     end = deadline.current()
     end.ask()
-    state = kernel.init(
-        jax.random.split(key, chains), warmup, begin, model_args=arguments, model_kwargs={}
-    )
+    warmup, draws, name = plan.warmup, plan.draws, plan.name
+    keys = jax.random.split(key, plan.chains)
+    state = kernel.init(keys, warmup, begin, model_args=arguments, model_kwargs={})
     found = jax.tree.map(lambda a: np.zeros((draws, *a.shape), a.dtype), _kept(state))
     store, done = checkpoint.current(), 0
     if store is not None and name in store.arrays:
@@ -151,7 +146,7 @@ def iterate(
             store.write() if done == all_of_them else store.write_now_and_then()
     z, diverging, steps = found
     by_chain = jax.tree.map(lambda a: jnp.swapaxes(jnp.asarray(a), 0, 1), z)
-    return Iterated(by_chain, int(np.sum(diverging)), float(np.mean(steps)))
+    return Chains(by_chain, int(np.sum(diverging)), float(np.mean(steps)))
 
 
 def _duration(seconds: float) -> str:

@@ -82,6 +82,9 @@ def program(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 Basis = tuple[Callable[..., Any], int, str]  # a basis, how many columns it has, whose it is
+ByName = dict[
+    str, Array
+]  # shapes; slots or moves of columns, a number a reading; of several draws, one row each
 
 
 def basis_of(effect: Effect) -> Basis:
@@ -110,12 +113,9 @@ def fixed_columns(bases: tuple[Basis, ...], frame: Frame) -> list[Float[Array, "
 
 @program
 def shaped_columns(
-    basis: Basis,
-    frame: Frame,
-    shapes: dict[str, Float[Array, ""]],
-    moves: dict[str, Float[Array, "n"]],
-) -> tuple[Float[Array, "n k"], dict[str, Float[Array, "n k"]]]:
-    """Columns at some shapes and with columns of the readings moved, and their derivatives by these moves."""
+    basis: Basis, frame: Frame, shapes: ByName, moves: ByName
+) -> tuple[Array, dict[str, Array]]:
+    """Columns (n, k) at some shapes and with columns of the readings moved, and their derivatives by these moves."""
 
     def at(moves):
         return Effect.matrix(*basis, _moved(frame, moves), shapes)
@@ -129,13 +129,16 @@ def shaped_columns(
 
 
 @program
-def columns_along(
-    basis: Basis,
-    frame: Frame,
-    shapes: dict[str, Float[Array, "s"]],
-    moves: dict[str, Float[Array, "s n"]],
-) -> Float[Array, "s n k"]:
-    """Columns at several values of the shapes, columns of the readings moved for each, some side by side."""
+def moved_columns_along(
+    basis: Basis, frame: Frame, shapes: ByName, moves: ByName
+) -> tuple[Array, dict[str, Array]]:
+    """`shaped_columns` at several values of the shapes and moves, one after the other."""
+    return jax.lax.map(lambda one: shaped_columns.__wrapped__(basis, frame, *one), (shapes, moves))
+
+
+@program
+def columns_along(basis: Basis, frame: Frame, shapes: ByName, moves: ByName) -> Array:
+    """Columns (s, n, k) at several values of the shapes and moves, some side by side."""
 
     def at(one):
         shapes, moves = one
@@ -143,28 +146,27 @@ def columns_along(
 
     # A loop over the readings costs as much for many values as for one, where the memory allows.
     count = jax.tree.leaves((shapes, moves))[0].shape[0]
-    return jax.lax.map(
-        at, (shapes, moves), batch_size=max(1, min(count, SIDE_BY_SIDE // frame.size))
-    )
+    together = max(1, min(count, SIDE_BY_SIDE // frame.size))
+    return jax.lax.map(at, (shapes, moves), batch_size=together)
+
+
+@program
+def responses(
+    response: Callable[..., Any], frame: Frame, slots: ByName, moves: ByName
+) -> Float[Array, "b n"]:
+    """Expected outputs of several sets of slots, columns of the readings moved for each."""
+    return jax.vmap(partial(_respond, response, frame))((slots, moves))
 
 
 @program
 def response_slopes(
-    response: Callable[..., Any],
-    frame: Frame,
-    slots: dict[str, Float[Array, "n"]],
-    moves: dict[str, Float[Array, "n"]],
-) -> tuple[Float[Array, "n"], dict[str, Float[Array, "n"]]]:
+    response: Callable[..., Any], frame: Frame, slots: ByName, moves: ByName
+) -> tuple[Array, dict[str, Array]]:
     """Expected output, and its derivatives by each slot and by each moved column, reading by reading."""
-
-    def respond(both):
-        slots, moves = both
-        return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
-
     # The output of a reading hangs on its own slots alone: a vector of ones pushed forward holds each one's own
     # slope.
     both = (slots, moves)
-    mean, push = jax.linearize(respond, both)
+    mean, push = jax.linearize(partial(_respond, response, frame), both)
     zero = jax.tree.map(jnp.zeros_like, both)
     slopes = {}
     for part in (0, 1):
@@ -176,29 +178,16 @@ def response_slopes(
 
 
 @program
-def responses(
-    response: Callable[..., Any],
-    frame: Frame,
-    slots: dict[str, Float[Array, "b n"]],
-    moves: dict[str, Float[Array, "b n"]],
-) -> Float[Array, "b n"]:
-    """Expected outputs of several sets of slots, columns of the readings moved for each."""
-
-    def at(slots, moves):
-        return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
-
-    return jax.vmap(at)(slots, moves)
-
-
-@program
 def slopes_of_draws(
-    response: Callable[..., Any],
-    frame: Frame,
-    slots: dict[str, Float[Array, "b n"]],
-    moves: dict[str, Float[Array, "b n"]],
-) -> tuple[Float[Array, "b n"], dict[str, Float[Array, "b n"]]]:
+    response: Callable[..., Any], frame: Frame, slots: ByName, moves: ByName
+) -> tuple[Array, dict[str, Array]]:
     """Expected outputs of several sets of slots and moved columns, and their derivatives by each of these."""
     return jax.vmap(partial(response_slopes.__wrapped__, response, frame))(slots, moves)
+
+
+def _respond(response: Callable[..., Any], frame: Frame, both: tuple[ByName, ByName]) -> Array:
+    slots, moves = both
+    return jnp.broadcast_to(response(slots, _moved(frame, moves)), (frame.size,))
 
 
 def columns_or_refusal(bases: tuple[Basis, ...], leaves: Leaves, frame: Frame) -> list[Array]:
@@ -211,20 +200,8 @@ def columns_or_refusal(bases: tuple[Basis, ...], leaves: Leaves, frame: Frame) -
         raise
 
 
-@program
-def moved_columns_along(
-    basis: Basis,
-    frame: Frame,
-    shapes: dict[str, Float[Array, "s"]],
-    moves: dict[str, Float[Array, "s n"]],
-) -> tuple[Float[Array, "s n k"], dict[str, Float[Array, "s n k"]]]:
-    """`shaped_columns` at several values of the shapes and moves, one after the other."""
-    return jax.lax.map(lambda one: shaped_columns.__wrapped__(basis, frame, *one), (shapes, moves))
-
-
-def _moved(frame: Frame, moves: Mapping[str, Float[Array, "n"]]) -> Frame:
+def _moved(frame: Frame, moves: ByName) -> Frame:
     """The readings with some of their columns corrected."""
-    moved = frame
     for name, shift in moves.items():
-        moved = moved.with_column(name, frame[name] + shift)
-    return moved
+        frame = frame.with_column(name, frame[name] + shift)
+    return frame

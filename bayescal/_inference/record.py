@@ -129,17 +129,18 @@ class Record:
         near = len(values) == 1 and abs(v := effect.priors[0].coordinate(values[0])) <= REACH
         if near and (basis := self.basis_along(effect)) is not None:
             return basis.at(v)
+        return self._kept_at(effect, values)
+
+    def _kept_at(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
+        """Columns at shapes, of which the latest are kept."""
         key = (effect.basis, values)
-        found = self._shaped.get(key)
-        if found is None:
-            found = self.moved_columns(effect, values, {})[0]
-            self._shaped[key] = found
-            self._bytes += found.nbytes
-            while self._bytes > KEPT:
+        if key not in self._shaped:
+            self._shaped[key] = self.moved_columns(effect, values, {})[0]
+            self._bytes += self._shaped[key].nbytes
+            while self._bytes > KEPT and len(self._shaped) > 1:
                 self._bytes -= self._shaped.popitem(last=False)[1].nbytes
-        else:
-            self._shaped.move_to_end(key)
-        return found
+        self._shaped.move_to_end(key)
+        return self._shaped[key]
 
     def basis_along(self, effect: ColumnsOf) -> Basis | None:
         """Columns as sums of a few along one shape; None where they run too sharply, or along several shapes."""
@@ -174,12 +175,9 @@ class Record:
     def _less(self, of: Departure) -> Float[np.ndarray, "n k"]:
         """Columns of a departure: curves, less the shares that its effect's own columns have in them."""
         assert of.own is not None and of.curves is not None
+        at = tuple(v for _, v in of.at)
         own = ColumnsOf(of.own, tuple(n for n, _ in of.at), ())
-        taken = self._shaped.get(key := (of.own, of.at))
-        if taken is None:
-            at = tuple(v for _, v in of.at)
-            taken = self.moved_columns(own, at, {})[0] if at else self._fixed_columns(of.own)
-            self._shaped[key], self._bytes = taken, self._bytes + taken.nbytes
+        taken = self._kept_at(own, at) if at else self._fixed_columns(of.own)
         return self._fixed_columns(of.curves) - taken @ np.array(of.shares)
 
     def _fixed_columns(self, key: programs.Basis) -> Float[np.ndarray, "n k"]:
@@ -206,10 +204,7 @@ class Record:
         """Expected output and its slopes by each slot and each moved column."""
         if not moves and self.affine is not None:
             base, slopes = self.affine
-            mean = base
-            for name, value in slots.items():
-                mean = mean + slopes[name] * value
-            return mean, slopes
+            return sum((slopes[name] * value for name, value in slots.items()), base), slopes
         return self._response(slots, moves)
 
     def _response(self, slots, moves):
@@ -217,15 +212,12 @@ class Record:
         key = [(name, np.asarray(v).tobytes()) for name, v in (*slots.items(), *moves.items())]
         last = self._last
         if last is None or last[0] != key:
-            self._last = last = key, self._responded(slots, moves)
+            full = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
+            made = programs.response_slopes(
+                self.instrument.response, self.padded, self._longer(full), self._longer(moves)
+            )
+            self._last = last = key, jax.tree.map(lambda a: np.asarray(a)[: self.size], made)
         return last[1]
-
-    def _responded(self, slots, moves):
-        full = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
-        made = programs.response_slopes(
-            self.instrument.response, self.padded, self._longer(full), self._longer(moves)
-        )
-        return jax.tree.map(lambda a: np.asarray(a)[: self.size], made)
 
     @cached_property
     def affine(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
@@ -253,15 +245,18 @@ class Record:
         return base, slopes
 
     def columns_of_draws(
-        self, effect: ColumnsOf, values: Sequence[np.ndarray], moves: Mapping[str, np.ndarray]
-    ) -> Float[np.ndarray, "b n k"]:
-        """Columns of an effect for several draws.
+        self, effect: ColumnsOf, values: Sequence[Any], moves: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "*b n k"]:
+        """Columns of an effect for several draws; (n, k), the same for all, where nothing moves them.
 
         Args:
             effect: whose.
-            values: of its shapes, (b,) each.
+            values: of its shapes, (b,) each, or one number for all.
             moves: what columns of the readings are corrected by, (b, n) each.
         """
+        if not values and not moves:
+            return self.columns(effect, ())
+        values = _one_a_draw(values, moves)
         count = max(len(v) for v in (*values, *moves.values()))
         basis = self.basis_along(effect) if not moves and len(values) == 1 else None
         if basis is not None:
@@ -281,8 +276,11 @@ class Record:
         shapes = dict(zip(effect.shapes, values, strict=True))
         return self._together(program, effect.basis, count, shapes, moves)
 
-    def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[np.ndarray], moves) -> Any:
-        """Columns (b, n, k) as `columns_of_draws`, and their slopes by the moves."""
+    def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[Any], moves) -> Any:
+        """Columns as `columns_of_draws`, and their slopes by the moves, (b, n, k) each."""
+        if not moves:
+            return self.columns_of_draws(effect, values, moves), {}
+        values = _one_a_draw(values, moves)
         return self._computed(effect, values, moves, programs.moved_columns_along)
 
     def _together(self, program, what: Any, count: int, *both: Mapping[str, np.ndarray]) -> Any:
@@ -342,5 +340,12 @@ class Record:
 
     @cached_property
     def _to_length(self) -> Int[np.ndarray, "m"]:
-        """Positions of readings, the last repeated up to the padded length."""
-        return np.minimum(np.arange(programs.padded_length(self.size)), self.size - 1)
+        return np.minimum(np.arange(self.padded_size), self.size - 1)
+
+
+def _one_a_draw(
+    values: Sequence[Any], moves: Mapping[str, np.ndarray]
+) -> Sequence[Float[np.ndarray, "b"]]:
+    """Values of shapes, as many of each as there are draws."""
+    count = max((len(v) for v in moves.values()), default=1)
+    return np.broadcast_arrays(*values, np.zeros(count))[:-1]

@@ -122,7 +122,7 @@ def _bends(assembly: Assembly) -> bool:
     random, v = np.random.default_rng(1), np.zeros(len(assembly.hypers))
     widths, hyper = assembly.row_sd, assembly.hyper(v)
     rows = widths * random.standard_normal((assembly.record.size, len(widths)))
-    sd = assembly.sizes.at_several(assembly.hyper(v[:, None]), 1, np.ones(assembly.size))[0]
+    sd = assembly.prior(hyper, np.ones(assembly.size)).sd
     # An affine f has f(a + b) − f(0) = (f(a) − f(0)) + (f(b) − f(0)) for all a and b: tried at random ones of prior
     # size.
     one, two = sd * random.standard_normal((2, assembly.size))

@@ -150,7 +150,7 @@ class ManyPhi:
         products, held = self.products, len(self.products.at) - self.assembly.size
         hyper = self.assembly.hyper(v.T)
         with_held = np.pad(normal, [(0, 0), (0, held)])
-        own = products.prior(self._prior(hyper, len(v)))
+        own = products.prior(self.assembly.prior(hyper, self.mode.flat, (len(v),)))
         found = draw(products.grams(v, hyper), self.size, own, products.at, with_held)
         found = found._replace(x=found.x[:, : self.assembly.size])
         total = _sum(found.log_marginal, prior)
@@ -176,11 +176,6 @@ class ManyPhi:
         assert self.products is not None
         return self.products.reaches(v)
 
-    def _prior(self, hyper: Batch, count: int) -> Prior:
-        assembly = self.assembly
-        sd = assembly.sizes.at_several(dict(hyper), count, self.mode.flat)
-        return Prior(assembly.mean_of_x, sd, assembly.weight_of_x)
-
     def _by_readings(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> Drawn:
         """The same from products that are computed for each φ."""
         assembly = self.assembly
@@ -191,7 +186,7 @@ class ManyPhi:
             together = max(8, TABLES // (self.size * (assembly.size + 1)))
             parts = [self._computed(part) for part in np.array_split(v, -(-len(v) // together))]
             grams = Gram(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
-        prior = self._prior(assembly.hyper(v.T), len(v))
+        prior = assembly.prior(assembly.hyper(v.T), self.mode.flat, (len(v),))
         return draw(grams, self.size, prior, self.mode.point.x, normal)
 
     def _computed(self, v: Float[np.ndarray, "b d"]) -> Gram:

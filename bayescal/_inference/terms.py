@@ -120,9 +120,7 @@ class Sizes:
 
     def __init__(self, terms: Sequence[Term], effects: Sequence[Effect], size: int):
         self.plain = np.ones(size)
-        self.flat = np.zeros(size, dtype=bool)
         for t in terms:
-            self.flat[t.at] = t.known.flat
             if not t.known.flat and t.group_sd_name is None:
                 self.plain[t.at] = t.prior_sd
         self.learned = [(t.at, t.group_sd_name) for t in terms if t.group_sd_name is not None]
@@ -155,33 +153,24 @@ class Sizes:
                 found[at] = one
         return found
 
-    def at(self, hyper: dict[str, float]) -> Float[np.ndarray, "p"]:
-        """At one φ, its values by name."""
+    def at(
+        self, hyper: Mapping[str, Any], count: tuple[int, ...] = ()
+    ) -> Float[np.ndarray, "*b p"]:
+        """At one φ, its values by name; at `count` of them, the values of each (b,)."""
+
+        def each(name: str) -> Any:
+            return np.reshape(hyper[name], (-1, 1)) if count else hyper[name]
+
         # Fixed, then learned spreads, then the weights of what has a shape: each coefficient has one of the first
         # two.
-        sd = self.plain.copy()
+        sd = np.broadcast_to(self.plain, (*count, len(self.plain))).copy()
         for place, name in self.learned:
-            sd[place] = hyper[name]
+            sd[..., place] = each(name)
         for weights, names, places in self.weighted:
-            made = weights(**{short: hyper[name] for short, name in names})
-            for at, one in zip(places, np.broadcast_to(made, (len(places),)), strict=True):
+            made = weights(**{short: each(name) for short, name in names})
+            for i, at in enumerate(places):
                 if at is not None:
-                    sd[at] *= one
-        return sd
-
-    def at_several(
-        self, hyper: dict[str, Any], count: int, flat: Float[np.ndarray, "p"]
-    ) -> Float[np.ndarray, "b p"]:
-        """At several φ, the values of each (b,); `flat` where the prior is flat."""
-        sd = np.tile(np.where(self.flat, flat, self.plain), (count, 1))
-        for place, name in self.learned:
-            sd[:, place] = np.reshape(hyper[name], (-1, 1))
-        for weights, names, places in self.weighted:
-            columns = {short: np.reshape(hyper[name], (-1, 1)) for short, name in names}
-            made = np.broadcast_to(weights(**columns), (count, len(places)))
-            for at, one in zip(places, made.T, strict=True):
-                if at is not None:
-                    sd[:, at] *= one[:, None]
+                    sd[..., at] *= np.broadcast_to(made, (*count, len(places)))[..., i, None]
         return sd
 
 

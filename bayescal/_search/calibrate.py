@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -106,8 +107,7 @@ def calibrate(
     def run() -> SearchPath:
         used = set_aside(with_causes(readings, model.instrument, ignore, covariates), keep_spikes)
         kept = None if holdout is None else set_aside(holdout, keep_spikes)
-        used = _said_of_holdout(used, kept)
-        accepted = frozenset(accept_conflicts)
+        used, accepted = _said_of_holdout(used, kept), frozenset(accept_conflicts)
         loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
         loop, first = loop.begin(model)
         # Stated values that the readings contradict: the value may be wrong, or an effect missing; the search weighs
@@ -149,10 +149,10 @@ class Loop:
         self, first: Step, effects: Sequence[Effect], widen_noise: bool
     ) -> tuple[Loop, Structures, list[Candidate]]:
         """The structures to look at beyond the first step, and the candidates that these readings cannot test."""
-        loop = self
-        if self.on_trial(first):
+        loop, c, fixed = self, first.calibration, first.check.fixed
+        # Without convergence there are no probabilities; and a published calibration that fails is not saved.
+        if not c.verdict.ok or (fixed is not None and fixed.wrong):
             loop, widen_noise = replace(self, max_effects=0), False
-        c = first.calibration
         structures, shut = structures_over(
             c.model, self.readings, c.reference, effects=effects, widen_noise=widen_noise
         )
@@ -184,12 +184,6 @@ class Loop:
         """
         limited = deadline.current().ends_at < math.inf
         return QUICK if model.noise.gaussian or limited else self.method
-
-    @staticmethod
-    def on_trial(first: Step) -> bool:
-        """Whether nothing may be added: no convergence, no probabilities; and a published calibration is not saved."""
-        wrong = first.check.fixed is not None and first.check.fixed.wrong
-        return not first.calibration.verdict.ok or wrong
 
     def not_looked(self, first: Step) -> SearchPath:
         """What is left of the loop where nothing can be learnt from the first model."""
@@ -228,7 +222,15 @@ class Loop:
         Raises:
             TimeIsUp: not even the first model was weighed.
         """
-        known = self._known(seeds, library.structures)
+        structures = library.structures
+        known = [
+            s
+            for s in dict.fromkeys(Structure(frozenset(s.effects), s.noise) for s in seeds)
+            if s.effects <= set(structures.candidates)
+            and s.effects.isdisjoint(structures.barred(s))
+            and len(s.effects) <= self.max_effects
+            and s.noise in ("", *structures.laws)
+        ]
         return walked(library, self.max_effects, lambda _: tell(), known)
 
     def steps_to_best(
@@ -241,7 +243,11 @@ class Loop:
     ) -> SearchPath:
         """Fit the models on the way to the most probable structure."""
         structures, steps, to = library.structures, [first], deadline.door()
-        way = self._way(library, Posterior.of(structures).chosen)
+        chosen = Posterior.of(structures).chosen
+        # As long as the first step took, each: what further effects cost is not known before they are fitted.
+        takes = self.step_takes * (1 + len(chosen.effects) + bool(chosen.noise))
+        in_time = takes < deadline.current().left
+        way = path(library, chosen) if in_time else [*dict.fromkeys([Structure(), chosen])]
         # Where sampling may be ended early, the last model stands before it begins.
         twice = deadline.current().apart and not isinstance(self.method, LeastSquares)
         try:
@@ -267,18 +273,13 @@ class Loop:
             if (last := steps[-1].discovery) and (why := self.incomplete(steps)):
                 steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
         trail = self.trail(steps, structures, complete=not stopped, stopped=stopped)
-        return self.averaged(trail, structures, way[len(steps) - 1])
-
-    def averaged(self, trail: SearchPath, structures: Structures, at: Structure) -> SearchPath:
-        """The trail with what is used of it: an average over the structures, if there is time for it."""
         last = trail.final.calibration
         if self.max_effects == 0 or not last.verdict.ok:
             return trail
-        try:
-            average, shares = averaged(last, structures, at.noise, self.seed)
-        except TimeIsUp:
-            return trail
-        return replace(trail, average=None if average is last else average, shares=shares)
+        with suppress(TimeIsUp):  # what is used of it is an average over the structures
+            average, shares = averaged(last, structures, way[len(steps) - 1].noise, self.seed)
+            return replace(trail, average=None if average is last else average, shares=shares)
+        return trail
 
     def sampled(self, step: Step, start: Mapping[str, float] = NOTHING_KNOWN) -> Step:
         """A step with its posterior sampled, as far as there is time for that and for checking it anew."""
@@ -290,14 +291,6 @@ class Loop:
                 notes = (NOT_SAMPLED.format(early.why), *step.calibration.verdict.notes)
                 return replace(step, calibration=step.calibration.with_verdict(notes=notes))
         return replace(found, added=step.added, changed=step.changed)
-
-    def _way(self, library: Library, chosen: Structure) -> list[Structure]:
-        """Structures on the way to the chosen one: none between, where there is no time to fit these."""
-        # As long as the first step took, each: what further effects cost is not known before they are fitted.
-        end, steps = deadline.current(), 1 + len(chosen.effects) + bool(chosen.noise)
-        if steps * self.step_takes < end.left:
-            return path(library, chosen)
-        return list(dict.fromkeys([Structure(), chosen]))
 
     def tell(
         self,
@@ -322,28 +315,26 @@ class Loop:
 
     def cut(self, steps: Sequence[Step], search: Search | None, why: str) -> SearchPath:
         """A trail that was ended before its last model was found or judged."""
-        best = search.structures[0] if search and search.structures else None
+        search = search or Search((), 0, complete=False)
+        best, at = next(iter(search.structures), None), "with this as the best so far"
         # Whether what was found most probable is what the last step holds decides what can be promised of it.
-        have = set(steps[-1].calibration.model.names)
-        at = "with this as the best so far"
         if best is None:
             at = NO_SECOND
-        elif not have.issuperset(best.effects):
+        elif not {*best.effects} <= {*steps[-1].calibration.model.names}:
             at = f"when {best} was the most probable so far, and was not fitted yet"
-        unjudged = Gate(False, UNJUDGED.format(why))
-        ended = replace(
-            search or Search((), 0, complete=False),
-            stopped=CUT.format(time.monotonic() - self.begun, why, at),
-        )
-        steps = (*steps[:-1], steps[-1].judged((unjudged.reason,)))
-        return SearchPath(steps, unjudged, self.holdout, None, ended)
+        ended = replace(search, stopped=CUT.format(time.monotonic() - self.begun, why, at))
+        return self._unjudged(steps, Gate(False, UNJUDGED.format(why)), ended)
+
+    def _unjudged(self, steps: Sequence[Step], gate: Gate, search: Search) -> SearchPath:
+        """A trail whose last model says what stands against its use: that it is not the end."""
+        steps = (*steps[:-1], steps[-1].judged((gate.reason,)))
+        return SearchPath(steps, gate, self.holdout, None, search)
 
     def incomplete(self, steps: Sequence[Step]) -> str:
         """Why the last model may not be called complete, whatever its probability; empty where it may."""
         added, last = sum(s.added is not None for s in steps), steps[-1]
-        tested = last.discovery is not None and any(
-            c.probability is not None for c in last.discovery.candidates
-        )
+        candidates = last.discovery.candidates if last.discovery else ()
+        tested = any(c.probability is not None for c in candidates)
         # At the bound, P(complete) is of what may be added no more: it would be high because nothing further is
         # allowed.
         if 0 < self.max_effects <= added and tested:
@@ -353,20 +344,6 @@ class Loop:
         if last.left_out and left_out_better(last, steps[:-1]):
             return f"not stated, as the {scheme(last.left_out.group)} error has risen on the way"
         return ""
-
-    def _known(
-        self, seeds: Sequence[Structure | ShownStructure], structures: Structures
-    ) -> list[Structure]:
-        """Of an earlier search's structures, those that this one may weigh."""
-        given = dict.fromkeys(Structure(frozenset(s.effects), s.noise) for s in seeds)
-        return [
-            s
-            for s in given
-            if s.effects <= set(structures.candidates)
-            and s.effects.isdisjoint(structures.barred(s))
-            and len(s.effects) <= self.max_effects
-            and s.noise in ("", *structures.laws)
-        ]
 
     def step(
         self,
@@ -407,8 +384,7 @@ class Loop:
             max_effects=self.max_effects,
         )
         if not (complete or stopped):
-            under_way = (*steps[:-1], steps[-1].judged((UNDER_WAY.reason,)))
-            return SearchPath(under_way, UNDER_WAY, self.holdout, None, search)
+            return self._unjudged(steps, UNDER_WAY, search)
         return SearchPath(*judged(steps), self.holdout, _other_path(structures), search)
 
 
@@ -424,17 +400,17 @@ def step_of(
         holdout: hold-out data.
         accepted: coefficients or effects that may contradict their priors.
     """
-    checked, floor = check(calibration), noise_floor(calibration)
-    kept = None if holdout is None else predict(calibration, holdout)
+    checked, floor, kept, test = check(calibration), noise_floor(calibration), None, None
+    if holdout is not None:
+        kept = predict(calibration, holdout)
+        test = HoldoutTest(calibration, holdout, kept)
     return Step(
         calibration=calibration,
         added=None,
         rmse=predict(calibration).rmse,
         rmse_fitted=float(np.sqrt(np.mean(checked.residuals**2))),
         holdout_rmse=None if kept is None else kept.rmse,
-        holdout_test=None
-        if kept is None or holdout is None
-        else HoldoutTest(calibration, holdout, kept),
+        holdout_test=test,
         left_out=leave_one_group_out(calibration),
         noise_floor=floor,
         check=checked,
@@ -447,17 +423,14 @@ def _said_of_holdout(readings: Measurements, holdout: Measurements | None) -> Me
     """The readings with a flag, where hold-out data continue their record, or are a part of it."""
     if holdout is None:
         return readings
-    if said := said_of(readings, holdout):
-        return replace(readings, flags=(*readings.flags, said))
-    going = going_on(readings, holdout)[0]
-    if not going:
-        return readings
-    many = sum(map(len, going.values()))
-    said = (
-        f"{readings.file}: {many} readings of the hold-out data continue its run {', '.join(going)}: they are "
-        "predicted with the record's past, so lags, hysteresis and correlated noise go on"
-    )
-    return replace(readings, flags=(*readings.flags, said))
+    said = said_of(readings, holdout)
+    if not said and (going := going_on(readings, holdout)[0]):
+        said = (
+            f"{readings.file}: {sum(map(len, going.values()))} readings of the hold-out data continue its run "
+            f"{', '.join(going)}: they are predicted with the record's past, so lags, hysteresis and correlated noise "
+            "go on"
+        )
+    return replace(readings, flags=(*readings.flags, said)) if said else readings
 
 
 def _other_path(structures: Structures) -> OtherPath | None:
@@ -465,11 +438,7 @@ def _other_path(structures: Structures) -> OtherPath | None:
     best = structures.best
     ends = [w for w in structures.visited.values() if w.structure.noise != best.structure.noise]
     other = max(ends, key=lambda w: w.total, default=None)
-    if (
-        other is None
-        or not math.isfinite(other.total)
-        or other.total < best.total - searching().strong
-    ):
+    if other is None or not other.total > best.total - searching().strong:
         return None
     # The same effects under another law are no other conclusion.
     if other.structure.effects == best.structure.effects:

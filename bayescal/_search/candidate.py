@@ -12,7 +12,7 @@ from scipy.special import chdtrc, logsumexp, ndtri
 from bayescal._calibration.guards import off_scale
 from bayescal._calibration.settings import searching
 from bayescal._inference.density import Density
-from bayescal._inference.linear_model import learned_size, linear_model
+from bayescal._inference.linear_model import learned_size
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._search.library import Library
 from bayescal._search.scores import ScoredPoint, gain_of
@@ -80,7 +80,6 @@ def judge(
     """
     top = points[0]
     effect = library.structures.candidates[top.effect]
-    size = effect.coefficients[0].size
     found = Candidate(
         effect=effect.name,
         log_bayes_factor=gain_of(points),
@@ -88,7 +87,7 @@ def judge(
         unit=effect.coefficients[0].unit,
         shape={**top.point.shapes, **top.size.scales},
         visibility=_visibility(top),
-        minimum_detectable=_minimum_detectable(library, top, size),
+        minimum_detectable=_minimum_detectable(library, top),
     )
     if with_it is not None and math.isfinite(with_it.log_evidence):
         # The refit averages over sizes and finds its shapes: what the score says of these is only where it began.
@@ -103,14 +102,13 @@ def too_small_or_large(
     library: Library, points: Mapping[str, Sequence[ScoredPoint]], at: Weighed
 ) -> tuple[str, ...]:
     """Candidates that at their plausible size are far off the scale of these readings, in words."""
-    line, base, found = linear_model(at.assembly, at.mode), library.structures.base, []
-    noise = math.sqrt(float(np.median(line.variance)))
+    structures, found = library.structures, []
+    noise = math.sqrt(float(np.median(structures.line(at).variance)))
     for name, (top, *_) in points.items():
-        effect = library.structures.candidates[name]
-        most = (
-            float(np.max(np.abs(top.columns[:, 0]))) * effect.coefficients[0].size
-        )  # of the noise
-        found += off_scale(effect, most * noise, noise, base.instrument.unit)
+        effect = structures.candidates[name]
+        largest = float(np.max(np.abs(top.columns[:, 0])))  # whitened: of the noise
+        most = largest * effect.coefficients[0].size * noise
+        found += off_scale(effect, most, noise, structures.base.instrument.unit)
     return tuple(found)
 
 
@@ -142,13 +140,12 @@ def _at_point(library: Library, point: ScoredPoint) -> tuple[float, float]:
     effect = library.structures.candidates[point.effect]
     if effect.measure:
         return point.size.scales[effect.measure], 0.0
-    sd = point.size.sd
-    information = sd[:, None] * point.information * sd
+    sd, (u, information) = point.size.sd, point.standard
     if library.grouped(point.effect):
-        return _spread(information, sd * point.u, float(sd[0]), effect.coefficients[0].size)
+        return _spread(information, u, float(sd[0]), effect.coefficients[0].size)
     # Posterior of standard normal coefficients with information K and score u: mean (I + K)⁻¹u, covariance (I + K)⁻¹.
     inverse = np.linalg.inv(np.eye(len(sd)) + information)
-    return float((inverse @ (sd * point.u))[0] * sd[0]), float(inverse[0, 0] * sd[0] ** 2)
+    return float((inverse @ u)[0] * sd[0]), float(inverse[0, 0] * sd[0] ** 2)
 
 
 def _spread(
@@ -172,8 +169,7 @@ def _spread(
 def _main(point: ScoredPoint, group: bool) -> tuple[np.ndarray, np.ndarray]:
     """Score and information of what speaks for the effect, in plausible sizes: all members of a group, or the first
     coefficient with its companions marginalised."""
-    sd = point.size.sd
-    u, information = sd * point.u, sd[:, None] * point.information * sd
+    u, information = point.standard
     if group or len(u) == 1:
         return u, information
     # Schur complement: companions, of prior variance one, are integrated out of score and information.
@@ -199,17 +195,14 @@ def _visibility(point: ScoredPoint) -> float:
     return float(np.trace(point.information)) / before if before > 0 else 0.0
 
 
-def _minimum_detectable(library: Library, point: ScoredPoint, size: float) -> float | None:
+def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
     """Size found with 80 % power: the log Bayes factor reaches what a finding needs under its prior odds."""
-    needed = (
-        math.log(searching().found / (1 - searching().found))
-        - library.structures.log_odds[point.effect]
-    )
-    group = library.grouped(point.effect)
+    found, group = searching().found, library.grouped(point.effect)
+    needed = math.log(found / (1 - found)) - library.structures.log_odds[point.effect]
     _, information = _main(point, group)
     if group:
-        effect = library.structures.candidates[point.effect]
-        amplitude = point.size.scales[effect.measure] if effect.measure else float(point.size.sd[0])
+        measure = library.structures.candidates[point.effect].measure
+        amplitude = point.size.scales[measure] if measure else float(point.size.sd[0])
         return _detectable_amplitude(information, amplitude, needed)
     i = float(information[0, 0])
     if i <= 1e-12:
@@ -241,12 +234,11 @@ def alike(points: Mapping[str, Sequence[ScoredPoint]]) -> dict[str, set[str]]:
     """Which candidates' fitted contributions are one and the same to these readings."""
     outside, inside = [], []
     for own in points.values():
-        p = own[0]
-        sd = p.size.sd
-        information = sd[:, None] * p.information * sd
+        p, sd = own[0], own[0].size.sd
+        u, information = p.standard
         # What is fitted of each, at its likeliest grid point, and of this what the nuisances leave: two candidates
         # are one where these two vectors are parallel, whatever their columns look like.
-        fitted = sd * np.linalg.solve(np.eye(len(sd)) + information, sd * p.u)
+        fitted = sd * np.linalg.solve(np.eye(len(sd)) + information, u)
         outside.append(p.columns @ fitted)
         inside.append(p.inside @ fitted)
     names, c, p = list(points), np.array(outside), np.array(inside)
@@ -269,12 +261,11 @@ def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
         return candidate  # to be seen well enough, and explained by what was found
     # Visible means: a plausible size would be found. Where nuisances take all but a hundredth, what is left hangs on
     # their exact form, and the plausible size must be enough by itself.
-    least = candidate.minimum_detectable
-    hidden = (candidate.visibility or 0.0) < searching().visible
-    if (
-        least is None
-        or least > searching().detectable * plausible
-        or (hidden and least > plausible)
-    ):
+    least, hidden = (
+        candidate.minimum_detectable,
+        (candidate.visibility or 0.0) < searching().visible,
+    )
+    most = plausible * (1.0 if hidden else searching().detectable)
+    if least is None or least > most:
         return replace(candidate, kind="not visible", reason="not detectable in this experiment")
     return candidate

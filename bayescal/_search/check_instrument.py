@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -29,10 +30,10 @@ from bayescal._data.unit_parsing import ANY
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model import forward
 from bayescal._model.effect import Effect
-from bayescal._model.frame import Frame, build_frame, reference_of
+from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
-from bayescal._model.parameters import Layout, bind
+from bayescal._model.parameters import bind
 from bayescal._search.own_files import in_one_line
 
 RUNS, ROWS = 4, 60  # of the readings that are made up, where the instrument has no simulator
@@ -91,14 +92,8 @@ class InstrumentCheck(Printed):
 
     def __str__(self) -> str:
         unit = unit_label(self.unit)
-        head = [
-            "unknown",
-            f"adds at most [{unit or 1}]",
-            "simulated",
-            "came back",
-            "unit",
-            "remark",
-        ]
+        most = f"adds at most [{unit or 1}]"
+        head = ["unknown", most, "simulated", "came back", "unit", "remark"]
         cells = [
             [
                 r.name,
@@ -159,7 +154,7 @@ class _CheckedInstrument:
     def __init__(self, instrument: Instrument, readings: Measurements | None, seed: int) -> None:
         self.instrument, self.seed = instrument, seed
         self.rows, self.errors, self.notes = list[Returned](), list[str](), list[str]()
-        self.noise, self.made_labels = 0.0, set[str]()
+        self.noise, self.made_labels, self._is_bent = 0.0, set[str](), False
         self.readings = self._columns() if readings is None else readings
 
     def result(self) -> InstrumentCheck:
@@ -170,9 +165,9 @@ class _CheckedInstrument:
                 for effect in i.candidates:
                     reason = testable(effect, self.readings)
                     if reason is not None:
-                        unit, why = effect.coefficients[0].unit, f"not tested, {reason}"
-                        nothing = (None, None, None, None)
-                        self.rows.append(Returned("candidate", effect.name, unit, *nothing, why))
+                        unit, nothing = effect.coefficients[0].unit, (None,) * 4
+                        said = (*nothing, f"not tested, {reason}")
+                        self.rows.append(Returned("candidate", effect.name, unit, *said))
                         continue
                     self._fitted(baseline + effect, (effect,), "candidate")
         found = tuple(dict.fromkeys(self.errors)), tuple(dict.fromkeys(self.notes))
@@ -214,11 +209,10 @@ class _CheckedInstrument:
     def _made_up(self, column: Column, random: np.random.Generator, run: np.ndarray) -> np.ndarray:
         """Values of a column within its limits: a temperature goes up and down in each run, another is drawn."""
         usual = (10.0, 50.0) if column.unit == "degC" else (-1.0, 1.0)
-        low = usual[0] if column.low is None else column.low
-        high = (low + usual[1] - usual[0]) if column.high is None else column.high
-        low = (
-            high - (usual[1] - usual[0]) if column.low is None and column.high is not None else low
-        )
+        low, high, wide = column.low, column.high, usual[1] - usual[0]
+        if low is None:
+            low = usual[0] if high is None else high - wide
+        high = low + wide if high is None else high
         if column.unit == "degC":
             low, high = max(low, usual[0]), min(high, usual[1])
             phase = 2 * np.pi * np.arange(run.size) / ROWS + run
@@ -245,60 +239,41 @@ class _CheckedInstrument:
         return False
 
     def _round(self, model: Model, of: Sequence[Effect], kind: str) -> None:
-        readings, mine = self.readings, {e.name for e in of}
-        model.require(readings)
-        reference = reference_of(readings)
-        frame = build_frame(readings, reference)
-        layout, _ = bind(model, readings)
-        v = jnp.zeros(len(layout.hypers))
-        hyper = forward.hyper_values(layout, v)
-        x = self._truth(layout, hyper)
-        rows = jnp.zeros((frame.size, len(layout.row_blocks)))
-        line = forward.linearise(layout, frame, x, rows, hyper)
-        mean = np.asarray(line.mean)
+        model.require(self.readings)
+        one = _Simulated(model, self.readings, of, self.seed)
         keys = jax.random.split(jax.random.fold_in(jax.random.key(self.seed), len(self.rows)), 2)
-        rows = forward.row_sd(layout) * jax.random.normal(keys[0], rows.shape)
-        output = np.asarray(forward.draw_readings(layout, frame, x, rows, v, keys[1]))
-        self.noise = float(np.median(np.sqrt(np.asarray(model.noise.variance(hyper, frame)))))
+        rows = forward.row_sd(one.layout) * jax.random.normal(keys[0], one.rows.shape)
+        made = forward.draw_readings(one.layout, one.frame, one.x, rows, one.v, keys[1])
+        output, names = np.asarray(made), ", ".join(one.mine)
+        variance = np.asarray(model.noise.variance(one.hyper, one.frame))
+        self.noise = float(np.median(np.sqrt(variance)))
         if kind == "baseline":
-            self._of_response(layout, frame, x, hyper, mean)
+            self._of_response(one)
         if not np.isfinite(output).all():
             raise ModelError(
-                f"{', '.join(mine)}: the output is not finite in {int((~np.isfinite(output)).sum())} of "
+                f"{names}: the output is not finite in {int((~np.isfinite(output)).sum())} of "
                 f"{output.size} readings: is a logarithm, root or quotient out of its range?"
             )
-        zero = self._zero_bases(layout, frame, hyper, mine)
-        self._bent(layout, frame, x, hyper, line, kind)
+        zero = self._zero_bases(one)
+        self._bent(one, kind)
         fitted = fit(
             model,
-            readings.with_column("output", output),
+            self.readings.with_column("output", output),
             LeastSquares(draws=300),
             seed=self.seed,
-            reference=reference,
+            reference=one.reference,
             strict=False,
         )
-        self._came_back(fitted, layout, np.asarray(x), np.asarray(line.jacobian), mine, zero, kind)
+        self._came_back(one, fitted, zero, kind)
         if kind == "baseline":
             self.notes += [f"baseline: {d['in_words']}" for d in null_directions(fitted)]
 
-    def _truth(self, layout: Layout, hyper: forward.Values) -> jax.Array:
-        """Coefficients one plausible size from their means, up and down in turn; of groups, drawn."""
-        random = np.random.default_rng(self.seed + 1)
-        sd, signs = forward.prior_sd(layout, hyper), np.ones(layout.size)
-        for n, b in enumerate(layout.x_blocks):
-            at = slice(b.start, b.start + b.size)
-            one = b.coefficient.per is None
-            signs[at] = 1 - 2 * (n % 2) if one else random.standard_normal(b.size)
-        return forward.prior_mean(layout) + sd * signs
-
-    def _of_response(self, layout, frame: Frame, x, hyper, mean: np.ndarray) -> None:
+    def _of_response(self, one: _Simulated) -> None:
         """Slots that change no output, or change it one for one in another unit."""
-        i = self.instrument
-        rows = jnp.zeros((frame.size, len(layout.row_blocks)))
-        values = forward.coefficients(layout, x, rows, hyper)
-        slopes = forward.slot_derivatives(
-            layout, frame, values, hyper, tuple(s.name for s in i.slots)
-        )
+        i, layout, frame, hyper = self.instrument, one.layout, one.frame, one.hyper
+        values = forward.coefficients(layout, one.x, one.rows, hyper)
+        names = tuple(s.name for s in i.slots)
+        slopes = forward.slot_derivatives(layout, frame, values, hyper, names)
         slopes = {name: np.asarray(slope) for name, slope in slopes.items()}
         if not any(np.any(slope) for slope in slopes.values()):
             raise ModelError(
@@ -312,11 +287,12 @@ class _CheckedInstrument:
                 self._one_for_one(f"slot {slot.name!r}", slot.unit)
         if i.use is not None and i.use.equation is None and i.use.stimulus in frame.columns:
             name = i.use.stimulus
-            up = frame.with_column(name, frame[name] + 1.0)
             # Without an equation of its own the stimulus is a column of the response: the output is tried with one
             # unit more of it.
-            there = forward.mean(layout, up, jnp.zeros_like(x), rows, hyper)
-            here = forward.mean(layout, frame, jnp.zeros_like(x), rows, hyper)
+            there, here = (
+                forward.mean(layout, at, jnp.zeros_like(one.x), one.rows, hyper)
+                for at in (frame.with_column(name, frame[name] + 1.0), frame)
+            )
             if np.all(np.abs(np.asarray(there - here) - 1) < 1e-6):
                 self._one_for_one(f"column {name!r}", str(i.column(name).unit))
 
@@ -332,34 +308,33 @@ class _CheckedInstrument:
                 "Declare both in one unit, or convert it in the response"
             )
 
-    def _zero_bases(self, layout: Layout, frame: Frame, hyper, mine: set[str]) -> set[str]:
+    def _zero_bases(self, one: _Simulated) -> set[str]:
         """Coefficients whose basis is zero in every reading, each an error."""
         found = set()
-        for b in layout.blocks:
-            if b.effect.name not in mine:
+        for b in (b for b in one.layout.blocks if b.effect.name in one.mine):
+            shapes = {s.name: one.hyper[b.effect.shape_name(s)] for s in b.effect.shapes}
+            if np.any(np.asarray(b.effect.evaluate(one.frame, shapes))[:, b.index]):
                 continue
-            shapes = {s.name: hyper[b.effect.shape_name(s)] for s in b.effect.shapes}
-            basis = np.asarray(b.effect.evaluate(frame, shapes))[:, b.index]
-            if not np.any(basis):
-                found.add(b.name)
-                columns = ", ".join(b.effect.columns) or "none"
-                said = f"{b.name}: its basis is zero in every reading (its columns: {columns}). "
-                if free := self.made_labels.intersection(b.effect.columns):
-                    made = ", ".join(sorted(free))
-                    ask = f"The labels of {made} are made up: declare them, allowed=(…), or give readings"
-                    self.notes.append(said + ask)
-                else:
-                    ask = "Is a label written as in the file, and can the condition that it asks for occur?"
-                    self.errors.append(said + ask)
+            found.add(b.name)
+            columns = ", ".join(b.effect.columns) or "none"
+            said = f"{b.name}: its basis is zero in every reading (its columns: {columns}). "
+            if free := self.made_labels.intersection(b.effect.columns):
+                made = ", ".join(sorted(free))
+                self.notes.append(
+                    f"{said}The labels of {made} are made up: declare them, allowed=(…), or give readings"
+                )
+            else:
+                self.errors.append(
+                    f"{said}Is a label written as in the file, and can the condition that it asks for occur?"
+                )
         return found
 
-    def _bent(self, layout: Layout, frame: Frame, x, hyper, line, kind: str) -> None:
+    def _bent(self, one: _Simulated, kind: str) -> None:
         """A note, where the output departs from its linear form within the plausible sizes."""
-        rows = jnp.zeros((frame.size, len(layout.row_blocks)))
-        middle = forward.prior_mean(layout)
+        middle = forward.prior_mean(one.layout)
         # Linearised where every coefficient stands one size from its mean, and compared at the means.
-        exact = forward.mean(layout, frame, middle, rows, hyper)
-        linear = line.mean + line.jacobian @ (middle - x)
+        exact = forward.mean(one.layout, one.frame, middle, one.rows, one.hyper)
+        linear = one.line.mean + one.line.jacobian @ (middle - one.x)
         departs = float(np.max(np.abs(np.asarray(exact - linear)), initial=0.0))
         if departs > guarding().bent * self.noise and (kind == "baseline" or not self._is_bent):
             self._is_bent = True
@@ -370,55 +345,38 @@ class _CheckedInstrument:
                 "is; compare with bc.NUTS() once"
             )
 
-    _is_bent = False
+    def _came_back(self, one: _Simulated, fitted: Calibration, zero: set[str], kind: str) -> None:
+        def returned(name: str, unit: str, adds: float | None, truth: float | None, draws, remark):
+            mean, sd = float(draws.mean()), float(draws.std())
+            said = remark if isinstance(remark, str) else remark(mean, sd)
+            self.rows.append(Returned(kind, name, unit, adds, truth, mean, sd, said))
 
-    def _came_back(
-        self,
-        fitted: Calibration,
-        layout: Layout,
-        x: np.ndarray,
-        jacobian: np.ndarray,
-        mine: set[str],
-        zero: set[str],
-        kind: str,
-    ) -> None:
-        unit = self.instrument.unit
-        for b in (b for b in layout.x_blocks if b.effect.name in mine):
-            at = slice(b.start, b.start + b.size)
-            c, columns = b.coefficient, jacobian[:, at]
-            sizes = c.size * np.abs(columns)
-            adds = float(np.max(sizes, initial=0.0))
+        x, jacobian = np.asarray(one.x), np.asarray(one.line.jacobian)
+        for b in (b for b in one.layout.x_blocks if b.effect.name in one.mine):
+            at, c = slice(b.start, b.start + b.size), b.coefficient
+            adds = float(np.max(c.size * np.abs(jacobian[:, at]), initial=0.0))
             draws = fitted.samples(b.name)
             if c.per is None:
-                truth, mean, sd = float(x[b.start]), float(draws.mean()), float(draws.std())
-                remark = self._remark(b.name, truth, mean, sd, None if c.flat else c.size, zero)
-                self.rows.append(Returned(kind, b.name, c.unit, adds, truth, mean, sd, remark))
+                truth = float(x[b.start])
+                remark = partial(self._remark, b.name, truth, None if c.flat else c.size, zero)
+                returned(b.name, c.unit, adds, truth, draws, remark)
             else:
                 spread = b.group_sd_name if c.group_sd is not None else None
                 draws = fitted.samples(spread) if spread else draws.std(axis=1)
                 truth = float(np.std(x[at] - c.mean)) if b.size > 1 else None
                 name = spread or f"{b.name}, one a {c.per}"
-                mean, sd = float(draws.mean()), float(draws.std())
-                self.rows.append(
-                    Returned(kind, name, c.unit, adds, truth, mean, sd, f"{b.size} of them")
-                )
-            said = off_scale(b.effect, adds, self.noise, unit) if b.name not in zero else []
-            self.errors += said
-        for effect in (e for e in layout.model.effects if e.name in mine):
+                returned(name, c.unit, adds, truth, draws, f"{b.size} of them")
+            if b.name not in zero:
+                self.errors += off_scale(b.effect, adds, self.noise, self.instrument.unit)
+        for effect in (e for e in one.layout.model.effects if e.name in one.mine):
             for shape in effect.shapes:
-                name = effect.shape_name(shape)
-                draws, truth = fitted.samples(name), float(shape.prior.value(0.0))
-                self.rows.append(
-                    Returned(
-                        *(kind, name, shape.unit, None, truth),
-                        *(float(draws.mean()), float(draws.std())),
-                    )
-                )
+                name, truth = effect.shape_name(shape), float(shape.prior.value(0.0))
+                returned(name, shape.unit, None, truth, fitted.samples(name), "")
         if not fitted.verdict.ok:
-            self.notes.append(f"{', '.join(sorted(mine))}: {' '.join(fitted.verdict.reasons)}")
+            self.notes.append(f"{', '.join(sorted(one.mine))}: {' '.join(fitted.verdict.reasons)}")
 
     def _remark(
-        self, name: str, truth: float, mean: float, sd: float, size: float | None, zero: set[str]
+        self, name: str, truth: float, size: float | None, zero: set[str], mean: float, sd: float
     ) -> str:
         if name in zero:
             return "its basis is zero"
@@ -430,3 +388,28 @@ class _CheckedInstrument:
             )
             return "did not come back"
         return ""
+
+
+class _Simulated:
+    """A model on readings, its coefficients one plausible size from their means, up and down in turn; of groups, drawn.
+
+    Attributes:
+        mine: names of the effects in question.
+        x, v, hyper, rows: coefficients, φ at the middle of its priors, no coefficients of single readings.
+        line: the output linearised there.
+    """
+
+    def __init__(self, model: Model, readings: Measurements, of: Sequence[Effect], seed: int):
+        self.mine, self.reference = {e.name for e in of}, reference_of(readings)
+        self.frame = frame = build_frame(readings, self.reference)
+        self.layout = layout = bind(model, readings)[0]
+        self.v = jnp.zeros(len(layout.hypers))
+        self.hyper = hyper = forward.hyper_values(layout, self.v)
+        random, signs = np.random.default_rng(seed + 1), np.ones(layout.size)
+        for n, b in enumerate(layout.x_blocks):
+            one = b.coefficient.per is None
+            drawn = 1 - 2 * (n % 2) if one else random.standard_normal(b.size)
+            signs[b.start : b.start + b.size] = drawn
+        self.x = x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs
+        self.rows = rows = jnp.zeros((frame.size, len(layout.row_blocks)))
+        self.line = forward.linearise(layout, frame, x, rows, hyper)

@@ -19,7 +19,7 @@ from bayescal._core.formatting import WIDTH, Printed, number, probability, table
 from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
-from bayescal._inference.linear_model import amplitudes, linear_model, sized
+from bayescal._inference.linear_model import amplitudes, sized
 from bayescal._inference.record import Record
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, build_frame, derived
@@ -345,7 +345,7 @@ def _departures(structures: Structures, to: Structure, here: Weighed) -> dict[Ef
     """Departures that the model to use has and this one has not."""
     end = structures.weigh(to)
     had = {e.name for e in here.departures}
-    line = linear_model(end.assembly, end.mode) if end.departures else None
+    line = structures.line(end) if end.departures else None
     return {e: departed(line, e) for e in end.departures if line and e.name not in had}
 
 

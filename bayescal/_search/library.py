@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri
 
+from bayescal._inference.assembly import put
 from bayescal._inference.terms import ColumnsOf
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.instrument import factor_of, slot_of
@@ -107,12 +108,7 @@ class Library:
                 slope = slopes[slot.name] * factor_of(instrument, effect, c)
                 codes = None if c.per is None else record.codes[c.per]
                 for p in points:
-                    column = slope * p.basis[:, i]
-                    if codes is None:
-                        made[:, p.at.start + at] = column
-                    else:
-                        known = np.flatnonzero(codes >= 0)
-                        made[known, p.at.start + at + codes[known]] = column[known]
+                    put(slope * p.basis[:, i], codes, p.at.start + at, made)
                 at += _members(c, dict(self.structures.layout.counts))
         self._columns = made
         return made

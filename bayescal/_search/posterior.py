@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.settings import searching
-from bayescal._inference.linear_model import linear_model
 from bayescal._search.structures import Structure, Structures, Weighed
 
 SHOWN = 20  # structures kept of a search
@@ -227,13 +226,15 @@ class Search:
             posterior = Posterior.of(structures)
             each = zip(posterior.structures, posterior.probability, strict=True)
             refitted = [(posterior.refitted[s], p) for s, p in each if s in posterior.refitted]
-            shown = tuple(_shown(w, float(p), i == 0) for i, (w, p) in enumerate(refitted[:SHOWN]))
+            rms = float(np.sqrt(np.mean(structures.line(refitted[0][0]).residual ** 2)))
+            shown = tuple(
+                ShownStructure(
+                    effects=tuple(sorted(w.structure.effects)),
+                    noise=w.structure.noise,
+                    log_evidence=w.log_evidence,
+                    probability=float(p),
+                    rms=None if i else rms,
+                )
+                for i, (w, p) in enumerate(refitted[:SHOWN])
+            )
         return cls(shown, len(weighed), complete, **counts)
-
-
-def _shown(w: Weighed, probability: float, with_error: bool) -> ShownStructure:
-    rms = None
-    if with_error:
-        rms = float(np.sqrt(np.mean(linear_model(w.assembly, w.mode).residual ** 2)))
-    effects = tuple(sorted(w.structure.effects))
-    return ShownStructure(effects, w.structure.noise, w.log_evidence, probability, rms)

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
 from bayescal._core.parallel import on_one_thread
-from bayescal._inference.linear_model import linear_model, taken_up
+from bayescal._inference.linear_model import taken_up
 from bayescal._search.library import GridPoint, Library, Size
 from bayescal._search.structures import Weighed
 
@@ -59,6 +59,12 @@ class ScoredPoint:
     def information(self) -> Float[np.ndarray, "k k"]:
         return self.columns.T @ self.columns - self.inside.T @ self.inside
 
+    @cached_property
+    def standard(self) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
+        """Score and information of standard normal coefficients: in units of the plausible sizes."""
+        sd = self.size.sd
+        return sd * self.u, sd[:, None] * self.information * sd
+
 
 class View:
     """A structure as a linear model about its mode, all candidates beside it: what may be added, dropped, exchanged.
@@ -68,7 +74,7 @@ class View:
 
     @on_one_thread
     def __init__(self, library: Library, at: Weighed):
-        line = linear_model(at.assembly, at.mode)
+        line = library.structures.line(at)
         self.library, self.at, self.line = library, at, line
         self.departs = {d.of: d.name for d in at.departures}
         self.columns = line.whiten(library.columns(line.slopes))
@@ -196,18 +202,16 @@ class WithoutNuisances(NamedTuple):
         self, found: Mapping[str, list[ScoredPoint]]
     ) -> list[tuple[float, ScoredPoint, ScoredPoint]]:
         """Log Bayes factors of two candidates at once, the best first."""
-        points = [p for own in found.values() for p in own[:IN_PAIRS]]
-        own = [p.size.sd[:, None] * p.information * p.size.sd for p in points]
-        made = []
-        for (i, a), (j, b) in itertools.combinations(enumerate(points), 2):
+        points, made = [p for own in found.values() for p in own[:IN_PAIRS]], []
+        for a, b in itertools.combinations(points, 2):
             if a.effect != b.effect:
                 # Of two blocks of columns after the nuisances: the information of each, and what they share, CₐᵀC_b −
                 # PₐᵀP_b.
                 shared = a.columns.T @ b.columns - a.inside.T @ b.inside
                 cross = a.size.sd[:, None] * shared * b.size.sd
-                whole = np.block([[own[i], cross], [cross.T, own[j]]])
-                u = np.concatenate([a.size.sd * a.u, b.size.sd * b.u])
-                made.append((self.gain(u, whole), a, b))
+                (u, one), (w, other) = a.standard, b.standard
+                whole = np.block([[one, cross], [cross.T, other]])
+                made.append((self.gain(np.concatenate([u, w]), whole), a, b))
         return sorted(made, key=lambda m: -m[0])
 
 

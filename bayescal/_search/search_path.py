@@ -65,10 +65,8 @@ class Step:
 
     def noted(self, notes: Sequence[str]) -> Step:
         """The same, whose calibration says these sentences beside how it was fitted."""
-        had = self.calibration.verdict.notes
-        return replace(
-            self, calibration=self.calibration.with_verdict(notes=(*dict.fromkeys((*had, *notes)),))
-        )
+        notes = (*dict.fromkeys((*self.calibration.verdict.notes, *notes)),)
+        return replace(self, calibration=self.calibration.with_verdict(notes=notes))
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
@@ -87,15 +85,13 @@ class Step:
 
     def errors(self) -> dict[str, Any]:
         """Title and errors as plain data, output unit: what result.json says of them, and what pictures show."""
-        left_out = self.left_out
+        out = self.left_out
         return {
             "title": self.title,
             "unit": self.calibration.unit,
             "rmse_fitted": self.rmse_fitted,
             "rmse": self.rmse,
-            "leave_one_group_out": None
-            if left_out is None
-            else {"group": left_out.group, "n": left_out.count, "rmse": left_out.rmse},
+            "leave_one_group_out": out and {"group": out.group, "n": out.count, "rmse": out.rmse},
             "holdout_rmse": self.holdout_rmse,
             "noise_floor": self.noise_floor,
         }
@@ -169,38 +165,29 @@ class SearchPath(Printed):
 
     def __str__(self) -> str:
         """The error, step by step: as fitted, of a new run, held out, and the floor."""
-        unit = unit_label(self.final.calibration.unit)
-        held_out = self.holdout is not None
+        unit, columns = unit_label(self.final.calibration.unit), self._columns()
+        rises = [False, *(a.raises_holdout(b) for b, a in pairwise(self.steps))]
         group = next((s.left_out.group for s in self.steps if s.left_out), "group")
-        head = [
-            *(
-                "step",
-                f"as fitted [{unit}]",
-                "new run",
-                scheme(group),
-                *(["held-out"] if held_out else []),
-            ),
-            *("floor", "log evidence", "P(complete)"),
-        ]
-        rows, rises = [], [False, *(a.raises_holdout(b) for b, a in pairwise(self.steps))]
-        for i, s in enumerate(self.steps):
-            evidence = s.calibration.log_evidence
-            rows.append(
-                [
-                    f"{i} {s.title}",
-                    number(s.rmse_fitted),
-                    number(s.rmse),
-                    number(s.left_out.rmse if s.left_out else None),
-                    *([f"{number(s.holdout_rmse)}{RISES * rises[i]}"] if held_out else []),
-                    number(s.noise_floor),
-                    "–" if evidence is None else f"{evidence[0]:z.1f}",
-                    probability(s.discovery.nothing_missing if s.discovery else None),
-                ]
-            )
+        cells = {
+            "step": [f"{i} {title}" for i, title in enumerate(columns["step"])],
+            f"as fitted [{unit}]": map(number, columns["as fitted"]),
+            "new run": map(number, columns["new run"]),
+            scheme(group): map(number, columns["left-out"]),
+            "held-out": [
+                f"{number(error)}{RISES * up}"
+                for error, up in zip(columns["held-out"], rises, strict=True)
+            ],
+            "floor": map(number, columns["floor"]),
+            "log evidence": ["–" if e is None else f"{e:z.1f}" for e in columns["log evidence"]],
+            "P(complete)": map(probability, columns["nothing missing"]),
+        }
+        if self.holdout is None:
+            del cells["held-out"]
         note = (
             f"\n{RISES.strip()} held-out error more than a twentieth above that of the step before"
         )
-        return table(head, rows) + (note if any(rises) else "")
+        rows = [list(row) for row in zip(*cells.values(), strict=True)]
+        return table(list(cells), rows) + (note if any(rises) else "")
 
     def _brief(self) -> str:
         unit = unit_label(self.final.calibration.unit)

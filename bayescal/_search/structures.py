@@ -7,9 +7,9 @@ tenth of the prior. A plausible size is known to an order of magnitude: evidence
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -26,7 +26,7 @@ from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import Layout
 from bayescal._search.departures import Form, could_be_another, form_of, may_depart, scored
-from bayescal._search.noise_laws import log_prior
+from bayescal._search.noise_laws import OnResiduals, log_prior, on_residuals
 from bayescal._search.plausible_sizes import STILL, averaged, has_size
 from bayescal._search.starts import carried, starts
 
@@ -187,7 +187,7 @@ class Structures:
             n: form for n in structure.effects if (form := self._form(n, correlated)) is not None
         }
         while left and math.isfinite(found.log_evidence):
-            line = linear_model(found.assembly, found.mode)
+            line = self.line(found)
             scores = [s for s in (scored(line, e) for e in left.values()) if s is not None]
             # The one departure that promises most, while any does: two at once would share what either explains.
             best = max(scores, key=lambda s: s.gain, default=None)
@@ -216,8 +216,18 @@ class Structures:
 
     @cached_property
     def _base_line(self) -> LinearModel:
-        base = self.weigh(Structure())
-        return linear_model(base.assembly, base.mode)
+        return self.line(self.weigh(Structure()))
+
+    @cached_property
+    def line(self) -> Callable[[Weighed], LinearModel]:
+        """A structure about its mode; the latest few are kept, since a walk asks for the same one time and again."""
+        return lru_cache(maxsize=4)(lambda weighed: linear_model(weighed.assembly, weighed.mode))
+
+    @cached_property
+    def law_on_residuals(self) -> Callable[[Weighed, str], OnResiduals]:
+        """A noise law, by name, on what a structure's fit leaves of the readings; each asked for once."""
+        laws = {"": self.base.noise, **self.laws}
+        return cache(lambda w, name: on_residuals(laws[name], self.record, self.line(w).residual))
 
     def _refitted(self, structure, departures, near, hints) -> Weighed:
         assembly = self._assembled(structure, near, departures)

@@ -14,9 +14,8 @@ from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.deadline import Deadline
 from bayescal._core.parallel import on_one_thread
-from bayescal._inference.linear_model import linear_model
 from bayescal._search.library import Library
-from bayescal._search.noise_laws import log_prior, on_residuals
+from bayescal._search.noise_laws import log_prior
 from bayescal._search.scores import HINTS, ScoredPoint, View, gain_of
 from bayescal._search.structures import Structure, Structures, Weighed
 
@@ -161,12 +160,11 @@ def _finer_laws(structures: Structures, at: Weighed) -> Iterator[Move]:
     correlated = not here.independent and (plain is None or at.total > plain.total)
     if not (correlated and finer and at is structures.best):
         return
-    left = linear_model(at.assembly, at.mode).residual
     # Evidence of either law on the residuals alone: what both leave out, the coefficients' volume, is nearly the
     # same.
-    own = on_residuals(here, structures.record, left)
+    own = structures.law_on_residuals(at, at.structure.noise)
     for name in finer:
-        found = on_residuals(structures.laws[name], structures.record, left)
+        found = structures.law_on_residuals(at, name)
         odds = log_prior(structures.laws, name) - log_prior(structures.laws, here.name)
         gain = found.log_evidence - own.log_evidence
         yield Move(at.structure.under(name), at.total + gain + odds, (found.hint,))
@@ -177,11 +175,10 @@ def _changes_of_noise(structures: Structures, at: Weighed) -> Iterator[Move]:
     plain = structures.visited.get(at.structure.under(""))
     if not structures.laws or plain is None or not math.isfinite(plain.total):
         return
-    left = linear_model(plain.assembly, plain.mode).residual
-    own = on_residuals(structures.base.noise, structures.record, left)
+    own = structures.law_on_residuals(plain, "")
     for name, law in structures.laws.items():
         if law.independent and name != at.structure.noise:
-            found = on_residuals(law, structures.record, left)
+            found = structures.law_on_residuals(plain, name)
             # The law is judged on residuals of the fit under the given law, coefficients held: an outlier has pulled
             # these, so that the gain is rather too low.
             total = plain.total + found.log_evidence - own.log_evidence

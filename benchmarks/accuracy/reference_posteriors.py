@@ -67,9 +67,8 @@ def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
     assembly = Assembly(layout, record)
     density, unpack, start, covariance = nuts_chains.whitened(assembly, find_mode(assembly))
     key = jax.random.key(SEED)
-    ran = nuts_chains.run(
-        density, start, covariance, key, warmup=WARMUP, draws=draws, chains=CHAINS, dense=True
-    )
+    plan = nuts_chains.Plan(WARMUP, draws, CHAINS)
+    ran = nuts_chains.run(density, start, covariance, key, plan)
     place = jax.jit(lambda q: over(lambda one: unpack(one)[:3], q, 64))
     flat = place(ran.draws.reshape(-1, start.size))
     shaped = (np.asarray(a).reshape(CHAINS, draws, *a.shape[1:]) for a in flat)
