@@ -10,7 +10,7 @@ from __future__ import annotations
 import pickle
 import sys
 from collections.abc import Callable
-from functools import cache, cached_property, partial, update_wrapper
+from functools import cache, partial, update_wrapper
 from typing import Any, Generic, ParamSpec, TypeVar
 
 import equinox as eqx
@@ -36,6 +36,9 @@ class compiled(Generic[P, R]):
 
     def __init__(self, function: Callable[P, R], many: int = MANY):
         self.function, self.many = function, many
+        self._jitted = cache(
+            lambda few: eqx.filter_jit(function, compiler_options=known(QUICK if few else ALWAYS))
+        )
         update_wrapper(self, function)
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -43,20 +46,7 @@ class compiled(Generic[P, R]):
         # Traced within another compiled function: JAX takes options of the compiler at the outermost `jit` alone.
         if any(isinstance(a, jax.core.Tracer) for a in numbers):
             return self.function(*args, **kwargs)
-        few = sum(a.size for a in numbers) < self.many
-        return (self._quick if few else self._thorough)(*args, **kwargs)
-
-    @cached_property
-    def _quick(self) -> Callable[P, R]:
-        return eqx.filter_jit(self.function, **_options(QUICK))
-
-    @cached_property
-    def _thorough(self) -> Callable[P, R]:
-        return eqx.filter_jit(self.function, **_options(ALWAYS))
-
-
-def _options(options: dict[str, Any]) -> dict[str, Any]:
-    return {"compiler_options": known(options)}
+        return self._jitted(sum(a.size for a in numbers) < self.many)(*args, **kwargs)
 
 
 def known(options: dict[str, Any]) -> dict[str, Any]:
@@ -91,15 +81,11 @@ def by_value(function: Any) -> Any:
     if type(function) is not partial:
         return function
     made = given(function.func, *function.args, **function.keywords)
-    return made if _hashable(made) else function
-
-
-def _hashable(value: Any) -> bool:
     try:
-        hash(value)
+        hash(made)
     except TypeError:  # an array among its arguments
-        return False
-    return True
+        return function
+    return made
 
 
 def importable(function: Any) -> bool:

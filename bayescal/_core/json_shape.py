@@ -27,11 +27,8 @@ from bayescal._core.errors import InputError
 
 LARGEST = 50_000_000  # bytes of a JSON file that is read
 LARGEST_TOML = 100_000  # bytes of a mapping, a certificate's data
-LONGEST_LINE = (
-    2_000  # characters in it: dotted keys take a time that grows with their number's square
-)
+LONGEST_LINE = 2_000  # characters: dotted keys take a time that grows with their number's square
 DEEPEST = 32  # of lists and tables in each other; what bayescal writes has at most 9
-
 
 _SURROGATE = re.compile("[\ud800-\udfff]")  # half a character, which no file can hold
 

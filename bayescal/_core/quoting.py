@@ -16,33 +16,11 @@ import unicodedata
 from collections.abc import Collection, Iterable
 from typing import Any
 
-_SPELLED: dict[str, str] = dict(
-    [
-        *(("·", "*"), ("×", "x"), ("−", "-"), ("–", "-"), ("—", "-"), ("√", "sqrt"), ("±", "+-")),
-        *(
-            ("°", "deg "),
-            ("µ", "u"),
-            ("≤", "<="),
-            ("≥", ">="),
-            ("≈", "~"),
-            ("∞", "inf"),
-            ("∂", "d"),
-        ),
-        *(
-            ("→", "->"),
-            ("∫", "int "),
-            ("′", "'"),
-            ("’", "'"),
-            ("‘", "'"),
-            ("“", '"'),
-            ("”", '"'),
-            ("‰", "per mille"),
-            ("\u2044", "/"),
-            ("ß", "ss"),
-        ),
-        *(("\u0303", "~"), ("\u0302", "^"), ("\u0304", "_mean"), ("\u0307", "_dot")),
-    ]
+_SPELLINGS = (
+    "·|* ×|x −|- –|- —|- √|sqrt ±|+- °|deg␣ µ|u ≤|<= ≥|>= ≈|~ ∞|inf ∂|d →|-> ∫|int␣ ′|' ’|' ‘|' “|\" ”|\" ‰|per␣mille "
+    "\u2044|/ ß|ss \u0303|~ \u0302|^ \u0304|_mean \u0307|_dot"
 )
+_SPELLED = {one[0]: one[2:].replace("␣", " ") for one in _SPELLINGS.split()}
 _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (\w+)")
 
 

@@ -124,11 +124,8 @@ class Density:
         Source: L. Tierney and J. Kadane, JASA 81 (1986) 82 (Laplace).
         """
         noise, record = self.assembly.noise, self.assembly.record
-        prior, jacobian, residual = (
-            self.assembly.prior(hyper, self.flat),
-            table[:, :-1],
-            table[:, -1],
-        )
+        prior, jacobian = self.assembly.prior(hyper, self.flat), table[:, :-1]
+        residual = table[:, -1]
         x, move = self.point.x, self._mode - self.point.x
 
         def look(move: np.ndarray) -> tuple[float, Terms]:
@@ -241,14 +238,11 @@ class Density:
         # = p − tr W·var z, the degrees of freedom that x took.
         if self.even:
             taken = found.squares + p - float(prior.weight @ found.variance_of_z)
-            for i, kind in enumerate(assembly.kinds):
-                if kind == "noise":
-                    made[i] = (
-                        0.5 * (taken - assembly.record.size) * assembly.log_variance_slope(v, i)
-                    )
-            white = np.column_stack(beside) / math.sqrt(
-                float(assembly.noise.shared_variance(hyper))
-            )
+            beyond = 0.5 * (taken - assembly.record.size)
+            for i in assembly.layout.positions("noise"):
+                made[i] = beyond * assembly.log_variance_slope(v, i)
+            shared = float(assembly.noise.shared_variance(hyper))
+            white = np.column_stack(beside) / math.sqrt(shared)
         else:
             whiten = self._white(line, hyper)
             turned = np.column_stack([line.jacobian @ found.root, table[:, -1]])
@@ -260,9 +254,7 @@ class Density:
             by_j, output = white[:, end : end + len(m.at)], white[:, end + len(m.at)]
             made[i] += white[:, p] @ output - np.sum(across[:, m.at] * by_j)
             end += len(m.at) + 1
-            if np.any(
-                m.rows
-            ):  # and the variance that single readings' coefficients add, these independent
+            if np.any(m.rows):  # and the variance that coefficients of single readings add
                 further = 2 * (line.rows * m.rows) @ assembly.row_sd**2
                 squares = np.sum(across * white[:, :p], axis=1) + white[:, p] ** 2
                 own = variance(assembly.noise, hyper, assembly.record) + self.extra(line)
@@ -283,10 +275,8 @@ class Density:
         table = self._beside(self._line(v, hyper)[0])
         jacobian, move = table[:, :-1], found.mean - self.point.x
         left = table[:, -1] - jacobian @ move
-        terms, further = (
-            density_terms(noise, hyper, record, left),
-            bends(noise, hyper, record, left),
-        )
+        terms = density_terms(noise, hyper, record, left)
+        further = bends(noise, hyper, record, left)
         # hᵢ = (J·C·Jᵀ)ᵢᵢ; q carries what the mode's own move does to the volume, by the implicit function theorem.
         across = jacobian @ found.covariance
         leverage = np.sum(across * jacobian, axis=1)
@@ -354,10 +344,8 @@ def about(density: Density, v: np.ndarray, covariance: np.ndarray, close: float)
     if dim not in DEGREES or not np.all(np.isfinite(covariance)):
         return None
     # They must hold where the importance sampler goes: draws of the Gaussian fit say how far that is along each axis.
-    draws = (
-        v
-        + np.random.default_rng(0).standard_normal((400, len(v))) @ np.linalg.cholesky(covariance).T
-    )
+    normal = np.random.default_rng(0).standard_normal((400, len(v)))
+    draws = v + normal @ np.linalg.cholesky(covariance).T
     coordinates = axes.of(assembly.hyper(draws.T), draws)
     if not np.all(np.isfinite(coordinates)):
         return None
@@ -365,8 +353,7 @@ def about(density: Density, v: np.ndarray, covariance: np.ndarray, close: float)
     tried = draws[:TRIED]
     there = np.array([density.at(one)[0] for one in tried])
     products = Products(assembly, density.point, v, axes)
-    best, found = ENOUGH, None
-    rows: list[np.ndarray] = []
+    best, found, rows = ENOUGH, None, list[np.ndarray]()
     for degree in DEGREES[dim]:
         polynomials = Polynomials(coordinates, degree)
         rows += [products.row(c) for c in polynomials.points[len(rows) :]]

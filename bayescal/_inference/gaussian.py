@@ -187,7 +187,7 @@ def draw(
     diagonal = np.arange(len(at))
     precision[:, diagonal, diagonal] += weight
     chol = _factors(precision)
-    mean = _solve_upper(chol, _solve_lower(chol, pulled))
+    mean = _solve(chol, _solve(chol, pulled), upper=True)
     move = offset + sd * mean
     across = np.einsum("bij,bj->bi", grams.jtj, move)
     rest = grams.rtr - np.sum(move * (2 * grams.jtr - across), axis=1) + mean**2 @ weight
@@ -195,7 +195,7 @@ def draw(
     halves = np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)), axis=1)
     flat = np.broadcast_to(prior.flat_volume, len(sd))
     log_marginal = flat - 0.5 * (size * LOG_2PI + grams.logdet + 2 * halves + rest)
-    z = mean + _solve_upper(chol, normal)
+    z = mean + _solve(chol, normal, upper=True)
     log_sd = np.sum(np.log(np.where(weight > 0, 1.0, sd)), axis=1)
     return Drawn(
         np.where(np.isfinite(log_marginal) & (rest > 0), log_marginal, -np.inf),
@@ -219,22 +219,16 @@ def _factors(matrices: Float[np.ndarray, "b p p"]) -> Float[np.ndarray, "b p p"]
     return found
 
 
-def _solve_lower(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> np.ndarray:
-    """L⁻¹ times vectors."""
+def _solve(
+    chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"], upper: bool = False
+) -> Float[np.ndarray, "b p"]:
+    """L⁻¹ times vectors, or L⁻ᵀ."""
     # A loop over the few coefficients, each step for all φ at once, in place of a call of LAPACK for each φ.
-    z = np.empty_like(right)
-    for i in range(right.shape[1]):
-        known = np.einsum("bj,bj->b", chol[:, i, :i], z[:, :i])
-        z[:, i] = (right[:, i] - known) / chol[:, i, i]
-    return z
-
-
-def _solve_upper(chol: Float[np.ndarray, "b p p"], right: Float[np.ndarray, "b p"]) -> np.ndarray:
-    """L⁻ᵀ times vectors."""
-    z = np.empty_like(right)
-    for i in reversed(range(right.shape[1])):
-        known = np.einsum("bj,bj->b", chol[:, i + 1 :, i], z[:, i + 1 :])
-        z[:, i] = (right[:, i] - known) / chol[:, i, i]
+    z, order = np.empty_like(right), range(right.shape[1])
+    for i in reversed(order) if upper else order:
+        done = slice(i + 1, None) if upper else slice(i)
+        row = chol[:, done, i] if upper else chol[:, i, done]
+        z[:, i] = (right[:, i] - np.einsum("bj,bj->b", row, z[:, done])) / chol[:, i, i]
     return z
 
 

@@ -85,7 +85,7 @@ def find_mode(
         return _climbed(assembly, starts, covariance, point, flat, still)
 
     top, highest = (
-        climbed(wanted if dim else [np.zeros(0)], point),
+        climbed(wanted if dim else wanted[:1], point),
         partial(max, key=attrgetter("value")),
     )
     if starts is None:

@@ -34,9 +34,7 @@ ROUNDS = 30  # at most
 STEPS = 200  # of θ in a round
 AFAR = 5000  # steps from afar: along a curved valley they are short
 SHIFT = 1e-4  # of a coordinate, for slopes by differences
-EDGE = (
-    5.0  # coordinate of a time between bounds, from which it stands at one: nothing stops it beyond
-)
+EDGE = 5.0  # coordinate of a time between bounds, from which it stands at one: nothing stops it
 
 
 class QR(NamedTuple):
@@ -136,12 +134,10 @@ class _Refinement:
     def __init__(self, assembly: Assembly, mode: Mode) -> None:
         self.assembly, self.mode = assembly, mode
         self.density = Density(assembly, mode.point, mode.flat)
-        kinds, self.gaussian = assembly.kinds, assembly.noise.gaussian
+        layout, self.gaussian = assembly.layout, assembly.noise.gaussian
         # Of a law that is not Gaussian they stay where the marginal likelihood of the mode has them.
-        self.scales = [
-            i for i, k in enumerate(kinds) if k in ("noise", "group_sd") and self.gaussian
-        ]
-        self.places = [i for i, k in enumerate(kinds) if k in ("shape", "promoted")]
+        self.scales = layout.positions("noise", "group_sd") if self.gaussian else []
+        self.places = layout.moving
 
     def prior(self, v: Float[np.ndarray, "d"]) -> Prior:
         """Of θ: that of x given φ, and the standard normal one of w."""
@@ -168,9 +164,7 @@ class _Refinement:
         rest = self.assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
         return np.column_stack([line.jacobian, *moved, rest]), self.density.extra(line)
 
-    def whiten(
-        self, v: np.ndarray, extra: np.ndarray | float, left: np.ndarray
-    ) -> Whitening | Independent:
+    def whiten(self, v: np.ndarray, extra: Any, left: np.ndarray) -> Whitening | Independent:
         assembly = self.assembly
         return whitening(assembly.noise, assembly.hyper(v), assembly.record, extra, left)
 
@@ -256,15 +250,8 @@ class _Refinement:
         # With one variance for all readings R of the plain table stands for it: whitening only divides by σ.
         size, even = len(table), self.density.even
         upper = np.triu(dgeqrf(table)[0][: table.shape[1]]) if even else table
-        lost = np.full((theta.size, theta.size), np.nan)
-        nowhere = _Given(
-            -math.inf,
-            np.full(theta.size, np.nan),
-            lost,
-            math.nan,
-            math.nan,
-            np.full(len(v), math.nan),
-        )
+        lost, unknown = np.full((theta.size, theta.size), np.nan), np.full(len(v), np.nan)
+        nowhere = _Given(-math.inf, np.full(theta.size, np.nan), lost, np.nan, np.nan, unknown)
 
         def given(v: np.ndarray, sloped: bool = False) -> _Given:
             prior, white = self.prior(v), None
@@ -353,11 +340,9 @@ class _Refinement:
         for i, log_sd in assembly.log_sd_slopes(v, assembly.hyper(v)):
             found[i] = excess[: assembly.size] @ log_sd
         if self.density.even:
-            squares, taken = spent
-            for i, kind in enumerate(assembly.kinds):
-                if kind == "noise":
-                    left = squares + taken - assembly.record.size
-                    found[i] = 0.5 * left * assembly.log_variance_slope(v, i)
+            left = sum(spent) - assembly.record.size
+            for i in assembly.layout.positions("noise"):
+                found[i] = 0.5 * left * assembly.log_variance_slope(v, i)
         return found
 
     def _noise(self, given: Callable[[np.ndarray], _Given], v: np.ndarray) -> np.ndarray:

@@ -39,11 +39,9 @@ class ColumnsOf(NamedTuple):
 
     @classmethod
     def of(cls, effect: Effect) -> ColumnsOf:
-        shapes, less = effect.column_shapes, None
-        if isinstance(effect, Departure):
-            less = effect
-        names, priors = tuple(s.name for s in shapes), tuple(s.prior for s in shapes)
-        return cls(basis_of(effect), names, priors, less)
+        names = tuple(s.name for s in effect.column_shapes)
+        less = effect if isinstance(effect, Departure) else None
+        return cls(basis_of(effect), names, tuple(s.prior for s in effect.column_shapes), less)
 
 
 class CoefficientTerms(NamedTuple):
@@ -62,19 +60,10 @@ class CoefficientTerms(NamedTuple):
 
     @classmethod
     def of_block(cls, block: CoefficientBlock) -> CoefficientTerms:
-        coefficient, effect = block.coefficient, block.effect
-        return cls(
-            effect=effect,
-            of=effect.name,
-            per=coefficient.per,
-            mean=coefficient.mean,
-            prior_sd=coefficient.size,
-            flat=coefficient.flat,
-            learned=coefficient.group_sd is not None,
-            columns=(columns := ColumnsOf.of(effect)),
-            key=columns.key,
-            shape_names=tuple(effect.shape_name(s) for s in effect.column_shapes),
-        )
+        c, effect, columns = block.coefficient, block.effect, ColumnsOf.of(block.effect)
+        names, learned = tuple(map(effect.shape_name, effect.column_shapes)), c.group_sd is not None
+        own = c.per, c.mean, c.size, c.flat, learned
+        return cls(effect, effect.name, *own, columns, names, columns.key)
 
 
 class Term(NamedTuple):
@@ -100,14 +89,10 @@ class Term(NamedTuple):
         if key not in plain:
             plain[key] = CoefficientTerms.of_block(block)
         known: CoefficientTerms = plain[key]
+        same = "index", "slot", "size", "place", "factor", "value"
         return cls(
             known=known,
-            index=block.index,
-            slot=block.slot,
-            size=block.size,
-            place=block.place,
-            factor=block.factor,
-            value=block.value,
+            **{name: getattr(block, name) for name in same},
             prior_sd=known.prior_sd * size_factors.get(known.of, 1.0),
             group_sd_name=block.group_sd_name if known.learned else None,
             members=tuple(block.member_names()) if block.place == "phi" else (),

@@ -66,8 +66,13 @@ def calibrate_channels(
         InputError: fewer than two channels, or models, readings and holdout of different ones.
         ModelError: the readings lack what a model needs.
     """
-    _refuse_different(models, readings, holdout)
-
+    for given in (readings, holdout):
+        if given is not None and set(given) != set(models):
+            raise InputError(
+                f"models are given for {', '.join(models)}; readings for {', '.join(given)}: give both for each channel"
+            )
+    if len(models) < 2:
+        raise InputError("a unit has two channels or more: use `calibrate` for one")
     channels, trails = list[_Channel](), dict[str, SearchPath]()
 
     def run() -> Channels:
@@ -76,15 +81,8 @@ def calibrate_channels(
             if kept is not None:
                 model.require(kept)
             used = with_causes(readings[name], model.instrument, ignore, covariates)
-            loop = Loop(
-                set_aside(used, keep_spikes),
-                kept,
-                method,
-                seed,
-                reference,
-                max_effects,
-                frozenset(accept_conflicts),
-            )
+            used, accepted = set_aside(used, keep_spikes), frozenset(accept_conflicts)
+            loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
             with stage(name), deadline.share(1 / (2 * len(models) - i)):
                 channels.append(_Channel.begun(name, model, loop, effects, widen_noise))
             deadline.offer(so_far)
@@ -101,16 +99,6 @@ def calibrate_channels(
 
     with deadline.until(time_limit), deadline.share(WORK):
         return deadline.within(run)
-
-
-def _refuse_different(models, readings, holdout) -> None:
-    for given in (readings, holdout):
-        if given is not None and set(given) != set(models):
-            raise InputError(
-                f"models are given for {', '.join(models)}; readings for {', '.join(given)}: give both for each channel"
-            )
-    if len(models) < 2:
-        raise InputError("a unit has two channels or more: use `calibrate` for one")
 
 
 @dataclass(eq=False)
@@ -196,9 +184,8 @@ class _Channel:
         # Only a shape moved: totals of the former round, corrected by what the prior odds changed, are what to
         # expect.
         for structure, total in () if searched else known.items():
-            after.expect(
-                structure, total + after.log_prior(structure) - before.log_prior(structure)
-            )
+            changed = total + after.log_prior(structure) - before.log_prior(structure)
+            after.expect(structure, changed)
         for structure, weighed in before.visited.items():
             if structure.effects.isdisjoint(news):
                 log_prior = after.log_prior(structure)
@@ -236,13 +223,8 @@ class _Channel:
             return self.loop.not_searched(self.first, self.stopped)
         if self.structures is None:
             return self.loop.not_looked(self.first)
-        return self.loop.steps_to_best(
-            self.first,
-            Library(self.structures),
-            self.shut,
-            self.stopped,
-            lambda trail: follow(self.name, trail),
-        )
+        library, to = Library(self.structures), partial(follow, self.name)
+        return self.loop.steps_to_best(self.first, library, self.shut, self.stopped, to)
 
 
 def _shared(channels: Sequence[_Channel]) -> list[SharedShape]:
@@ -255,9 +237,7 @@ def _shared(channels: Sequence[_Channel]) -> list[SharedShape]:
     # Coordinate ascent on a joint posterior: each channel given what all others say now.
     for _ in range(ROUNDS):
         moved = []
-        for c in (
-            channels
-        ):  # each hears what those before it now say: told all at once, they would swap opinions
+        for c in channels:  # one by one: told all at once, they would swap opinions
             found = _said(channels, shapes, alone)
             with stage(c.name):
                 moved.append(c.hear({n: found[n].from_others(c.name) for n in c.shared}))

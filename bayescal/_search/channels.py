@@ -47,13 +47,13 @@ class Channels(Printed):
     @property
     def effects(self) -> tuple[str, ...]:
         """Effects that some channel's last model holds, in the order of the models."""
-        return tuple(
-            dict.fromkeys(n for t in self.trails.values() for n in t.final.calibration.model.names)
-        )
+        models = (t.final.calibration.model for t in self.trails.values())
+        return tuple(dict.fromkeys(n for model in models for n in model.names))
 
     def __str__(self) -> str:
-        head = ["", *self.trails]
-        parts = [table(head, [*self._errors(), *map(self._effect, self.effects), self._noise()])]
+        noise = ["noise", *(t.final.calibration.model.noise.law for t in self.trails.values())]
+        rows = [*self._errors(), *map(self._effect, self.effects), noise]
+        parts = [table(["", *self.trails], rows)]
         parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
         parts += [  # of a search that ended early; one that could not begin is not reliable, which is said
             f"{n}: {t.search.stopped}"
@@ -105,9 +105,6 @@ class Channels(Printed):
             mean, sd = _size(trail.final.calibration, name)
             cells.append("–" if mean is None else with_error(mean, sd))
         return [name, *cells]
-
-    def _noise(self) -> list[str]:
-        return ["noise", *(t.final.calibration.model.noise.law for t in self.trails.values())]
 
 
 def _size(calibration: Calibration, name: str) -> tuple[float | None, float]:

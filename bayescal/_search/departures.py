@@ -148,9 +148,7 @@ def scored(line: LinearModel, form: Form) -> ScoredDeparture | None:
     inside = line.projected(columns)
     information = columns.T @ columns - inside.T @ inside
     u = columns.T @ line.white_residual
-    best = ScoredDeparture(made, -math.inf, {})
-    shapes = made.shapes
-    gains = []
+    best, shapes, gains = ScoredDeparture(made, -math.inf, {}), made.shapes, []
     # The score's mean over amplitude and length, at the middles of thirds of either prior.
     for at in np.stack(np.meshgrid(*[LEVELS] * len(shapes)), axis=-1).reshape(-1, len(shapes)):
         values = {s.name: float(s.prior.value(v)) for s, v in zip(shapes, at, strict=True)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,9 +96,8 @@ def _where_and_how_far(calibration: Calibration, rows: Int[np.ndarray, "k"]) -> 
     chosen[rows] = 1.0
     # The mean over the selection is that of a column which is one there, after the model has been fitted to it too:
     # its score over its information, and the square root of the latter for z.
-    pull, weight = calibration.linear.along(chosen)
-    mean = float(pull[0] / weight[0, 0]) if weight[0, 0] > 0 else 0.0
-    z = float(pull[0] / np.sqrt(weight[0, 0])) if weight[0, 0] > 0 else 0.0
+    (pull,), ((weight,),) = calibration.linear.along(chosen)
+    mean, z = (pull / weight, pull / np.sqrt(weight)) if weight > 0 else (0.0, 0.0)
     unit, readings = unit_label(calibration.unit), calibration.readings
     places = []
     for name, values in derived(readings).items():
@@ -110,47 +110,32 @@ def _where_and_how_far(calibration: Calibration, rows: Int[np.ndarray, "k"]) -> 
     if len(levels) > 1 and len(inside) < len(levels):
         places.append(f"run {', '.join(levels[c] for c in inside)}")
     where = f" ({'; '.join(places)})" if places else ""
-    count = (
-        f"In the {rows.size} selected readings{where}"
-        if rows.size > 1
-        else f"In row {rows[0] + 1}{where}"
-    )
+    which = f"the {rows.size} selected readings" if rows.size > 1 else f"row {rows[0] + 1}"
     rms = number(float(np.sqrt(np.mean(residual[rows] ** 2))))
-    return f"{count} the residuals have the mean {mean:+.3g} {unit} (z = {z:+.1f}) and {rms} {unit} rms."
+    return f"In {which}{where} the residuals have the mean {mean:+.3g} {unit} (z = {z:+.1f}) and {rms} {unit} rms."
 
 
 def _explaining(
     calibration: Calibration, rows: Int[np.ndarray, "k"], previews: Previews, against: str
 ) -> Preview | None:
     """The unknown dependence with the most evidence, of those that explain the selection about as well as any."""
-    names = [
-        n
-        for n, e in previews.effects.items()
-        if e.is_placeholder
-        and n not in calibration.model.names
-        and (not against or _along(n) == against)
-    ]
     found: list[tuple[float, Preview]] = []
     residual = calibration.linear.settled[rows]
-    for name in names:
-        try:
-            one = previews.of(name)
-        except ModelError:  # not beside this noise law
+    for name, effect in previews.effects.items():
+        along = name.removeprefix("unknown(").removesuffix(")").split(",")[0]
+        if (
+            not effect.is_placeholder
+            or name in calibration.model.names
+            or along != (against or along)
+        ):
             continue
-        explained = float(np.sum(residual**2) - np.sum((residual - one.curve[rows]) ** 2))
-        if (one.log_bayes_factor or 0.0) > searching().strong:
-            found.append((explained, one))
-    most = max((explained for explained, _ in found), default=0.0)
+        with suppress(ModelError):  # not beside this noise law
+            one = previews.of(name)
+            explained = float(np.sum(residual**2) - np.sum((residual - one.curve[rows]) ** 2))
+            if (one.log_bayes_factor or 0.0) > searching().strong and explained > 0:
+                found.append((explained, one))
     # What explains the selection best by squares may be a curve that bends after it: of those nearly as good, the one
     # with the most evidence over all readings.
-    near = [
-        one
-        for explained, one in found
-        if explained >= searching().stands_for * most and explained > 0
-    ]
+    most = searching().stands_for * max((explained for explained, _ in found), default=0.0)
+    near = [one for explained, one in found if explained >= most]
     return max(near, key=lambda one: one.log_bayes_factor or 0.0, default=None)
-
-
-def _along(name: str) -> str:
-    """The covariate of "unknown(time, jump)"."""
-    return name.removeprefix("unknown(").removesuffix(")").split(",")[0]

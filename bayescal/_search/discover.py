@@ -114,8 +114,7 @@ class Discovery(Printed):
         lines = [*_findings(self), *map(str, self.departures)]
         if self.noise:
             shown = [n for n in self.noise if n.probability >= searching().shown]
-            line = f"noise law (probability): {', '.join(map(str, shown))}"
-            lines.append(textwrap.fill(line, WIDTH, subsequent_indent="  "))
+            lines.append(_folded(f"noise law (probability): {', '.join(map(str, shown))}"))
         lines += [self.stopped, *(textwrap.fill(f"unit? {w}", WIDTH) for w in self.off_scale)]
         quiet = (None, "not visible")  # an unknown dependence without evidence is not printed
         tested = [
@@ -221,18 +220,18 @@ def structures_over(
 ) -> tuple[Structures, list[Candidate]]:
     """All structures over a model, and the candidates that these readings cannot test, each with the reason."""
     instrument = model.instrument
-    known = {e.name: e for e in (*instrument.candidates, *instrument.effects, *effects)}
-    for effect in placeholders(model, readings):
-        known.setdefault(effect.name, effect)
+    listed = (*instrument.candidates, *instrument.effects)
+    known = {e.name: e for e in (*listed, *effects)}
+    known |= {e.name: e for e in placeholders(model, readings) if e.name not in known}
     own = {e.name for e in effects}  # who gives an effect says what it depends on
-    gone = {
-        n: f"the column {', '.join(columns)} is left out"
-        for n, e in known.items()
-        if n not in own and (columns := sorted(readings.no_causes.intersection(e.columns)))
-    }
-    reasons = {
-        n: gone.get(n) or testable(e, readings) for n, e in known.items() if n not in model.names
-    }
+
+    def untestable(effect: Effect) -> str | None:
+        gone = sorted(readings.no_causes.intersection(effect.columns))
+        if gone and effect.name not in own:
+            return f"the column {', '.join(gone)} is left out"
+        return testable(effect, readings)
+
+    reasons = {n: untestable(e) for n, e in known.items() if n not in model.names}
     open_ = {n: known[n] for n, reason in reasons.items() if reason is None}
     shut = [
         Candidate(n, kind="not testable", reason=reason)
@@ -303,13 +302,11 @@ def discovery_at(
     in_sets = {name: set(f.effects) for f in found for name in f.effects}
     judged = []
     for name in names:
-        with_it = structures.visited.get(at.plus(name))
-        candidate = judge(library, points[name], here, with_it)
         # Confounded are those whose fitted contributions are parallel, and those that take each other's place in a
         # finding.
         near = (same[name] | in_sets.get(name, set())) - {name}
         candidate = replace(
-            candidate,
+            judge(library, points[name], here, structures.visited.get(at.plus(name))),
             probability=posterior.inclusion(name),
             indistinguishable_from=tuple(sorted(near)),
         )
@@ -318,14 +315,17 @@ def discovery_at(
     new, made = posterior.chosen.effects - at.effects, structures.weigh(posterior.chosen)
     best = [made.sized_model.effect(name) for name in structures.candidates if name in new]
     departures = _departures(structures, posterior.chosen, here)
-    leads = [c.effect for c in ranked if c.kind == "lead"]
+    # What another experiment should tell apart, the most probable first.
+    first = list(found[0].effects) if found else []
+    leads = [c.effect for c in ranked if c.kind == "lead"] if len(first) < 2 else []
+    rivals = list(dict.fromkeys(first + leads))[:RIVALS]
     return Discovery(
         nothing_missing=posterior.nothing(c.effect for c in judged if c.unseen),
         sets=found,
         candidates=(*ranked, *shut),
         best=tuple(dict.fromkeys((*best, *departures))),
         departures=tuple(departures.values()),
-        rivals=tuple(structures.candidates[n] for n in _rivals(posterior, leads)),
+        rivals=tuple(structures.candidates[n] for n in rivals),
         noise=tuple(_laws(structures, posterior)),
         stopped=stopped,
         off_scale=too_small_or_large(library, points, here),
@@ -349,12 +349,6 @@ def _departures(structures: Structures, to: Structure, here: Weighed) -> dict[Ef
     return {e: departed(line, e) for e in end.departures if line and e.name not in had}
 
 
-def _rivals(posterior: Posterior, leads: list[str]) -> list[str]:
-    """Names of what another experiment should tell apart, the most probable first."""
-    first: list[str] = list(posterior.findings[0].effects) if posterior.findings else []
-    return list(dict.fromkeys(first + (leads if len(first) < 2 else [])))[:RIVALS]
-
-
 def _plausible(effect: Effect) -> float:
     """The size that an effect plausibly has, in the unit in which it is reported."""
     amplitude = next((s for s in effect.shapes if s.name == effect.measure), None)
@@ -370,15 +364,14 @@ def _findings(found: Discovery) -> list[str]:
     for c in found.candidates:
         if c.effect.endswith(FREED) and c.probability is not None:
             rest = [r for r in found.candidates if not r.effect.endswith(FREED)]
-            rival = next((r for r in rest if (r.probability or 0.0) >= searching().shown), None)
-            other = (
-                f", or {rival.effect} is missing ({probability(rival.probability)})"
-                if rival
-                else ""
-            )
-            stated = c.effect.removesuffix(FREED)
+            rivals = [
+                f", or {r.effect} is missing ({probability(r.probability)})"
+                for r in rest
+                if (r.probability or 0.0) >= searching().shown
+            ]
             lines.append(
-                f"{stated} contradicts its prior: its stated value is wrong ({probability(c.probability)}){other}"
+                f"{c.effect.removesuffix(FREED)} contradicts its prior: its stated value is wrong "
+                f"({probability(c.probability)}){''.join(rivals[:1])}"
             )
     return lines
 
@@ -396,18 +389,18 @@ def _candidate_row(c: Candidate) -> list[str]:
     ]
 
 
+def _folded(line: str) -> str:
+    return textwrap.fill(line, WIDTH, subsequent_indent="  ")
+
+
 def _alike(found: Discovery) -> list[str]:
     """One line for each group of confounded candidates."""
-    groups: dict[frozenset[str], str] = {}
+    groups: list[tuple[str, ...]] = []
     for c in found.candidates:
-        if c.indistinguishable_from:
-            members = (c.effect, *c.indistinguishable_from)
-            if not any(frozenset(members) <= known for known in groups):
-                groups[frozenset(members)] = ", ".join(members)
-    return [
-        textwrap.fill(f"confounded: {names}", WIDTH, subsequent_indent="  ")
-        for names in groups.values()
-    ]
+        members = (c.effect, *c.indistinguishable_from)
+        if len(members) > 1 and not any({*members} <= {*known} for known in groups):
+            groups.append(members)
+    return [_folded(f"confounded: {', '.join(members)}") for members in groups]
 
 
 def _not_testable(found: Discovery) -> list[str]:
@@ -416,7 +409,4 @@ def _not_testable(found: Discovery) -> list[str]:
     for c in found.candidates:
         if c.kind == "not testable":
             by_reason.setdefault(c.reason, []).append(c.effect)
-    return [
-        textwrap.fill(f"not testable, {reason}: {', '.join(names)}", WIDTH, subsequent_indent="  ")
-        for reason, names in by_reason.items()
-    ]
+    return [_folded(f"not testable, {why}: {', '.join(n)}") for why, n in by_reason.items()]

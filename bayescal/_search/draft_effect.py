@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -65,44 +67,24 @@ def shape_of(calibration: Calibration, name: str) -> DraftShape:
     covariate = inside.split(",")[0] if inside in FORMS else inside
     low, high = (calibration.reference[f"{covariate}_{end}"] for end in ("low", "high"))
     assert isinstance(low, float) and isinstance(high, float)
-    coefficients = np.stack(
-        [calibration.samples(effect.coefficient_name(i)) for i in range(len(effect.coefficients))],
-        axis=1,
-    )
+    names = [effect.coefficient_name(i) for i in range(len(effect.coefficients))]
+    coefficients = np.stack([calibration.samples(n) for n in names], axis=1)
     shapes = {s.name: calibration.samples(effect.shape_name(s)) for s in effect.column_shapes}
+    # In place of readings: a covariate that goes through its range.
+    places = jnp.linspace(0.0, 1.0, POINTS)
+    ramp: Any = SimpleNamespace(position=lambda covariate: places)
     # Two hundred draws, spread over all: mean and scatter of a curve to a fourteenth of its scatter.
-    step = max(1, len(coefficients) // 200)
-    draws = []
-    waves = _Ramp(jnp.linspace(0.0, 1.0, POINTS))
+    step, draws = max(1, len(coefficients) // 200), []
     for i in range(0, len(coefficients), step):
-        columns = np.asarray(effect.basis(waves, **{s: v[i] for s, v in shapes.items()}))
+        columns = np.asarray(effect.basis(ramp, **{s: v[i] for s, v in shapes.items()}))
         draws.append(columns.reshape(POINTS, -1) @ coefficients[i])
     curves = np.array(draws)
     curves -= curves.mean(axis=1, keepdims=True)  # a constant belongs to the bias
-    mean = curves.mean(axis=0)
-    at = np.linspace(low, high, POINTS)
+    mean, at = curves.mean(axis=0), np.linspace(low, high, POINTS)
     own = np.interp(derived(calibration.readings, every=True)[covariate], at, mean)
-    output = calibration.readings["output"]
-    size = float(own.std())
-    return DraftShape(
-        name,
-        covariate,
-        at,
-        mean,
-        curves.std(axis=0),
-        size,
-        size**2 / max(float(output.var()), 1e-300),
-    )
-
-
-@dataclass(frozen=True)
-class _Ramp:
-    """In place of readings: a covariate that goes through its range."""
-
-    places: object
-
-    def position(self, covariate: str):
-        return self.places
+    size, output = float(own.std()), float(calibration.readings["output"].var())
+    share = size**2 / max(output, 1e-300)
+    return DraftShape(name, covariate, at, mean, curves.std(axis=0), size, share)
 
 
 def draft_effect(calibration: Calibration, name: str) -> str:
@@ -110,96 +92,72 @@ def draft_effect(calibration: Calibration, name: str) -> str:
 
     Args, Raises: as `shape_of`.
     """
-    shape = shape_of(calibration, name)
-    words, basis, middle = _closest(shape)
-    slot, instrument = calibration.model.effect(name).slot, calibration.model.instrument
-    unit = calibration.unit
-    word = identifier(shape.covariate)[:40]
-    taken = {
-        e.name for e in (*instrument.effects, *instrument.candidates, *calibration.model.effects)
-    }
-    word += "_own" if f"{slot}.{word}" in taken else ""
-    column = shape.covariate.removesuffix(" rate")
-    value = (
-        f"r.rate({python_string(column)})"
-        if shape.covariate.endswith(" rate")
-        else f"r[{python_string(column)}]"
-    )
-    value = "r.elapsed" if shape.covariate == "elapsed" else value
-    columns = '("time",)' if shape.covariate == "elapsed" else f"({python_string(column)},)"
-    size = float(f"{2 * max(shape.size, 1e-300):.2g}")
-    return "\n".join(
-        [
-            f"# {python_words(name)}: {words}",
-            "import bayescal as bc",
-            "import jax.numpy as jnp",
-            "",
-            "",
-            f"def {word}(r):  # columns in the units of the instrument, others in base units, ratios as plain numbers",
-            f"    x = ({value} - {middle:.6g}) / {float(np.ptp(shape.at)):.6g}  # −½ … ½ over the range seen",
-            f"    return {basis}",
-            "",
-            "",
-            f"effect = bc.Effect({python_string(f'{slot}.{word}')}, {python_string(slot)}, {word}, "
-            f"(bc.Coefficient({python_string(unit)}, bc.Normal(0.0, {size:g})),), columns={columns})",
-        ]
+    shape, model = shape_of(calibration, name), calibration.model
+    words, basis = _closest(shape)
+    slot, word = model.effect(name).slot, identifier(shape.covariate)[:40]
+    known = (*model.instrument.effects, *model.instrument.candidates, *model.effects)
+    word += "_own" if f"{slot}.{word}" in {e.name for e in known} else ""
+    column = python_string(shape.covariate.removesuffix(" rate"))
+    value = f"r.rate({column})" if shape.covariate.endswith(" rate") else f"r[{column}]"
+    if shape.covariate == "elapsed":
+        value, column = "r.elapsed", '"time"'
+    return DRAFT.format(
+        **{"looks": f"{python_words(name)}: {words}", "word": word, "value": value},
+        **{"basis": basis, "columns": f"({column},)", "unit": python_string(calibration.unit)},
+        **{"name": python_string(f"{slot}.{word}"), "slot": python_string(slot)},
+        middle=float(0.5 * (shape.at[0] + shape.at[-1])),
+        span=float(np.ptp(shape.at)),
+        size=float(f"{2 * max(shape.size, 1e-300):.2g}"),
     )
 
 
-def _closest(shape: DraftShape) -> tuple[str, str, float]:
-    """(what it resembles, in words; the basis as Python; the middle of the range)."""
+DRAFT = """\
+# {looks}
+import bayescal as bc
+import jax.numpy as jnp
+
+
+def {word}(r):  # columns in the units of the instrument, others in base units, ratios as plain numbers
+    x = ({value} - {middle:.6g}) / {span:.6g}  # −½ … ½ over the range seen
+    return {basis}
+
+
+effect = bc.Effect({name}, {slot}, {word}, (bc.Coefficient({unit}, bc.Normal(0.0, {size:g})),), columns={columns})"""
+
+
+def _closest(shape: DraftShape) -> tuple[str, str]:
+    """What it resembles, in words, and the basis as Python."""
     x = np.linspace(-0.5, 0.5, POINTS)
-    forms = [("a line", "x", x), ("a parabola", "x**2", x**2), ("a cubic", "x**3", x**3)]
+    forms = [("a line", "x"), ("a parabola", "x**2"), ("a cubic", "x**3")]
     forms += [
-        (
-            f"an exponential of width {w:g} of the range",
-            f"jnp.exp(-(x + 0.5) / {w:g})",
-            np.exp(-(x + 0.5) / w),
-        )
+        (f"an exponential of width {w:g} of the range", f"jnp.exp(-(x + 0.5) / {w:g})")
         for w in WIDTHS
     ]
     forms += [
-        (
-            f"a step at {p + 0.5:.2g} of the range",
-            f"jnp.where(x > {p:.3g}, 0.5, -0.5)",
-            0.5 * np.sign(x - p),
-        )
+        (f"a step at {p + 0.5:.2g} of the range", f"jnp.where(x > {p:.3g}, 0.5, -0.5)")
         for p in PLACES
     ]
-    best = max(forms, key=lambda form: _share(shape.mean, [form[2]]))
-    share = _share(shape.mean, [best[2]])
-    words, basis = best[0], best[1]
+    curves = [x, x**2, x**3, *(np.exp(-(x + 0.5) / w) for w in WIDTHS)]
+    curves += [0.5 * np.sign(x - p) for p in PLACES]
+    shares = [_fitted(shape.mean, [curve])[0] for curve in curves]
+    share, (words, basis) = max(shares), forms[int(np.argmax(shares))]
     # Simple forms first: a sine has a free period and resembles almost any curve.
     if share < searching().simple:
-        period = max(PERIODS, key=lambda p: _share(shape.mean, _waves(x, p)))
-        waves = _share(shape.mean, _waves(x, period))
-        if waves > share:
-            phase = _phase(shape.mean, x, period)
-            angle = f"{2 * math.pi / period:.4g} * x + {phase:.4g}"
+        angles = [2 * math.pi * x / p for p in PERIODS]
+        waves = [_fitted(shape.mean, [np.sin(a), np.cos(a)]) for a in angles]
+        best = int(np.argmax([one for one, _ in waves]))
+        period, (wave, (_, sine, cosine)) = PERIODS[best], waves[best]
+        if wave > share:
+            # a·sin + b·cos = √(a² + b²)·sin(· + φ), tan φ = b/a.
+            angle = f"{2 * math.pi / period:.4g} * x + {math.atan2(cosine, sine):.4g}"
             words, basis = f"a sine of period {period:.2g} of the range", f"jnp.sin({angle})"
-            share = waves
-    middle = float(0.5 * (shape.at[0] + shape.at[-1]))
-    return (
-        f"resembles {words} ({100 * share:.0f} % of its variance); is that the physics?",
-        basis,
-        middle,
-    )
+            share = wave
+    return f"resembles {words} ({100 * share:.0f} % of its variance); is that the physics?", basis
 
 
-def _share(curve: np.ndarray, columns: list[np.ndarray]) -> float:
-    """Share of a curve's variance that columns and a constant have."""
+def _fitted(curve: np.ndarray, columns: list[np.ndarray]) -> tuple[float, np.ndarray]:
+    """Share of a curve's variance that a constant and columns have, and their coefficients."""
     matrix = np.column_stack([np.ones_like(curve), *columns])
-    rest = curve - matrix @ np.linalg.lstsq(matrix, curve, rcond=None)[0]
-    return 1 - float(rest.var() / max(curve.var(), 1e-300))
-
-
-def _waves(x: np.ndarray, period: float) -> list[np.ndarray]:
-    angle = 2 * math.pi * x / period
-    return [np.sin(angle), np.cos(angle)]
-
-
-def _phase(curve: np.ndarray, x: np.ndarray, period: float) -> float:
-    matrix = np.column_stack([np.ones_like(x), *_waves(x, period)])
-    # a·sin + b·cos = √(a² + b²)·sin(· + φ), tan φ = b/a.
-    _, sine, cosine = np.linalg.lstsq(matrix, curve, rcond=None)[0]
-    return math.atan2(cosine, sine)
+    found = np.linalg.lstsq(matrix, curve, rcond=None)[0]
+    rest = curve - matrix @ found
+    return 1 - float(rest.var() / max(curve.var(), 1e-300)), found

@@ -76,10 +76,14 @@ def false_reports(
     if campaigns < 1:
         raise InputError(f"false reports: {campaigns} campaigns were asked for; ask for 1 or more")
     model, readings = calibration.model, calibration.readings
-    found: Counter[str] = Counter()
-    reported = 0
+    found, reported = Counter[str](), 0
     with stage(f"searching {campaigns} campaigns for which the model is complete"):
-        outputs = _simulated(calibration, campaigns, seed)
+        x, rows, v = calibration.draws()
+        # A draw for each campaign: the rate is that over the posterior, not at one of its values.
+        random = np.random.default_rng(seed)
+        chosen = random.integers(len(x), size=campaigns)
+        draws = Vectors(x[chosen], rows[chosen], v[chosen])
+        outputs = replicate(calibration.assembly, draws, random)
     end, searched = deadline.current(), 0
     for output in outputs:
         if end.over:
@@ -100,13 +104,3 @@ def false_reports(
     # Clopper–Pearson holds its level for any rate, also where nothing was reported.
     low, high = binomtest(reported, searched).proportion_ci(LEVEL, method="exact")
     return FalseReports(searched, reported, (float(low), float(high)), dict(found.most_common()))
-
-
-def _simulated(calibration: Calibration, count: int, seed: int) -> np.ndarray:
-    """Outputs (count, n), each from a posterior draw of its own."""
-    x, rows, v = calibration.draws()
-    # A draw for each campaign: the rate is that over the posterior, not at one of its values.
-    random = np.random.default_rng(seed)
-    chosen = random.integers(len(x), size=count)
-    draws = Vectors(x[chosen], rows[chosen], v[chosen])
-    return replicate(calibration.assembly, draws, random)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import permutations
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -108,39 +109,26 @@ def next_experiment(
         raise ModelError(
             f"next_experiment needs two effects or more to tell apart, not {len(chosen)}"
         )
-    plans = (
-        {
-            name: Measurements.from_arrays(instrument, **record())
-            for name, record in instrument.experiments
-        }
-        if experiments is None
-        else dict(experiments)
-    )
+    plans = experiments
+    if plans is None:
+        listed = instrument.experiments
+        plans = {n: Measurements.from_arrays(instrument, **record()) for n, record in listed}
     if not plans:
         raise ModelError(
             f"Instrument {instrument.name!r} lists no experiment: give readings of feasible campaigns, "
             "next_experiment(calibration, effects, {'slower': readings, …})"
         )
     with stage("fitting each possibility"):
-        fits = {e.name: _fitted(calibration, e) for e in chosen}
+        method = LeastSquares(draws=DRAWS)
+        how: dict[str, Any] = {"reference": calibration.reference, "strict": False}
+        fits = {
+            e.name: fit(calibration.model + e, calibration.readings, method, **how) for e in chosen
+        }
     # Covariances of n readings are n × n, and factorised for each pair of possibilities: long campaigns are thinned.
     longest = min(MOST, max(len(readings) for readings in plans.values()))
     with stage("expecting the outcome of each experiment"):
-        found = [
-            Experiment(name, _expected(fits, readings, longest), readings)
-            for name, readings in plans.items()
-        ]
+        found = [Experiment(n, _expected(fits, r, longest), r) for n, r in plans.items()]
     return NextExperiment(tuple(fits), tuple(sorted(found, key=lambda e: -e.worst)))
-
-
-def _fitted(calibration: Calibration, effect: Effect) -> Calibration:
-    return fit(
-        calibration.model + effect,
-        calibration.readings,
-        LeastSquares(draws=DRAWS),
-        reference=calibration.reference,
-        strict=False,
-    )
 
 
 def _expected(
@@ -209,10 +197,7 @@ def expected_readings(
     count = kept.size
     readings = readings.select(np.concatenate([kept, np.full(length - count, kept[-1])]))
     frame = build_frame(readings, calibration.reference)
-    counts = {
-        **dict(calibration.layout.counts),
-        "reading": len(readings),
-    }
+    counts = {**dict(calibration.layout.counts), "reading": len(readings)}
     x, rows, v = calibration.draws(draws)
     rows = np.zeros((len(x), len(readings), rows.shape[2]))
     # Members of groups in a campaign to come are new ones: their codes are taken away from the means, and their

@@ -106,7 +106,7 @@ class ReadingPlan:
             [c.name, str(len(c.readings)), number(c.u), f"{100 * (1 - c.u / self.u):.0f} %"]
             for c in self.campaigns
         ]
-        head = ["campaign", "readings", _head_of_u("after", unit), "less by"]
+        head = ["campaign", "readings", _with_unit("u after it", unit), "less by"]
         lines = [f"{self.limit.text}\nstandard uncertainty now: {number(self.u)} {unit}".rstrip()]
         if np.isfinite(self.tolerance):
             lines[0] += f", {self.u / self.tolerance:.2g} of the tolerance"
@@ -120,7 +120,7 @@ class ReadingPlan:
         best = self.campaigns[0]
         if self.picked:
             names = list(self.picked[0].at)
-            head = ["#", *(f"{n}, {u}" if (u := unit_label(self.units[n])) else n for n in names)]
+            head = ["#", *(_with_unit(n, unit_label(self.units[n])) for n in names)]
             rows = [
                 [str(i), *(number(p.at[n]) for n in names), number(p.u)]
                 for i, p in enumerate(self.picked, 1)
@@ -130,7 +130,7 @@ class ReadingPlan:
                 f"{len(self.picked)} of the {len(best.readings)} readings of {best.name!r} give "
                 f"{100 * share:.0f} % of that:"
             )
-            lines.append(table([*head, _head_of_u("with", unit)], rows))
+            lines.append(table([*head, _with_unit("u with it", unit)], rows))
         return "\n".join(lines)
 
     def data(self) -> dict[str, object]:
@@ -153,8 +153,8 @@ class ReadingPlan:
         }
 
 
-def _head_of_u(when: str, unit: str) -> str:
-    return f"u {when} it, {unit}" if unit else f"u {when} it"
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name}, {unit}" if unit else name
 
 
 def plan_readings(
@@ -213,19 +213,17 @@ def plan_readings(
     vector = calibration.model.instrument.vector
     made = {"time", *ACROSS, *(vector.outputs if vector is not None and vector.acting else ())}
     numbers = [c for c in acting if c not in made and _differs(best.readings, c)]
-    picked = tuple(
-        PickedReading(
-            int(kept[i]), {c: float(best.readings[c][kept[i]]) for c in numbers}, float(left)
-        )
-        for i, left in joint.picked(count)
-    )
+    picked = []
+    for i, left in joint.picked(count):
+        at = {c: float(best.readings[c][kept[i]]) for c in numbers}
+        picked.append(PickedReading(int(kept[i]), at, float(left)))
     return ReadingPlan(
         limit=stated,
         u=u,
         tolerance=0.5 * (quantity.limits.high - quantity.limits.low),
         unit=quantity.unit,
         campaigns=tuple(campaign for campaign, _, _ in found),
-        picked=picked,
+        picked=tuple(picked),
         units={c: best.readings.unit(c) for c in numbers},
         notes=(
             *(f"{clause}; there the model is carried on" for clause in quantity.not_covered),

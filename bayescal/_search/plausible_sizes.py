@@ -76,11 +76,8 @@ class _AtSizes:
 
     def __init__(self, assembly: Assembly, mode: Mode, made_at: Mapping[str, float]):
         density, hyper = Density(assembly, mode.point, mode.flat), assembly.hyper(mode.v)
-        self.gram, self.at, self.size = (
-            density.gram(mode.v, hyper),
-            mode.point.x,
-            assembly.record.size,
-        )
+        self.gram, self.at = density.gram(mode.v, hyper), mode.point.x
+        self.size = assembly.record.size
         self.prior, self.made_at = assembly.prior(hyper, mode.flat), dict(made_at)
         # Learned spreads are no plausible sizes: φ has them, and the evidence is averaged over them already.
         self.places = {

@@ -143,9 +143,8 @@ class Posterior:
             effects |= {likely}
             inside = [(s, p) for s, p in inside if likely in s.effects]
         effects |= found
-        return Structure(
-            effects, next((s for s in self.structures if s.effects >= effects), self.best).noise
-        )
+        law = next((s for s in self.structures if s.effects >= effects), self.best).noise
+        return Structure(effects, law)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from bayescal._inference.mode import find_mode
 from bayescal._inference.record import Record
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
-from bayescal._model.parameters import Layout, bind
+from bayescal._model.parameters import bind
 from bayescal._search.discover import placeholders
 
 FEW = 100  # draws of a fit whose mode alone is used
@@ -143,10 +143,8 @@ class Previews:
         return made
 
     def _previewed(self, effect: Effect) -> Preview:
-        before = self.calibration
-        model = before.model + effect
-        reason = testable(effect, before.readings)
-        if reason is not None:
+        model = self.calibration.model + effect
+        if (reason := testable(effect, self.calibration.readings)) is not None:
             raise ModelError(
                 f"effect {effect.name!r} cannot be previewed: these readings cannot test it: it {reason}"
             )
@@ -191,13 +189,12 @@ class Previews:
         """A model fitted by least squares to the calibration's readings: about its mode, covariance, log evidence."""
         before = self.calibration
         model = sized(model, before.readings, before.frame)
-        layout = bind(model, before.readings)[0]
-        assembly = Assembly(layout, self.record)
+        assembly = Assembly(bind(model, before.readings)[0], self.record)
         if not refined:
             mode = find_mode(assembly)
             return linear_model(assembly, mode), np.zeros((0, 0)), mode.log_evidence
         found = solution_on(assembly)
-        evidence = None if layout.improper else float(found.mode.log_evidence)
+        evidence = None if assembly.layout.improper else float(found.mode.log_evidence)
         return linear_model(assembly, found.mode), np.asarray(found.covariance), evidence
 
 
@@ -206,13 +203,10 @@ def _size(effect: Effect, line: LinearModel, covariance: np.ndarray) -> tuple[fl
     assembly, mode = line.assembly, line.mode
     if learned := learned_size(effect, assembly, mode):
         return learned
-    layout: Layout = assembly.layout
-    block = next(b for b in layout.blocks if b.name == effect.coefficient_name(0))
-    if block.place == "x" and block.size == 1:
-        i = block.start
-        return float(mode.point.x[i]), math.sqrt(max(float(covariance[i, i]), 0.0))
-    if block.place == "x":  # a value for each member, of known spread
-        return float(
-            np.sqrt(np.mean(mode.point.x[block.start : block.start + block.size] ** 2))
-        ), 0.0
-    return effect.coefficients[0].size, 0.0
+    term = next(t for t in assembly.terms if t.known.of == effect.name and t.index == 0)
+    own, i = mode.point.x[term.at], term.at.start
+    if term.place != "x":
+        return effect.coefficients[0].size, 0.0
+    if term.size > 1:  # a value for each member, of known spread
+        return float(np.sqrt(np.mean(own**2))), 0.0
+    return float(own[0]), math.sqrt(max(float(covariance[i, i]), 0.0))

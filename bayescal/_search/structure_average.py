@@ -8,7 +8,7 @@ Source: J. Hoeting et al., Statist. Sci. 14 (1999) 382 (Bayesian model averaging
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -36,7 +36,7 @@ PROPOSALS = 128, 4096  # for each structure's, at least and at most
 ROUNDS = 12  # of adaptation at most
 ABSENT = (
     -30.0
-)  # coordinate of a between-group standard deviation that is not there, 1e-13 of its scale
+)  # coordinate of a between-group standard deviation that is not there: 1e-13 of its scale
 
 
 @dataclass(frozen=True)
@@ -141,9 +141,8 @@ def _union(structures: Structures, models: Sequence[Model]) -> Model:
     for model in models:
         for effect in model.effects:
             known.setdefault(effect.name, effect)
-    order = [*structures.base.names, *structures.candidates]
     # In the catalogue's order, so that equal structures are equal models whatever the order they were found in.
-    places = {name: i for i, name in enumerate(order)}
+    places = {n: i for i, n in enumerate([*structures.base.names, *structures.candidates])}
     effects = sorted(known.values(), key=lambda e: places.get(e.name, len(places)))
     return Model(models[0].instrument, tuple(effects), models[0].noise, models[0].fixed)
 
@@ -159,33 +158,25 @@ def _together(
     # mean.
     x, v = np.zeros((total, layout.size)), np.zeros((total, len(layout.hypers)))
     rows = np.zeros((total, n, len(layout.row_blocks)))
-    begin = 0
-    for part, count in zip(parts, counts, strict=True):
-        at = slice(begin, begin + count)
+    for part, end, count in zip(parts, np.cumsum(counts), counts, strict=True):
+        at = slice(end - count, end)
         for b in layout.x_blocks:
             if b.name in part.coefficients:
                 x[at, b.start : b.start + b.size] = part.coefficients[b.name]
         for k, b in enumerate(layout.row_blocks):
             if b.name in part.rows:
                 rows[at, :, k] = part.rows[b.name]
-        begin += count
     for i, h in enumerate(layout.hypers):
         v[:, i] = _coordinates(h, parts, counts)
     random = np.random.default_rng(last.seed)
     order = random.permutation(total)[: CHAINS * (total // CHAINS)]
-    verdict = last.verdict
-    said = ", ".join(
-        f"{' + '.join(s.effects) or 'nothing added'} {s.probability:.2f}" for s in shares
-    )
-    notes = (
-        *verdict.notes,
-        f"Averaged over {len(shares)} structures with their probabilities: {said}.",
-    )
+    each = [f"{' + '.join(s.effects) or 'nothing added'} {s.probability:.2f}" for s in shares]
+    said = f"Averaged over {len(shares)} structures with their probabilities: {', '.join(each)}."
     return replace(
         last,
         model=model,
         joint=Draws.of(x[order], rows[order], v[order]),
-        verdict=replace(verdict, notes=notes),
+        verdict=replace(last.verdict, notes=(*last.verdict.notes, said)),
         method=f"{last.method}, averaged",
         layout=layout,
         mode=_mode(last, layout, x, rows, v),
@@ -198,21 +189,19 @@ def _coordinates(h, parts: Sequence[_Values], counts: Sequence[int]) -> Float[np
     # A shape of an effect that is not there moves nothing; any value serves, and the median keeps summaries
     # undisturbed.
     usual = float(np.median(np.concatenate(there)))
-    found = []
-    for part, count in zip(parts, counts, strict=True):
-        if h.name in part.hypers:
-            found.append(h.prior.coordinate(part.hypers[h.name]))
-        else:
-            learned = h.kind == "group_sd" and h.name.endswith(".group_sd")
-            found.append(np.full(count, ABSENT if learned else usual))
-    return np.concatenate(found)
+    learned, known = h.kind == "group_sd" and h.name.endswith(".group_sd"), iter(there)
+    absent = ABSENT if learned else usual
+    found = (
+        next(known) if h.name in part.hypers else np.full(count, absent)
+        for part, count in zip(parts, counts, strict=True)
+    )
+    return np.concatenate([*found])
 
 
 def _mode(last: Calibration, layout: Layout, x, rows, v) -> Mode:
     """Where the average is linearised: at the means of the draws."""
-    scales: Mapping[str, np.ndarray] = {
-        b.name: last.mode.flat[b.start : b.start + b.size] for b in last.layout.x_blocks
-    }
+    blocks = last.layout.x_blocks
+    scales = {b.name: last.mode.flat[b.start : b.start + b.size] for b in blocks}
     flat = [scales.get(b.name, np.ones(b.size)) for b in layout.x_blocks]
     middle = np.median(v, axis=0)
     # Absent spreads stand at −30: they must not count as scatter of the coordinate.

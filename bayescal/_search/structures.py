@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache
 
 import numpy as np
+from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
 from bayescal._calibration.settings import searching
@@ -28,9 +29,9 @@ from bayescal._model.parameters import Layout
 from bayescal._search.departures import Form, could_be_another, form_of, may_depart, scored
 from bayescal._search.noise_laws import OnResiduals, log_prior, on_residuals
 from bayescal._search.plausible_sizes import STILL, averaged, has_size
-from bayescal._search.starts import carried, starts
 
 WIDE = (-6.0, 6.0)  # coordinates of a noise's size
+UNKNOWN = 0.1  # variance of a coordinate of which nothing is known
 
 
 @dataclass(frozen=True)
@@ -130,10 +131,9 @@ class Structures:
                 # k candidates of odds o, each in or out by itself, are all out with probability (1 + o)⁻ᵏ. That this
                 # is `nothing` to the power of the group's part gives o = nothing^(−part/k) − 1, and the product over
                 # both groups is `nothing`.
-                each[name] = math.log(
-                    math.expm1(-math.log(searching().nothing) * part / len(names))
-                )
-        return {**each, **{n: v for n, v in self.odds.items() if n in each}}
+                odds = math.expm1(-math.log(searching().nothing) * part / len(names))
+                each[name] = self.odds.get(name, math.log(odds))
+        return each
 
     def log_prior(self, structure: Structure) -> float:
         """Of a structure, against that of the base."""
@@ -183,9 +183,8 @@ class Structures:
         """Refitted to the forms of its effects, then with departures from these where the evidence is strong."""
         found = self._refitted(structure, (), near, hints)
         correlated = not found.assembly.noise.independent
-        left = {
-            n: form for n in structure.effects if (form := self._form(n, correlated)) is not None
-        }
+        forms = {n: self._form(n, correlated) for n in structure.effects}
+        left = {n: form for n, form in forms.items() if form is not None}
         while left and math.isfinite(found.log_evidence):
             line = self.line(found)
             scores = [s for s in (scored(line, e) for e in left.values()) if s is not None]
@@ -278,3 +277,74 @@ class Structures:
     @property
     def best(self) -> Weighed:
         return max(self.visited.values(), key=lambda w: w.total)
+
+
+def carried(
+    assembly: Assembly, near: Assembly, mode: Mode
+) -> tuple[dict[str, float], Float[np.ndarray, "d d"]]:
+    """Another structure's φ̂ by name, in these priors' coordinates, and a first guess of φ's covariance.
+
+    Where the prior of a shape is another, both are moved: what the readings say, which is the other's Gaussian fit
+    without its prior, counts under this one's.
+
+    Args:
+        assembly: the structure to fit.
+        near: the other one.
+        mode: where that one has its mode.
+    """
+    places = {h.name: i for i, h in enumerate(near.hypers)}
+    at = [i for i, h in enumerate(assembly.hypers) if h.name in places]
+    there = [places[assembly.hypers[i].name] for i in at]
+    scale, middle = np.ones(len(at)), np.zeros(len(at))  # of these coordinates in the other's
+    for k, (i, j) in enumerate(zip(at, there, strict=True)):
+        own, other = assembly.hypers[i].prior, near.hypers[j].prior
+        if own != other:
+            # Both coordinates are linear in one another where both priors are of one family (log-normal, say): two
+            # points tell scale and middle.
+            ends = [own.coordinate(float(other.value(np.float64(v)))) for v in (0.0, 1.0)]
+            scale[k], middle[k] = ends[1] - ends[0], ends[0]
+    values = middle + scale * mode.v[there]
+    width = scale[:, None] * mode.covariance[np.ix_(there, there)] * scale
+    moved = np.array([(*pair,) != (1.0, 0.0) for pair in zip(scale, middle, strict=True)])
+    if moved.any() and np.all(np.isfinite(width)):
+        # In this structure's coordinate the other's prior is N(middle, scale²) and its own N(0, 1): one is taken out
+        # of the Gaussian fit and the other put in. Where that leaves no positive precision the fit is carried over as
+        # it is.
+        precision = np.linalg.inv(width) + np.diag(moved * (1 - scale**-2))
+        if np.all(np.linalg.eigvalsh(precision) > 0):
+            pull = np.linalg.solve(width, values) - moved * middle / scale**2
+            values, width = np.linalg.solve(precision, pull), np.linalg.inv(precision)
+    wide = UNKNOWN * np.eye(len(assembly.hypers))
+    wide[np.ix_(at, at)] = width
+    names = [assembly.hypers[i].name for i in at]
+    return dict(zip(names, values.tolist(), strict=True)), wide
+
+
+def starts(
+    assembly: Assembly,
+    near: Assembly,
+    known: Mapping[str, float],
+    hints: Sequence[Mapping[str, float]],
+) -> list[Float[np.ndarray, "d"]]:
+    """Coordinates to begin at: the other structure's, the hints, and others along each shape.
+
+    Args:
+        assembly: the structure to fit.
+        near: the other one.
+        known: its φ̂ by name, as `carried`.
+        hints: coordinates by name.
+    """
+    names, priors = [h.name for h in assembly.hypers], {h.name: h.prior for h in near.hypers}
+    here = {n: known.get(n, 0.0) for n in names}
+    found = [here, *({**here, **{n: v for n, v in hint.items() if n in names}} for hint in hints)]
+    for h in assembly.hypers:
+        # Shapes are tried to either side, as a neighbour's effects may have shifted them; a spread or a parameter of
+        # the noise that is new, below and above its scale.
+        further: tuple[float, ...] = ()
+        if h.kind == "shape" and h.name in known:
+            same = h.prior == priors[h.name]
+            further = (here[h.name] - 1.0, here[h.name] + 1.0) if same else (0.0,)
+        elif h.kind in ("group_sd", "noise") and h.name not in known:
+            further = (-1.5, 1.0)
+        found += [{**here, h.name: v} for v in further]
+    return [np.array([start[n] for n in names]) for start in found]

@@ -44,15 +44,6 @@ class TakenOver(NamedTuple):
     kept: float
 
     @property
-    def column(self) -> str:
-        """What the term depends on, in words."""
-        return " and ".join(self.term.varies)
-
-    @property
-    def names(self) -> str:
-        return " and ".join(e.name for e in self.by)
-
-    @property
     def measured(self) -> bool:
         """Whether the last model's coefficient is still that of the term.
 

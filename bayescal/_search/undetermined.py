@@ -52,14 +52,13 @@ class AddedPose:
     rate: float | None = None
 
     def __str__(self) -> str:
-        parts = [
-            f"{'−' if d < 0 else ''}{a}" for a, d in zip(AXES, self.direction, strict=True) if d
-        ]
-        where = {
-            1: f"along {parts[0]}",
-            2: f"at 45° between {' and '.join(parts)}",
-            3: f"along the diagonal of {', '.join(parts)}",
-        }[len(parts)]
+        pairs = zip(AXES, self.direction, strict=True)
+        parts = [f"{'−' if d < 0 else ''}{axis}" for axis, d in pairs if d]
+        where = [
+            f"along {parts[0]}",
+            f"at 45° between {' and '.join(parts)}",
+            f"along the diagonal of {', '.join(parts)}",
+        ][len(parts) - 1]
         where = where if self.rate is None else f"{self.rate:g} about the axis {where}"
         return where if self.temperature is None else f"{where}, at {self.temperature:.4g} °C"
 
