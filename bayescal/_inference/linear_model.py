@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from bayescal._core.errors import ModelError
@@ -169,14 +168,16 @@ class LinearModel:
         """Sum of squares, the prior's share included."""
         return float(self.white_residual @ self.white_residual) + float(self.weight @ self.z**2)
 
-    @cached_property
-    def _chol(self) -> np.ndarray:
-        inner = self.white_nuisance.T @ self.white_nuisance + np.diag(self.weight)
-        return np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
-
     def projected(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "q k"]:
-        """What of whitened columns the nuisances take: the information left is CᵀC − PᵀP."""
-        return solve_triangular(self._chol, self.white_nuisance.T @ columns, lower=True)
+        """What of whitened columns the nuisances take, P = Gᵀ·C: the information left is CᵀC − PᵀP."""
+        return self.directions.T @ columns
+
+    def beyond(self, column: Float[np.ndarray, "n"], rest: np.ndarray) -> Float[np.ndarray, "n"]:
+        """What some nuisances (a mask) leave of a whitened column: what they could take up only with implausible
+        coefficients is left, since their priors count."""
+        others = self.white_nuisance[:, rest]
+        inner = others.T @ others + np.diag(self.weight[rest])
+        return column - others @ np.linalg.lstsq(inner, others.T @ column, rcond=1e-12)[0]
 
     def score(
         self, columns: Float[np.ndarray, "n k"]
@@ -187,7 +188,7 @@ class LinearModel:
         score u = XᵀV⁻¹r and the information XᵀV⁻¹X.
         """
         white = self.whiten(columns)
-        taken = self.directions.T @ white
+        taken = self.projected(white)
         # V⁻¹r is Σ⁻¹ times the residuals at the fit.
         return white.T @ self.white_settled, white.T @ white - taken.T @ taken
 
@@ -305,11 +306,8 @@ def _half_range(values: Float[np.ndarray, "n"]) -> float:
 
 def _left(assembly: Assembly) -> Float[np.ndarray, "n"]:
     """What the effects leave of the output at least, shapes and deviations of groups at their priors' middle."""
-    hyper, point, y = (
-        assembly.hyper(np.zeros(len(assembly.hypers))),
-        assembly.start,
-        assembly.record.y,
-    )
+    hyper = assembly.hyper(np.zeros(len(assembly.hypers)))
+    point, y = assembly.start, assembly.record.y
     plain = [t.at.start for t in assembly.in_x if t.known.per is None and t.group_sd_name is None]
     sd = assembly.prior(hyper, np.ones(assembly.size)).sd[plain]
     left = y - np.mean(y)

@@ -21,7 +21,7 @@ from bayescal._inference.mode import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.trust import sampling
 from bayescal._model.frame import Frame
-from bayescal._model.parameters import CoefficientBlock, Layout
+from bayescal._model.parameters import Layout
 
 MOST = 6  # entries of φ that promotion may add
 AFFINE = 1e-9  # bend in parts of the change, up to which there is none
@@ -63,51 +63,37 @@ def choose_on(
         return layout.promote(*asked), (), None
     assembly, notes = Assembly(layout, record), ()
     while _bends(assembly):
-        candidates = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MEMBERS]
-        free = MOST - sum(h.kind == "promoted" for h in layout.hypers)
-        candidates = [b for b in candidates if b.size <= free]
-        if not candidates:
+        free, least = MOST - len(layout.positions("promoted")), sampling().product
+        few = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MEMBERS]
+        few = [b for b in few if b.size <= free]
+        if not few:
             return layout, notes, None
         mode = find_mode(assembly, start=start)
         sizes = _second_order(assembly, mode)
-        strength = [
-            float(np.sqrt(np.sum(sizes[b.start : b.start + b.size] ** 2))) for b in candidates
-        ]
+        strength = {
+            b.name: float(np.sqrt(np.sum(sizes[b.start : b.start + b.size] ** 2))) for b in few
+        }
         # Either factor of a product will do. In units of a spread that is learned itself, a coefficient would make a
         # funnel with it, so such a one is only taken where no other matters.
-        free_of_spread = [
-            s * (b.coefficient.group_sd is None) for s, b in zip(strength, candidates, strict=True)
-        ]
-        best = int(np.argmax(free_of_spread))
-        if free_of_spread[best] < sampling().product:
-            best = int(np.argmax(strength))
-        if strength[best] < sampling().product:
+        matter = [b for b in few if strength[b.name] >= least]
+        if not matter:
             return layout, notes, mode
-        chosen = _with_its_parts(candidates, strength, best, free)
+        plain = [b for b in matter if b.coefficient.group_sd is None]
+        best = max(plain or matter, key=lambda b: strength[b.name])
+        # With the other parts of its effect in the same slot, nonlinear with it, where all fit in φ.
+        parts = [b for b in few if b.effect is best.effect and b.slot == best.slot]
+        parts = [b for b in parts if b is best or strength[b.name] >= 0.1 * least]
+        chosen = parts if sum(b.size for b in parts) <= free else [best]
         layout = layout.promote(*(b.name for b in chosen))
         several = len(chosen) > 1
         notes = (
             *notes,
             f"{', '.join(b.name for b in chosen)} {'are' if several else 'is'} sampled with the hyper-parameters: "
-            f"{'the' if several else 'its'} product with other unknowns amounts to {strength[best]:.2g} noise "
+            f"{'the' if several else 'its'} product with other unknowns amounts to {strength[best.name]:.2g} noise "
             "standard deviations.",
         )
         assembly = Assembly(layout, record)
     return layout, notes, None
-
-
-def _with_its_parts(
-    candidates: list[CoefficientBlock], strength: list[float], best: int, free: int
-) -> list[CoefficientBlock]:
-    """A coefficient with the other parts of its effect in the same slot, nonlinear with it, where all fit in φ."""
-    one = candidates[best]
-    parts = [
-        b
-        for b, s in zip(candidates, strength, strict=True)
-        if (b.effect is one.effect and b.slot == one.slot and s >= 0.1 * sampling().product)
-        or b is one
-    ]
-    return parts if sum(b.size for b in parts) <= free else [one]
 
 
 def is_nonlinear(layout: Layout, frame: Frame) -> bool:

@@ -179,10 +179,8 @@ def contribution(line: LinearModel, name: str) -> float:
 def _beyond_the_rest(line: LinearModel, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """An effect's contribution, output unit; whitened; and what the rest of the model leaves of this."""
     own, plain = np.array([owner == name for owner in line.owners]), line.contribution(name)
-    white, rest = line.whiten(plain[:, None])[:, 0], line.white_nuisance[:, ~own]
-    # The rest's priors count: what it could take up only with implausible coefficients is left to the effect.
-    inner = rest.T @ rest + np.diag(line.weight[~own])
-    return plain, white, white - rest @ np.linalg.lstsq(inner, rest.T @ white, rcond=1e-12)[0]
+    white = line.whiten(plain[:, None])[:, 0]
+    return plain, white, line.beyond(white, ~own)
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,10 @@ form: no campaign is simulated many times.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import permutations
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
@@ -22,19 +20,18 @@ from bayescal._calibration.fit import fit
 from bayescal._calibration.settings import searching
 from bayescal._core.errors import ModelError
 from bayescal._core.formatting import table
-from bayescal._core.jit import compiled
-from bayescal._core.parallel import over
+from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
+from bayescal._inference.joint import expected, expected_with_slopes
 from bayescal._inference.least_squares import LeastSquares
-from bayescal._model import forward
+from bayescal._inference.noise_on_record import whitening
 from bayescal._model.effect import Effect
 from bayescal._model.frame import build_frame
-from bayescal._model.noise_law import in_time
-from bayescal._model.parameters import Layout
 
 DRAWS = 300
-MOST = 1500  # readings of a campaign that are looked at, evenly spread
+MOST = 1500  # readings of a campaign that are looked at, evenly spread: their covariances are n × n
+TOGETHER = 256  # draws that are worked out together
 
 
 @dataclass(frozen=True)
@@ -124,18 +121,16 @@ def next_experiment(
         fits = {
             e.name: fit(calibration.model + e, calibration.readings, method, **how) for e in chosen
         }
-    # Covariances of n readings are n × n, and factorised for each pair of possibilities: long campaigns are thinned.
-    longest = min(MOST, max(len(readings) for readings in plans.values()))
     with stage("expecting the outcome of each experiment"):
-        found = [Experiment(n, _expected(fits, r, longest), r) for n, r in plans.items()]
+        found = [Experiment(n, _expected(fits, r), r) for n, r in plans.items()]
     return NextExperiment(tuple(fits), tuple(sorted(found, key=lambda e: -e.worst)))
 
 
 def _expected(
-    fits: Mapping[str, Calibration], readings: Measurements, length: int
+    fits: Mapping[str, Calibration], readings: Measurements
 ) -> dict[tuple[str, str], float]:
     """Expected log Bayes factors, truth against rival, in nats."""
-    outlooks = {name: outlook(c, readings, length) for name, c in fits.items()}
+    outlooks = {name: outlook(c, readings) for name, c in fits.items()}
     return {
         (truth, rival): divergence(outlooks[truth], outlooks[rival])
         for truth, rival in permutations(fits, 2)
@@ -161,30 +156,28 @@ def divergence(truth: Outlook, rival: Outlook) -> float:
     return float(0.5 * (np.sum(own**2) + gap @ gap - gap.size) - logs)
 
 
-def outlook(calibration: Calibration, readings: Measurements, length: int | None = None) -> Outlook:
+def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
     """What a fitted model expects of a campaign.
 
     Args:
         calibration: the fit.
-        readings: the campaign's plan.
-        length: campaigns of unlike length are brought to this one, so that one compiled program serves all: longer
-            ones are thinned; rows repeated at the end of shorter ones are left out of the answer.
+        readings: the campaign's plan; of more than `MOST` readings, as many evenly spread.
     """
-    _, means, noise = expected_readings(calibration, readings, length, DRAWS)
+    _, means, noise = expected_readings(calibration, readings, DRAWS)
     # Signal by draws, noise in closed form: a covariance from draws alone would have the rank of their number.
     centred = means - means.mean(axis=0)
     return Outlook(means.mean(axis=0), centred.T @ centred / len(means) + noise)
 
 
+@on_one_thread
 def expected_readings(
-    calibration: Calibration, readings: Measurements, length: int | None, draws: int | None
+    calibration: Calibration, readings: Measurements, draws: int | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What a fitted model expects of a campaign: rows (n,), means of draws (d, n), covariance of the rest (n, n).
 
     Args:
         calibration: the fit.
         readings: the campaign's plan.
-        length: that campaigns are brought to, as in `outlook`; the rows that are left of this one come first.
         draws: of the posterior; all if None.
 
     Returns:
@@ -192,58 +185,28 @@ def expected_readings(
         readings add to that: noise, the deviations of new members, coefficients of readings.
     """
     calibration.model.require(readings)
-    length = len(readings) if length is None else length
-    kept = np.arange(0, len(readings), -(-len(readings) // length))
-    count = kept.size
-    readings = readings.select(np.concatenate([kept, np.full(length - count, kept[-1])]))
+    kept = np.arange(0, len(readings), -(-len(readings) // MOST))
+    readings = readings.select(kept)
     frame = build_frame(readings, calibration.reference)
-    counts = {**dict(calibration.layout.counts), "reading": len(readings)}
-    x, rows, v = calibration.draws(draws)
-    rows = np.zeros((len(x), len(readings), rows.shape[2]))
     # Members of groups in a campaign to come are new ones: their codes are taken away from the means, and their
     # deviations come back as covariance between readings of one member.
-    unseen = eqx.tree_at(
-        lambda f: f.codes, frame, {k: -jnp.ones_like(c) for k, c in frame.codes.items()}
-    )
-    layout = Layout(calibration.model, tuple(counts.items()), calibration.layout.promoted)
-    arrays = tuple(jnp.asarray(a) for a in (x, rows, v))
-    means, root, deviations, beside = _moments(layout, unseen, arrays)
-    covariance = np.asarray(root) + np.diag(np.asarray(beside))
-    for per, columns in deviations.items():
-        codes = np.asarray(frame.codes[per])
-        same = (codes[:, None] == codes[None, :]) & (codes[:, None] >= 0)
-        for column in np.asarray(columns):
-            covariance += same * np.outer(column, column)
-    return kept, np.asarray(means)[:, :count], covariance[:count, :count]
-
-
-@compiled
-def _moments(layout: Layout, frame, draws):
-    """Expected output of each draw; at the middle draw's φ, the noise covariance, columns of new group members in
-    units of their spread, and the variance of per-reading coefficients."""
-
-    def mean(draw):
-        x, rows, v = draw
-        return forward.mean(layout, frame, x, rows, forward.hyper_values(layout, v))
-
-    middle = jnp.median(draws[2], axis=0)
-    hyper = forward.hyper_values(layout, middle)
-    x, rows = jnp.mean(draws[0], axis=0), draws[1][0]
-    values = forward.coefficients(layout, x, rows, hyper)
-    noise = layout.model.noise
-    zero = jnp.zeros(frame.size)
-    ordered, own = in_time(noise, frame, jnp.eye(frame.size))
-    # Whitening the unit matrix gives L⁻¹; Σ = (L⁻ᵀL⁻¹)⁻¹, whatever the law.
-    white, _ = noise.whiten(own, zero, hyper, ordered)
-    line = forward.linearise(layout, frame, x, rows, hyper)
-    beside = jnp.sum((line.rows * forward.row_sd(layout)) ** 2, axis=1)
-    deviations: dict[str, list] = {}
-    for block in layout.blocks:
-        c = block.coefficient
-        if c.per is None or c.per == "reading" or block.place == "fixed":
-            continue
-        spread = hyper[block.group_sd_name] if c.group_sd is not None else c.size
-        column = forward.effect_slope(layout, frame, values, hyper, block) * spread
-        deviations.setdefault(c.per, []).append(column)
-    stacked = {per: jnp.stack(columns) for per, columns in deviations.items()}
-    return over(mean, draws, 64), jnp.linalg.inv(white.T @ white), stacked, beside
+    codes = {group: np.asarray(own) for group, own in frame.codes.items()}
+    unseen = replace(frame, codes={group: np.full_like(own, -1) for group, own in codes.items()})
+    assembly = calibration.assembly_on(readings, unseen)
+    record, (x, rows, v) = assembly.record, calibration.draws(draws)
+    rows = np.zeros((len(x), record.size, rows.shape[2]))
+    parts = np.array_split(np.arange(len(x)), -(-len(x) // TOGETHER))
+    means = [expected(assembly, x[p], rows[p], assembly.hyper(v[p].T)) for p in parts]
+    # The rest at the middle of the draws. Whitening the unit matrix gives L⁻¹; Σ = (L⁻ᵀL⁻¹)⁻¹, whatever the law.
+    hyper = assembly.hyper(np.median(v, axis=0))
+    white = whitening(assembly.noise, hyper, record)(np.eye(record.size))
+    covariance = np.linalg.inv(white.T @ white)
+    own = [t for t in assembly.terms if t.known.per is not None and t.place != "fixed"]
+    _, slopes = expected_with_slopes(assembly, x.mean(axis=0)[None], rows[:1], hyper, own)
+    for t, slope in zip(own, slopes, strict=True):
+        sd = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name]
+        column = np.reshape(slope, -1) * sd
+        member = np.arange(record.size) if t.place == "row" else codes[str(t.known.per)]
+        same = (member[:, None] == member) & (member[:, None] >= 0)
+        covariance += same * np.outer(column, column)
+    return kept, np.concatenate(means), covariance

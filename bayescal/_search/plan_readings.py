@@ -25,7 +25,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS
 from bayescal._data.unit_conversion import unit_label
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
-from bayescal._search.next_experiment import MOST, expected_readings
+from bayescal._search.next_experiment import expected_readings
 from bayescal._use.limit import StatedLimit, stated_limit
 from bayescal._use.limited_quantity import limited_quantity
 
@@ -197,11 +197,10 @@ def plan_readings(
     plans = dict(experiments) if experiments is not None else _listed(calibration)
     if not plans:
         raise ModelError("no campaign to choose from: give {'slower': readings, …}")
-    longest = min(MOST, max(map(len, plans.values())))
     found = []
     with stage("expecting what each campaign would leave"):
         for name, readings in plans.items():
-            kept, means, noise = expected_readings(calibration, readings, longest, None)
+            kept, means, noise = expected_readings(calibration, readings, None)
             joint = _Joint.of(values, means, noise)
             found.append((PlannedCampaign(name, readings, joint.left()), joint, kept))
     found.sort(key=lambda one: one[0].u)

@@ -122,22 +122,15 @@ def _followed(
     own = np.array([owner == term.name for owner in last.owners])
     theirs = np.isin(last.owners, [e.name for e in by])
     others = np.isin(last.owners, first.owners) & ~own
-    white = last.white_nuisance
+    column = last.white_nuisance[:, own].sum(axis=1)
     # Tolerance beside the first model's others over that beside these and what was added: what the addition alone
-    # took.
-    without, beside = (_left(white, own, last.weight, rest) for rest in (others, others | theirs))
+    # took. Ridge regression by the priors' weights: c less what the others take of it, times c.
+    without, beside = (
+        float(column @ last.beyond(column, rest)) for rest in (others, others | theirs)
+    )
     (m0, s0), (m1, _) = _coefficient(first, term.name), _coefficient(last, term.name)
     kept = abs(m1) / abs(m0) if m0 else np.inf
     return TakenOver(term, tuple(by), beside / max(without, 1e-300), abs(m1 - m0) / s0, kept)
-
-
-def _left(white: np.ndarray, own: np.ndarray, weight: np.ndarray, rest: np.ndarray) -> float:
-    """Squares of a term's columns beyond those of the rest, whose priors count."""
-    column, others = white[:, own].sum(axis=1), white[:, rest]
-    # Ridge regression by the priors' weights: c less what the others take of it, times c.
-    inner = others.T @ others + np.diag(weight[rest])
-    back = others @ np.linalg.lstsq(inner, others.T @ column, rcond=1e-12)[0]
-    return float(column @ (column - back))
 
 
 def _coefficient(line: LinearModel, name: str) -> tuple[float, float]:

@@ -49,13 +49,6 @@ def test_the_divergence_is_that_of_two_normals() -> None:
     assert next_experiment.divergence(one, one) == pytest.approx(0, abs=1e-9)
 
 
-def test_rows_that_only_fill_up_change_nothing(line: bc.Calibration) -> None:
-    plan = mems_gyro.simulate({}, seed=9).select(np.arange(60))
-    exact, filled = next_experiment.outlook(line, plan), next_experiment.outlook(line, plan, 75)
-    assert np.allclose(exact.mean, filled.mean)
-    assert np.allclose(exact.covariance, filled.covariance, rtol=1e-6, atol=1e-12)
-
-
 def test_every_listed_experiment_is_ranked(ranked: bc.NextExperiment) -> None:
     assert ranked.members == RIVALS
     assert {e.name for e in ranked.experiments} == {name for name, _ in INSTRUMENT.experiments}
