@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -65,7 +65,9 @@ class Assembly:
         )
         self.hypers = layout.hypers
         self.size = sum(t.size for t in self.terms if t.place == "x")
-        self.row_sd = np.array([t.prior_sd for t in self.terms if t.place == "row"])
+        of_rows = [t for t in self.terms if t.place == "row"]
+        self._row_of = {(t.known.of, t.index): i for i, t in enumerate(of_rows)}
+        self.row_sd = np.array([t.prior_sd for t in of_rows])
         self.noise = layout.model.noise
         self.fixed_values = dict(layout.model.fixed)
         slots = self.record.slots
@@ -109,12 +111,12 @@ class Assembly:
 
     def log_variance_slope(self, v: np.ndarray, i: int) -> float:
         """Slope of the logarithm of the variance that all readings share, by one coordinate."""
-        ends = []
-        for step in (NUDGE, -NUDGE):
-            moved = v.copy()
-            moved[i] += step
-            ends.append(float(np.log(self.noise.shared_variance(self.hyper(moved)))))
-        return (ends[0] - ends[1]) / (2 * NUDGE)
+
+        def log_variance(one: np.ndarray) -> float:
+            moved = np.concatenate([v[:i], one, v[i + 1 :]])
+            return float(np.log(self.noise.shared_variance(self.hyper(moved))))
+
+        return float(differences(log_variance, v[[i]], NUDGE)[0])
 
     def log_sd_slopes(
         self, v: np.ndarray, hyper: Values
@@ -128,11 +130,10 @@ class Assembly:
         for name in self.sizes.weighing:
             if (i := places.get(name)) is not None:
                 value = self._coordinates[i][1]
-                ends = (
+                up, down = (
                     self.sizes.log_weights(name, {**hyper, name: value(v[i] + s)})
                     for s in (NUDGE, -NUDGE)
                 )
-                up, down = ends
                 yield i, (up - down) / (2 * NUDGE)
 
     def log_prior_slope(self, v: np.ndarray) -> np.ndarray:
@@ -260,15 +261,18 @@ class Assembly:
         if self.affine:
             return self._affine_line(point, hyper)
         mean, slopes, columns = self._responding(point, hyper)
-        n, row = self.record.size, 0
+        n = self.record.size
         jacobian, rows = np.zeros((n, self.size), order="F"), np.zeros((n, len(self.row_sd)))
         for t, (column, _) in zip(self.terms, columns, strict=True):
-            if t.place == "x":
-                self.place(t, slopes[t.slot] * column, jacobian)
-            elif t.place == "row":
-                rows[:, row] = slopes[t.slot] * column
-                row += 1
+            self._into(t, slopes[t.slot] * column, jacobian, rows)
         return Line(mean, jacobian, rows)
+
+    def _into(self, t: Term, column: np.ndarray, jacobian: np.ndarray, rows: np.ndarray) -> None:
+        """Put a term's slopes where its coefficients stand: in x, or beside the readings."""
+        if t.place == "x":
+            self.place(t, column, jacobian)
+        elif t.place == "row":
+            rows[:, self._row_of[t.known.of, t.index]] = column
 
     def along(self, point: Point, v: Float[np.ndarray, "d"], i: int) -> Moved:
         """What one coordinate of φ moves."""
@@ -294,14 +298,11 @@ class Assembly:
             terms, *(self._columns(terms, hyper, {}) for hyper in ends), strict=True
         ):
             column = slopes[t.slot] * (up - down) / (2 * SHIFT)
+            self._into(t, column, made, rows)
             if t.place == "row":
-                row = [own for own in self.terms if own.place == "row"].index(t)
-                rows[:, row] = column
-                mean += column * point.rows[:, row]
-                continue
-            mean += column * self.value(t, point.x, ends[0])
-            if t.place == "x":
-                self.place(t, column, made)
+                mean += column * point.rows[:, self._row_of[t.known.of, t.index]]
+            else:
+                mean += column * self.value(t, point.x, ends[0])
         which = np.concatenate(
             [np.arange(t.at.start, t.at.stop) for t in terms if t.place == "x"]
             or [np.zeros(0, int)]
@@ -311,19 +312,15 @@ class Assembly:
     def _affine_line(self, point: Point, hyper: Values) -> Line:
         """The same where the expected output is affine: columns that never change are put together once."""
         mean, slopes = self.record.affine  # pyright: ignore[reportGeneralTypeIssues]
-        jacobian, rows, row = self._plain.copy(order="F"), np.zeros_like(point.rows), 0
+        jacobian, rows = self._plain.copy(order="F"), np.zeros_like(point.rows)
         moving = [t for t in self.terms if t.place != "x" or t.known.shape_names]
         for t, (column, _) in zip(moving, self._columns(moving, hyper, {}), strict=True):
             column = slopes[t.slot] * column
-            if t.place == "x":
-                self.place(t, column, jacobian)
-            elif t.place == "row":
-                rows[:, row] = column
-                row += 1
-            else:
+            self._into(t, column, jacobian, rows)
+            if t.place not in ("x", "row"):
                 mean = mean + column * self.value(t, point.x, hyper)
-        mean = mean + jacobian @ point.x
-        return Line(mean + np.sum(rows * point.rows, axis=1) if row else mean, jacobian, rows)
+        mean = mean + jacobian @ point.x + np.sum(rows * point.rows, axis=1)
+        return Line(mean, jacobian, rows)
 
     @cached_property
     def _plain(self) -> Float[np.ndarray, "n p"]:
@@ -375,3 +372,9 @@ def put(
         return
     known = np.flatnonzero(codes >= 0)
     table[..., known, start + codes[known]] = column[..., known]
+
+
+def differences(f: Callable[[np.ndarray], Any], at: np.ndarray, step: Any) -> np.ndarray:
+    """Slopes of a function by each coordinate, from both sides; one step, or one each."""
+    shifts = np.diag(np.broadcast_to(step, at.shape))
+    return np.array([(f(at + s) - f(at - s)) / (2 * s.sum()) for s in shifts])

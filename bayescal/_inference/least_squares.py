@@ -1,26 +1,48 @@
-"""Least squares: the maximum a posteriori point by Levenberg–Marquardt, its covariance by Laplace.
+"""Least squares: the maximum a posteriori point by Gauss–Newton, its covariance by Laplace.
 
 Shapes are estimated together with the coefficients, in their standard-normal coordinates. Noise and learned
 spreads are set by marginal (restricted) likelihood with everything else integrated out, so that the noise is
-divided by the degrees of freedom that the coefficients leave.
+divided by the degrees of freedom that the coefficients leave. The two go on in turn until both rest. All solves are
+by QR of whitened tables, never by JᵀJ, so that no condition number is squared.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar, Literal
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, ClassVar, Literal, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
+from jaxtyping import Float
+from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
+from scipy.optimize import minimize, root
 
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
-from bayescal._inference import refinement, trust
-from bayescal._inference.assembly import Assembly
+from bayescal._inference import trust
+from bayescal._inference.assembly import Assembly, Line, Point, differences
+from bayescal._inference.density import Density, noise_slopes, turn
+from bayescal._inference.gaussian import LOG_2PI, Prior
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
-from bayescal._inference.mode import NOTHING_KNOWN, find_mode
+from bayescal._inference.mode import NOTHING_KNOWN, Mode, find_mode
+from bayescal._inference.noise_on_record import Independent, Whitening, whitening
 from bayescal._inference.record import Record
-from bayescal._inference.refinement import Solution
+from bayescal._model import forward
+from bayescal._model.noise_law import in_time
 from bayescal._model.parameters import Layout
+from bayescal._model.prior import LogUniform, Normal
+
+STILL = 1e-6  # standard deviations: a further step smaller than this is none
+GOOD = 1e-5  # share of the residuals in the tangent plane, at which a point counts as the optimum
+RESTS = 1e-9  # change of φ's coordinates in a round, below which it rests
+ROUNDS = 30  # at most
+STEPS = 200  # of θ in a round
+AFAR = 5000  # steps from afar: along a curved valley they are short
+SHIFT = 1e-4  # of a coordinate, for slopes by differences
+EDGE = 5.0  # coordinate of a time between bounds, from which it stands at one: nothing stops it
 
 
 class LeastSquares(Method):
@@ -68,7 +90,7 @@ def solution_on(
     assembly: Assembly, hessian: bool = False, start: Mapping[str, float] = NOTHING_KNOWN
 ) -> Solution:
     """The fit of a structure whose noise the engine whitens by, on a record that others may share."""
-    return refinement.refine(assembly, find_mode(assembly, start=start), hessian)
+    return refine(assembly, find_mode(assembly, start=start), hessian)
 
 
 @on_one_thread  # else the last digits would hang on how many cores there are
@@ -101,3 +123,350 @@ def _exact_moments(normal: np.ndarray) -> np.ndarray:
     # With Z − mean = U·s·Vᵀ the matrix U·Vᵀ is the nearest to it with orthonormal columns (polar decomposition).
     own = np.linalg.svd(normal - normal.mean(axis=0), full_matrices=False)
     return own.U @ own.Vh * np.sqrt(len(normal) - 1)
+
+
+class QR(NamedTuple):
+    """QR of a whitened table [A r]: R, Qᵀr, and what of r lies outside."""
+
+    root: Float[np.ndarray, "q q"]
+    inside: Float[np.ndarray, "q"]
+    outside: float
+
+    @property
+    def determined(self) -> bool:
+        scale = np.sqrt(np.sum(self.root**2, axis=0))
+        return bool(np.all(np.abs(np.diag(self.root)) > 1e-14 * scale))
+
+    @property
+    def solution(self) -> Float[np.ndarray, "q"]:
+        return dtrtrs(self.root, self.inside)[0] if self.inside.size else self.inside
+
+    def damped(self, damping: float) -> Float[np.ndarray, "q"]:
+        """The step that minimises |R·s − Qᵀr|² + damping·|weight·s|², weight the norms of R's columns."""
+        if not damping:
+            return self.solution
+        # |R·s − Qᵀr|² + λ·|D·s|² is the least-squares problem of R over √λ·D: no product of R with itself, which
+        # would square its condition (J. Moré, Lecture Notes in Mathematics 630 (1978) 105).
+        weight = np.sqrt(np.sum(self.root**2, axis=0))
+        rows = np.column_stack([np.diag(math.sqrt(damping) * weight), 0 * weight])
+        return qr(np.concatenate([np.column_stack([self.root, self.inside]), rows])).solution
+
+
+def qr(table: Float[np.ndarray, "m q1"]) -> QR:
+    """Of a table whose last column is r."""
+    upper, size = np.triu(dgeqrf(table)[0][: table.shape[1]]), table.shape[1] - 1
+    last = float(upper[size, size]) if len(upper) > size else 0.0
+    return QR(upper[:size, :size], upper[:size, size], last)
+
+
+class Solution(NamedTuple):
+    """x̂ and shapes at the maximum, scales by restricted likelihood, and the covariance of (x, shapes)."""
+
+    mode: Mode
+    covariance: Float[np.ndarray, "q q"]
+    converged: bool
+
+
+class _Given(NamedTuple):
+    """θ integrated out of the model linearised somewhere, given φ."""
+
+    log_marginal: float
+    theta: Float[np.ndarray, "q"]
+    covariance: Float[np.ndarray, "q q"]
+    squares: float  # of the whitened residuals at the mean, without the prior's
+    spent: float  # degrees of freedom
+    slopes: Float[np.ndarray, "d"]  # of log_marginal by the scales' coordinates
+
+
+@on_one_thread
+def refine(assembly: Assembly, mode: Mode, full_hessian: bool) -> Solution:
+    """From the mode: (x, shapes) by least squares and scales by restricted likelihood in turn, until both rest.
+
+    Args:
+        assembly: the structure on its record.
+        mode: its mode.
+        full_hessian: whether the covariance takes second derivatives of the expected output.
+    """
+    fit = _Refinement(assembly, mode)
+    # Where JᵀJ has no Cholesky factor the mode is nowhere; from the prior's centre, QR may find it.
+    found = np.all(np.isfinite(mode.point.x)) and math.isfinite(mode.log_evidence)
+    x = mode.point.x if found else assembly.mean_of_x
+    v = np.where(np.isfinite(mode.v), mode.v, 0.0)
+    theta, converged = np.concatenate([x, v[fit.places]]), False
+    for round_ in range(ROUNDS):
+        theta, converged = fit.fit_theta(theta, v)
+        if round_ == 0 and not converged and not assembly.affine:
+            theta, converged = fit.from_afar(theta, v)
+            if not converged:  # how long its steps are hangs on the size of the noise
+                usual = np.where([kind == "noise" for kind in assembly.kinds], 0.0, v)
+                theta, converged = fit.from_afar(theta, usual)
+        moved = fit.fit_scales(theta, _put(theta[assembly.size :], fit.places, v))
+        change = float(np.max(np.abs(moved - v), initial=0.0))
+        v = moved
+        if not change > RESTS:
+            break
+    given = fit.conditional(theta, v)(v)
+    # What counts is whether a Gauss–Newton step would still move anything.
+    sd = np.sqrt(np.diag(given.covariance))
+    converged = converged or bool(np.max(np.abs(given.theta - theta) / sd, initial=0.0) < STILL)
+    covariance = given.covariance
+    if (full_hessian or not fit.gaussian) and np.all(np.isfinite(covariance)):
+        covariance = np.linalg.inv(fit.hessian(theta, v, sd))
+    point = Point(theta[: assembly.size], mode.point.rows)
+    return Solution(mode._replace(point=point, v=v), covariance, converged)
+
+
+class _Refinement:
+    """One fit of θ = (x, w), w the shapes' coordinates, and v, those of all φ; where both have w, that in θ counts."""
+
+    def __init__(self, assembly: Assembly, mode: Mode) -> None:
+        self.assembly, self.mode = assembly, mode
+        self.density = Density(assembly, mode.point, mode.flat)
+        layout, self.gaussian = assembly.layout, assembly.noise.gaussian
+        # Of a law that is not Gaussian they stay where the marginal likelihood of the mode has them.
+        self.scales = layout.positions("noise", "group_sd") if self.gaussian else []
+        self.places = layout.moving
+
+    def prior(self, v: Float[np.ndarray, "d"]) -> Prior:
+        """Of θ: that of x given φ, and the standard normal one of w."""
+        own = self.assembly.prior(self.assembly.hyper(v), self.mode.flat)
+        further = np.ones(len(self.places))
+        return Prior(
+            np.append(own.mean, 0 * further),
+            np.append(own.sd, further),
+            np.append(own.weight, further),
+        )
+
+    def table(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray | float]:
+        """Slopes by θ beside what the expected output leaves, and the variance that the rows add."""
+        size = self.assembly.size
+        point = Point(theta[:size], self.mode.point.rows)
+
+        def linearised(located: np.ndarray) -> Line:
+            return self.assembly.linearise(
+                point, self.assembly.hyper(_put(located, self.places, v))
+            )
+
+        line = linearised(theta[size:])
+        moved = differences(lambda w: linearised(w).mean, theta[size:], SHIFT)
+        rest = self.assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
+        return np.column_stack([line.jacobian, *moved, rest]), self.density.extra(line)
+
+    def whiten(self, v: np.ndarray, extra: Any, left: np.ndarray) -> Whitening | Independent:
+        assembly = self.assembly
+        return whitening(assembly.noise, assembly.hyper(v), assembly.record, extra, left)
+
+    def fit_theta(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, bool]:
+        """θ by least squares of the whitened residuals and the prior's, given the scales in v."""
+        if not theta.size:
+            return theta, True
+        prior, (first, extra) = self.prior(v), self.table(theta, v)
+        own = np.diag(prior.weight)
+
+        def look(at: np.ndarray, made: np.ndarray | None = None) -> tuple[float, QR]:
+            plain = self.table(at, v)[0] if made is None else made
+            white = self.whiten(v, extra, plain[:, -1])
+            table = white(plain)
+            # The prior is rows beside the readings: in steps of z = (θ − m)/s, [A·S; W]·step = [r; −z].
+            z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
+            whole = np.concatenate([table * np.append(prior.sd, 1.0), np.column_stack([own, -z])])
+            if not np.all(np.isfinite(whole)):
+                return math.inf, qr(np.zeros_like(whole))
+            beyond = white.beyond if isinstance(white, Independent) else 0.0
+            return float(whole[:, -1] @ whole[:, -1]) + beyond, qr(whole)
+
+        cost, found = look(theta, first)
+        damping, best = 0.0, float(np.linalg.norm(found.inside))
+        for _ in range(STEPS):
+            if not found.determined:
+                return theta, False
+            trial = theta + prior.sd * found.damped(damping)
+            there, further = look(trial)
+            left = float(np.linalg.norm(further.inside))
+            # Relative offset: what of the residuals lies in the tangent plane, against all of them, has no units and
+            # knows of no step length (D. Bates and D. Watts, Technometrics 23 (1981) 179).
+            near = best <= GOOD * math.sqrt(cost)
+            # With thermometer errors J is not quite the residuals' slope: a step that settles may cost a little.
+            settles = left < 0.8 * best and there < cost * (1 + (1e-6 if near else 1e-3))
+            if settles or (not near and there < cost):
+                theta, cost, found, best = trial, there, further, left
+                damping = 0.0 if damping < 1e-6 else 0.1 * damping
+                continue
+            if near or damping > 1e12:
+                break
+            damping = max(10 * damping, 1e-3)
+        return theta, best <= GOOD * math.sqrt(cost)
+
+    def from_afar(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, bool]:
+        """θ where Gauss–Newton ran away or stalled: by optimistix's Levenberg–Marquardt on the traced residuals.
+
+        It begins where the mode was looked for first, and goes in units of a plausible change of each unknown.
+        """
+        assembly, mode, size = self.assembly, self.mode, self.assembly.size
+        layout, frame, y = assembly.layout, assembly.record.frame, jnp.asarray(assembly.record.y)
+        noise = layout.model.noise
+        if not noise.gaussian:
+            return theta, False
+        prior, rows = self.prior(v), jnp.asarray(mode.point.rows)
+        begin = np.append(assembly.mean_of_x, np.zeros(len(self.places)))
+        blocks = [b for b in layout.x_blocks if b.coefficient.flat]
+        scale = np.array(prior.sd)
+        for b in blocks:
+            scale[b.start : b.start + b.size] = b.coefficient.size
+        places, extra = jnp.asarray(self.places, dtype=int), self.table(begin, v)[1]
+
+        def residuals(z, _):
+            at = begin + scale * z
+            hyper = forward.hyper_values(layout, jnp.asarray(v).at[places].set(at[size:]))
+            left = y - forward.mean(layout, frame, at[:size], rows, hyper)
+            ordered, left, more = in_time(noise, frame, left, jnp.broadcast_to(extra, left.shape))
+            white, _ = noise.whiten(left[:, None], more, hyper, ordered)
+            return jnp.append(white[:, 0], prior.weight * (at - prior.mean) / prior.sd)
+
+        solver = optx.IndirectLevenbergMarquardt(rtol=1e-12, atol=1e-12)
+        found = optx.least_squares(
+            residuals, solver, jnp.zeros(len(begin)), max_steps=AFAR, throw=False
+        )
+        there = begin + scale * np.asarray(found.value)
+        if not np.all(np.isfinite(there)):
+            return theta, False
+        return self.fit_theta(there, v)
+
+    def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Given]:
+        """A function of φ's coordinates: θ integrated out of the model linearised here, by QR; with slopes if asked."""
+        table, extra = self.table(theta, v)
+        # With one variance for all readings R of the plain table stands for it: whitening only divides by σ.
+        size, even = len(table), self.density.even
+        upper = np.triu(dgeqrf(table)[0][: table.shape[1]]) if even else table
+        lost, unknown = np.full((theta.size, theta.size), np.nan), np.full(len(v), np.nan)
+        nowhere = _Given(-math.inf, np.full(theta.size, np.nan), lost, np.nan, np.nan, unknown)
+
+        def given(v: np.ndarray, sloped: bool = False) -> _Given:
+            prior, white = self.prior(v), None
+            if even:
+                variance = float(self.assembly.noise.shared_variance(self.assembly.hyper(v)))
+                if not variance > np.finfo(float).tiny:
+                    return nowhere
+                made, logdet = upper / math.sqrt(variance), size * math.log(variance)
+            else:
+                white = self.whiten(v, extra, table[:, -1])
+                made, logdet = white.both(upper)
+            offset = prior.weight * (prior.mean - theta)
+            own = np.column_stack([made[:, :-1] * prior.sd, made[:, -1] - made[:, :-1] @ offset])
+            rows = np.column_stack([np.diag(prior.weight), 0 * offset])
+            found = qr(np.concatenate([own, rows]))
+            if not found.determined:
+                return nowhere
+            z = found.solution
+            inverse = dtrtri(found.root)[0] if z.size else found.root
+            of_z = inverse @ inverse.T
+            root = prior.sd[:, None] * inverse
+            # The same closed form as `gaussian.condition`, by R in place of L: log|A| = 2·Σ log|Rᵢᵢ|, the sum of
+            # squares is what of [r; −z] lies outside of the columns.
+            log_sd = np.log(np.where(prior.weight > 0, 1.0, prior.sd))
+            flat = (1 - prior.weight) @ (log_sd + 0.5 * LOG_2PI)
+            volume = logdet + 2 * float(np.sum(np.log(np.abs(np.diag(found.root)))))
+            rest = found.outside**2
+            total = float(flat) - 0.5 * (size * LOG_2PI + volume + rest)
+            mean = theta + offset + prior.sd * z
+            squares = rest - float(prior.weight @ z**2)
+            # Degrees of freedom: the trace of the hat matrix, q − tr W·var z; all q where priors say nothing.
+            spent, slopes = z.size - float(np.diag(of_z) @ prior.weight), np.zeros(0)
+            if sloped:
+                excess = (z**2 + np.diag(of_z) - 1) * prior.weight
+                slopes = self._slopes(v, excess, (squares, spent))
+            if sloped and isinstance(white, Whitening):
+                turned = table @ turn(root, theta - mean)
+                slopes += noise_slopes(self.assembly, v, white, turned)
+            return _Given(total, mean, root @ root.T, squares, spent, slopes)
+
+        return given
+
+    def fit_scales(self, theta: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """v with its scales where the restricted likelihood, times the prior of the spreads, is greatest."""
+        if not self.scales:
+            return v
+        given, assembly = self.conditional(theta, v), self.assembly
+        if self.density.even and [assembly.kinds[i] for i in self.scales] == ["noise"]:
+            return self._noise(given, v)
+        # Restricted likelihood: θ is integrated out, so that σ² is divided by the degrees of freedom that are left
+        # (H. Patterson and R. Thompson, Biometrika 58 (1971) 545). A minimiser on values stops where these have no
+        # digits; a root of the slopes goes on.
+        hypers = [(i, assembly.hypers[i]) for i in self.scales]
+        # The priors of the noise's own positive parameters do not count.
+        priors = [i for i, h in hypers if h.kind != "noise" or isinstance(h.prior, Normal)]
+        if not math.isfinite(given(v).log_marginal):
+            return v
+
+        def value(scales: np.ndarray) -> tuple[float, np.ndarray]:
+            """Minus the log density, and its slopes."""
+            there = _put(scales, self.scales, v)
+            found = given(there, sloped=True)
+            slopes = found.slopes[self.scales]
+            counts = np.isin(self.scales, priors)
+            slopes += counts * assembly.log_prior_slope(there)[self.scales]
+            own = sum(float(assembly.hypers[i].prior.log_density(there[i])) for i in priors)
+            return -found.log_marginal - own, -slopes
+
+        def slope(scales: np.ndarray) -> np.ndarray:
+            return value(scales)[1]
+
+        best = v[self.scales]
+        if np.max(np.abs(slope(best))) > 1e-3:
+            found = minimize(value, best, jac=True)
+            best = found.x if found.fun <= value(best)[0] else best
+        sharper = root(slope, best, jac=partial(differences, slope, step=SHIFT)).x
+        best = min(best, sharper, key=lambda v: np.linalg.norm(slope(v)))
+        bounded = [isinstance(h.prior, LogUniform) for _, h in hypers]
+        return _put(np.where(bounded, np.clip(best, -EDGE, EDGE), best), self.scales, v)
+
+    def _slopes(
+        self, v: np.ndarray, excess: np.ndarray, spent: tuple[float, float]
+    ) -> Float[np.ndarray, "d"]:
+        """By the spreads' coordinates, and by that of one white standard deviation for all readings."""
+        assembly, found = self.assembly, np.zeros(len(v))
+        for i, log_sd in assembly.log_sd_slopes(v, assembly.hyper(v)):
+            found[i] = excess[: assembly.size] @ log_sd
+        if self.density.even:
+            left = sum(spent) - assembly.record.size
+            for i in assembly.layout.positions("noise"):
+                found[i] = 0.5 * left * assembly.log_variance_slope(v, i)
+        return found
+
+    def _noise(self, given: Callable[[np.ndarray], _Given], v: np.ndarray) -> np.ndarray:
+        """The one standard deviation of independent noise: squares over the degrees of freedom left."""
+        (place,), y = self.scales, self.assembly.record.y
+        least = (np.finfo(float).eps * float(np.max(np.abs(y)))) ** 2  # what the digits can tell
+        # Its maximum is σ² = squares/(n − spent); priors make `spent` follow σ, hence the rounds.
+        for _ in range(100):
+            found = given(v)
+            if not (left := len(y) - found.spent) > 0:
+                return v
+            ratio = max(found.squares / left, least)  # of variances
+            step = 0.5 * math.log(ratio) / self.assembly.value_slope(v, place)
+            v = _put(v[place] + step, [place], v)
+            if abs(step) < 1e-12:
+                break
+        return v
+
+    def hessian(self, theta: np.ndarray, v: np.ndarray, sd: np.ndarray) -> Float[np.ndarray, "q q"]:
+        """Curvature of the negative log density of θ, second derivatives of the expected output included."""
+        prior, extra = self.prior(v), self.table(theta, v)[1]
+        # Slopes of ½·(eᵀΣ⁻¹e + zᵀWz) by θ; their differences hold the second derivatives that Gauss–Newton leaves
+        # out.
+        tightness = prior.weight / prior.sd**2
+
+        def slope(at: np.ndarray) -> np.ndarray:
+            table = self.table(at, v)[0]
+            table = self.whiten(v, extra, table[:, -1])(table)
+            return tightness * (at - prior.mean) - table[:, :-1].T @ table[:, -1]
+
+        rows = differences(slope, theta, 1e-3 * sd)
+        return 0.5 * (rows + rows.T)
+
+
+def _put(values: np.ndarray, places: list[int], v: np.ndarray) -> np.ndarray:
+    """v with other values in some places."""
+    found = v.copy()
+    found[places] = values
+    return found

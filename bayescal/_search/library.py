@@ -16,8 +16,7 @@ from bayescal._inference.assembly import put
 from bayescal._inference.terms import ColumnsOf
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.instrument import factor_of, slot_of
-from bayescal._search.plausible_sizes import factors
-from bayescal._search.structures import Structures
+from bayescal._search.structures import Structures, factors
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
 SEVERAL_SHAPES = 32  # of several at once, a Sobol sequence

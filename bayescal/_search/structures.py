@@ -17,9 +17,10 @@ from scipy.optimize import minimize_scalar
 
 from bayescal._calibration.settings import searching
 from bayescal._inference.assembly import Assembly
-from bayescal._inference.density import Density
+from bayescal._inference.density import NOWHERE, Density
+from bayescal._inference.gaussian import condition
 from bayescal._inference.linear_model import LinearModel, linear_model
-from bayescal._inference.mode import Mode, find_mode, flat_scales
+from bayescal._inference.mode import Mode, at_mode, find_mode, flat_scales
 from bayescal._inference.record import Record
 from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
@@ -28,9 +29,9 @@ from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import Layout
 from bayescal._search.departures import Form, could_be_another, form_of, may_depart, scored
 from bayescal._search.noise_laws import OnResiduals, log_prior, on_residuals
-from bayescal._search.plausible_sizes import STILL, averaged, has_size
 
 WIDE = (-6.0, 6.0)  # coordinates of a noise's size
+STILL = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
 UNKNOWN = 0.1  # variance of a coordinate of which nothing is known
 
 
@@ -348,3 +349,88 @@ def starts(
             further = (-1.5, 1.0)
         found += [{**here, h.name: v} for v in further]
     return [np.array([start[n] for n in names]) for start in found]
+
+
+def factors() -> dict[float, float]:
+    """Factors on a plausible size, and their probabilities."""
+    return dict(searching().factors)
+
+
+def has_size(effect: Effect) -> bool:
+    """Whether its size is a prior's standard deviation, and not learned."""
+    return not effect.is_placeholder and any(
+        c.group_sd is None and not c.flat for c in effect.coefficients
+    )
+
+
+def averaged(
+    assembly: Assembly, mode: Mode, sized: Sequence[Effect]
+) -> tuple[Assembly, Mode, float]:
+    """The structure at its likeliest sizes, and its log evidence averaged over all.
+
+    One effect's size at a time, the others' at their likeliest.
+
+    Args:
+        assembly: the structure, its sizes those of a start.
+        mode: where it has its mode, its Gaussian fit not made.
+        sized: effects with a plausible size.
+    """
+    if not math.isfinite(mode.log_evidence):
+        return assembly, mode, mode.log_evidence
+    begun = {e.name: (assembly.size_factors or {}).get(e.name, 1.0) for e in sized}
+    at_sizes, chosen = _AtSizes(assembly, mode, begun), dict(begun)
+    # Coordinate ascent over sizes: an effect that overlaps another may take its size back in the second pass.
+    for _ in range(2):
+        before = dict(chosen)
+        for name in chosen:
+            gains = at_sizes.of(name, chosen)
+            chosen[name] = max(gains, key=gains.__getitem__)
+        if chosen == before:
+            break
+    if chosen != begun:
+        assembly = Assembly(assembly.layout, assembly.record, dict(chosen))
+        mode = find_mode(assembly, [mode.v], mode.covariance, mode.point, STILL)
+    else:
+        mode = at_mode(
+            Density(assembly, mode.point, mode.flat, mode.v), mode.v, mode.change, quick=True
+        )
+    # Σ over the sizes of one effect, the others at their likeliest: as if ratios of evidence multiplied. They do
+    # where effects do not overlap; where they do, one of them mostly has its size by the other's.
+    at_sizes = _AtSizes(assembly, mode, chosen)
+    log_evidence = mode.log_evidence
+    for name in chosen:
+        gains = at_sizes.of(name, chosen)
+        here = gains[chosen[name]] - math.log(factors()[chosen[name]])
+        log_evidence += float(np.logaddexp.reduce(list(gains.values()))) - here
+    return assembly, mode, log_evidence
+
+
+class _AtSizes:
+    """Log density at a mode's φ for other sizes of its effects, times their probabilities."""
+
+    def __init__(self, assembly: Assembly, mode: Mode, made_at: Mapping[str, float]):
+        density, hyper = Density(assembly, mode.point, mode.flat), assembly.hyper(mode.v)
+        self.gram, self.at = density.gram(mode.v, hyper), mode.point.x
+        self.size = assembly.record.size
+        self.prior, self.made_at = assembly.prior(hyper, mode.flat), dict(made_at)
+        # Learned spreads are no plausible sizes: φ has them, and the evidence is averaged over them already.
+        self.places = {
+            name: [t.at for t in assembly.in_x if t.known.of == name and t.group_sd_name is None]
+            for name in made_at
+        }
+
+    def of(self, name: str, chosen: Mapping[str, float]) -> dict[float, float]:
+        """For each size of one effect, the others as chosen."""
+        found = {}
+        for factor, probability in factors().items():
+            sd = self.prior.sd.copy()
+            for other, places in self.places.items():
+                share = (factor if other == name else chosen[other]) / self.made_at[other]
+                for place in places:
+                    sd[place] *= share
+            # A size is a prior standard deviation: the products are as they are, and only the small solve is done
+            # anew.
+            got = condition(self.gram, self.size, self.prior._replace(sd=sd), self.at)
+            value = NOWHERE if got is None else got.log_marginal
+            found[factor] = value + math.log(probability)
+        return found

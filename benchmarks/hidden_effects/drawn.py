@@ -14,8 +14,7 @@ from bayescal._model.frame import reference_of
 from bayescal._model.parameters import Hyper, Layout
 from bayescal._model.prior import HalfCauchy, HalfNormal
 from bayescal._search.discover import structures_over
-from bayescal._search.plausible_sizes import factors
-from bayescal._search.structures import Structure, Structures
+from bayescal._search.structures import Structure, Structures, factors
 
 WANDER = OrnsteinUhlenbeck.law
 

@@ -15,27 +15,27 @@ import jax
 import pytest
 
 import bayescal as bc
-from bayescal._inference import gaussian, mode, products, programs, record, refinement, sampling
+from bayescal._inference import gaussian, least_squares, mode, products, programs, record, sampling
 from bayescal._model.correlated_noise import OrnsteinUhlenbeck, over_record
 from bayescal_models import mems_gyro, still_sensor
 
 GYRO = mems_gyro.INSTRUMENT
 CORE = (
     "gaussian chebyshev programs terms column_products record assembly noise_on_record products density mode "
-    "linear_model joint sampling refinement"
+    "linear_model joint sampling least_squares"
 )
 LAWS = "white_noise heteroscedastic_noise student_t_noise quantised_noise correlated_noise"
 # What only a named option or a kind of model needs, by that: each has tests of its own.
 NEEDED_BY = {
-    "noise in a column of the readings": "joint._draw_rows joint._moved_columns "
+    "noise in a column of the readings": "joint._draw_rows "
     "record.Record.moved_columns_of_draws programs.moved_columns_along assembly.Assembly._responding",
     "a flat prior": "gaussian.column_scale",
-    "a nonlinear response": "record.Record.response record.Record.responses assembly.Assembly._values "
-    "programs.responses programs.responses.<locals>.at programs.slopes_of_draws density.Density.squares "
+    "a nonlinear response": "record.Record.response record.Record.responses "
+    "programs.responses programs.slopes_of_draws density.Density.squares "
     "mode.mode_of_x mode.mode_of_x.<locals>.look mode._about_x "
-    "refinement._Refinement.from_afar refinement._Refinement.from_afar.<locals>.residuals",
-    'LeastSquares(curvature="hessian"), or a law that is not Gaussian': "refinement._Refinement.hessian "
-    "refinement._Refinement.hessian.<locals>.slope",
+    "least_squares._Refinement.from_afar least_squares._Refinement.from_afar.<locals>.residuals",
+    'LeastSquares(curvature="hessian"), or a law that is not Gaussian': "least_squares._Refinement.hessian "
+    "least_squares._Refinement.hessian.<locals>.slope",
     "a basis that cannot be computed": "programs.columns_or_refusal",
     "a density that is nowhere": "mode._lost gaussian._factors",
     "the module's own making": "programs.program",
@@ -146,7 +146,7 @@ BROKEN: list[tuple[object, str]] = [
     (products.Products, "gram"),
     (products.Products, "slopes"),
     (mode, "climb"),
-    (refinement, "qr"),
+    (least_squares, "qr"),
     (record.Record, "columns"),
     (programs, "fixed_columns"),
     (bc.White, "shared_variance"),

@@ -19,10 +19,9 @@ from bayescal._model.frame import reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import on_residuals
-from bayescal._search.plausible_sizes import factors
 from bayescal._search.posterior import Posterior
 from bayescal._search.scores import View, gain_of
-from bayescal._search.structures import Structure, Structures
+from bayescal._search.structures import Structure, Structures, factors
 from bayescal._search.walk import path, walk
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 
