@@ -60,13 +60,8 @@ class NUTS(Method):
         ran, sites = sampled(program(layout, frame), (y,), plan, seed)
         x, rows, v = (np.asarray(sites[k]) for k in ("x", "rows", "v"))
         ran = ran._replace(draws=np.concatenate([x, v], axis=2))
-        return Outcome(
-            layout=layout,
-            draws=Draws(x, rows, v),
-            mode=mode,
-            verdict=trust.chain_verdict(ran, "NUTS", ()),
-            log_evidence=None,
-        )
+        verdict = trust.chain_verdict(ran, "NUTS", ())
+        return Outcome(layout, Draws(x, rows, v), mode, verdict, log_evidence=None)
 
 
 def sampled(

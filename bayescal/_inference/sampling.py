@@ -74,6 +74,7 @@ class Mixture(NamedTuple):
     middle: Float[np.ndarray, "d"]
     wide: Float[np.ndarray, "d d"]
     share: float  # of the wide one
+    prior: PriorShare | None
 
     def draw(self, random: np.random.Generator, count: int) -> Float[np.ndarray, "s d"]:
         dim = self.centre.shape[1]
@@ -83,9 +84,21 @@ class Mixture(NamedTuple):
         which = random.integers(len(self.centre), size=count)
         apart = random.random(count) < self.share
         narrow = self.centre[which] + normal @ self.chol.T
-        return np.where(apart[:, None], self.middle + normal @ self.wide.T, narrow)
+        v = np.where(apart[:, None], self.middle + normal @ self.wide.T, narrow)
+        # A defensive share of the prior: no weight exceeds the likelihood over that share, however narrow the rest
+        # has become (T. Hesterberg, Technometrics 37 (1995) 185).
+        if self.prior is not None:
+            v = np.where(random.random((count, 1)) < PRIOR, self.prior.draw(random, count), v)
+        return v
 
     def log_density(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
+        own = self._of_components(v)
+        if self.prior is None:
+            return own
+        prior = math.log(PRIOR) + self.prior.log_density(v)
+        return np.logaddexp(math.log1p(-PRIOR) + own, prior)
+
+    def _of_components(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         dim = self.centre.shape[1]
         half = 0.5 * (FREEDOM + dim)
         # Its density: Γ((ν+d)/2)/(Γ(ν/2)·(νπ)^(d/2)·|L|)·(1 + |L⁻¹(v − c)|²/ν)^(−(ν+d)/2), summed over the centres c.

@@ -9,6 +9,7 @@ Sources: Vehtari et al., JMLR 25 (2024) 72 (k̂); Vehtari et al., Bayesian Analy
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -105,19 +106,10 @@ def weights_verdict(
 ) -> Verdict:
     """Of importance weights that are even enough but for `reasons`, by the mode that they were proposed around."""
     if mode is not None and not mode.change <= sampling().moving:
-        reasons = (
-            *reasons,
-            f"The mode was still moving by {float(mode.change):.2g} standard deviations "
-            "when the optimiser stopped.",
-        )
-    return Verdict(
-        ok=not reasons,
-        reasons=reasons,
-        notes=notes,
-        sampler="importance sampling",
-        pareto_k=k_hat,
-        ess=effective_size(weights),
-    )
+        still = f"The mode was still moving by {float(mode.change):.2g} standard deviations"
+        reasons = (*reasons, f"{still} when the optimiser stopped.")
+    size = effective_size(weights)
+    return Verdict(not reasons, reasons, notes, "importance sampling", pareto_k=k_hat, ess=size)
 
 
 def chain_verdict(ran: Chains, sampler: str, notes: tuple[str, ...]) -> Verdict:
@@ -135,12 +127,5 @@ def chain_verdict(ran: Chains, sampler: str, notes: tuple[str, ...]) -> Verdict:
         reasons.append(f"Only {ess:.0f} effective draws: run longer.")
     if ran.divergences > given.divergent * draws[0].size:
         reasons.append(f"{ran.divergences} divergent transitions: the posterior has a corner.")
-    return Verdict(
-        ok=not reasons,
-        reasons=tuple(reasons),
-        notes=notes,
-        sampler=sampler,
-        ess=ess,
-        r_hat=r_hat,
-        divergences=ran.divergences,
-    )
+    known: dict[str, Any] = {"ess": ess, "r_hat": r_hat, "divergences": ran.divergences}
+    return Verdict(not reasons, tuple(reasons), notes, sampler, **known)

@@ -7,7 +7,9 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -116,7 +118,13 @@ def calibrate(
         if first.against and not more:
             return loop.not_looked(first)
         loop, structures, shut = loop.open(first, (*effects, *more), widen_noise)
-        return loop.search(first, Library(structures), shut, seeds, follow)
+        tell = partial(loop.tell, [first], structures, deadline.door(), follow)
+        tell()
+        try:
+            library, stopped = loop.look(Library(structures), seeds, tell)
+        except TimeIsUp as early:
+            return loop.not_searched(first, early.why)
+        return loop.steps_to_best(first, library, shut, stopped, follow)
 
     if holdout is not None:
         model.require(holdout)
@@ -189,27 +197,6 @@ class Loop:
         """What is left of the loop where nothing can be learnt from the first model."""
         search = Search((), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(first.against)}")
         return SearchPath(*judged((first,)), self.holdout, None, search)
-
-    def search(
-        self,
-        first: Step,
-        library: Library,
-        shut: Sequence[Candidate],
-        seeds: Sequence[Structure | ShownStructure],
-        follow: Callable[[SearchPath], None],
-    ) -> SearchPath:
-        """Walk over the structures, and fit those on the way to the most probable one."""
-
-        def tell() -> None:
-            self.tell([first], library.structures, to, follow)
-
-        to = deadline.door()
-        tell()
-        try:
-            library, stopped = self.look(library, seeds, tell)
-        except TimeIsUp as early:
-            return self.not_searched(first, early.why)
-        return self.steps_to_best(first, library, shut, stopped, follow)
 
     def look(
         self,
@@ -355,15 +342,8 @@ class Loop:
         start: Mapping[str, float] = NOTHING_KNOWN,
     ) -> Step:
         """Fit a model and check it, looking for its mode at `start` first."""
-        calibration = fit(
-            model,
-            self.readings,
-            method,
-            seed=self.seed,
-            strict=False,
-            reference=self.reference,
-            start=start,
-        )
+        how: dict[str, Any] = {"seed": self.seed, "reference": self.reference, "start": start}
+        calibration = fit(model, self.readings, method, strict=False, **how)
         added, changed = None, ""
         if before is not None and at is not None:
             added = " + ".join(sorted(at.effects - before.effects)) or None

@@ -94,17 +94,11 @@ class InstrumentCheck(Printed):
         unit = unit_label(self.unit)
         most = f"adds at most [{unit or 1}]"
         head = ["unknown", most, "simulated", "came back", "unit", "remark"]
-        cells = [
-            [
-                r.name,
-                number(r.adds),
-                number(r.truth),
-                "–" if r.mean is None else with_error(r.mean, r.sd or 0.0),
-                unit_label(r.unit),
-                r.remark,
-            ]
-            for r in self.rows
-        ]
+        cells = []
+        for r in self.rows:
+            back = "–" if r.mean is None else with_error(r.mean, r.sd or 0.0)
+            sizes = number(r.adds), number(r.truth), back
+            cells.append([r.name, *sizes, unit_label(r.unit), r.remark])
         said = [f"error: {e}" for e in self.errors] + [f"note: {n}" for n in self.notes]
         many = f"{len(self.errors)} error(s)" if self.errors else "no error"
         end = f"{self.instrument}, with noise of {number(self.noise)} {unit}".rstrip() + f": {many}"
@@ -182,12 +176,8 @@ class _CheckedInstrument:
         run = np.repeat(np.arange(RUNS), ROWS)
         # Runs last several of the longest time constants, and readings stand closer than these: either side of a lag
         # or a warm-up is in the record.
-        times = [
-            float(s.prior.value(0.0))
-            for e in (*i.effects, *i.candidates)
-            for s in e.shapes
-            if s.unit == "s" and not s.open
-        ]
+        shapes = [s for e in (*i.effects, *i.candidates) for s in e.shapes]
+        times = [float(s.prior.value(0.0)) for s in shapes if s.unit == "s" and not s.open]
         step = max(10.0, SPANS * max(times, default=0.0) / ROWS)
         made: dict[str, Any] = {}
         for column in i.columns:
@@ -243,8 +233,8 @@ class _CheckedInstrument:
         one = _Simulated(model, self.readings, of, self.seed)
         keys = jax.random.split(jax.random.fold_in(jax.random.key(self.seed), len(self.rows)), 2)
         rows = forward.row_sd(one.layout) * jax.random.normal(keys[0], one.rows.shape)
-        made = forward.draw_readings(one.layout, one.frame, one.x, rows, one.v, keys[1])
-        output, names = np.asarray(made), ", ".join(one.mine)
+        drawn = forward.draw_readings(one.layout, one.frame, one.x, rows, one.v, keys[1])
+        output, names = np.asarray(drawn), ", ".join(one.mine)
         variance = np.asarray(model.noise.variance(one.hyper, one.frame))
         self.noise = float(np.median(np.sqrt(variance)))
         if kind == "baseline":
@@ -256,14 +246,9 @@ class _CheckedInstrument:
             )
         zero = self._zero_bases(one)
         self._bent(one, kind)
-        fitted = fit(
-            model,
-            self.readings.with_column("output", output),
-            LeastSquares(draws=300),
-            seed=self.seed,
-            reference=one.reference,
-            strict=False,
-        )
+        made = self.readings.with_column("output", output)
+        how: dict[str, Any] = {"seed": self.seed, "reference": one.reference, "strict": False}
+        fitted = fit(model, made, LeastSquares(draws=300), **how)
         self._came_back(one, fitted, zero, kind)
         if kind == "baseline":
             self.notes += [f"baseline: {d['in_words']}" for d in null_directions(fitted)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -73,14 +74,9 @@ def describe(
     best = _explaining(calibration, rows, previews, against)
     if best is None:
         return Draft(f"{said} No dependence on a single column explains it.")
-    made = fit(
-        calibration.model + previews.effects[best.effect],
-        calibration.readings,
-        QUICK,
-        seed=calibration.seed,
-        strict=False,
-        reference=calibration.reference,
-    )
+    model = calibration.model + previews.effects[best.effect]
+    how: dict[str, Any] = {"seed": calibration.seed, "reference": calibration.reference}
+    made = fit(model, calibration.readings, QUICK, strict=False, **how)
     shape, code = shape_of(made, best.effect), draft_effect(made, best.effect)
     looks = code.splitlines()[0].partition(": ")[2]
     said += (

@@ -116,12 +116,9 @@ class Discovery(Printed):
             shown = [n for n in self.noise if n.probability >= searching().shown]
             lines.append(_folded(f"noise law (probability): {', '.join(map(str, shown))}"))
         lines += [self.stopped, *(textwrap.fill(f"unit? {w}", WIDTH) for w in self.off_scale)]
-        quiet = (None, "not visible")  # an unknown dependence without evidence is not printed
-        tested = [
-            c
-            for c in self.candidates
-            if c.kind != "not testable" and not (c.unknown and c.kind in quiet)
-        ]
+        tested = [c for c in self.candidates if c.kind != "not testable"]
+        # An unknown dependence without evidence is not printed.
+        tested = [c for c in tested if not (c.unknown and c.kind in (None, "not visible"))]
         head = ["candidate", "probability", "log BF", "expected size", "detectable", "remark"]
         lines.append(table(head, [_candidate_row(c) for c in tested], fold=29) if tested else "")
         if any(c.source == "refit" for c in tested):
@@ -233,11 +230,8 @@ def structures_over(
 
     reasons = {n: untestable(e) for n, e in known.items() if n not in model.names}
     open_ = {n: known[n] for n, reason in reasons.items() if reason is None}
-    shut = [
-        Candidate(n, kind="not testable", reason=reason)
-        for n, reason in reasons.items()
-        if reason is not None and not known[n].is_placeholder
-    ]
+    named = {n: reason for n, reason in reasons.items() if not known[n].is_placeholder}
+    shut = [Candidate(n, kind="not testable", reason=why) for n, why in named.items() if why]
     frame = build_frame(readings, reference)
     model = sized(model, readings, frame)
     if any(e.open for e in open_.values()):

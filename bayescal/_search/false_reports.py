@@ -88,13 +88,8 @@ def false_reports(
     for output in outputs:
         if end.over:
             break
-        again = fit(
-            model,
-            readings.with_column("output", output),
-            LeastSquares(draws=40),
-            reference=calibration.reference,
-            strict=False,
-        )
+        made, reference = readings.with_column("output", output), calibration.reference
+        again = fit(model, made, LeastSquares(draws=40), reference=reference, strict=False)
         best = discover(again, effects=effects, max_effects=max_effects).best
         reported += bool(best)
         found.update(e.name for e in best)

@@ -72,19 +72,12 @@ class Library:
             # Uneven where the channels of a unit ask along a shape that they share, else of equal prior mass.
             grid = self.grids[name] if self.grids else _grid(effect.column_shapes)
             for v in grid:
-                values = [
-                    float(s.prior.value(x)) for s, x in zip(effect.column_shapes, v, strict=True)
-                ]
-                named = [effect.shape_name(s) for s in effect.column_shapes]
-                self.points[name].append(
-                    GridPoint(
-                        name,
-                        dict(zip(of.shapes, values, strict=True)),
-                        dict(zip(named, v.tolist(), strict=True)),
-                        record.columns(of, tuple(values)),
-                        slice(self.width, self.width + sum(width)),
-                    )
-                )
+                pairs = list(zip(effect.column_shapes, v.tolist(), strict=True))
+                shapes = {s.name: float(s.prior.value(np.float64(x))) for s, x in pairs}
+                hint = {effect.shape_name(s): x for s, x in pairs}
+                basis = record.columns(of, tuple(shapes.values()))
+                at = slice(self.width, self.width + sum(width))
+                self.points[name].append(GridPoint(name, shapes, hint, basis, at))
                 self.width += sum(width)
 
     def grouped(self, name: str) -> bool:

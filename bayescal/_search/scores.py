@@ -152,20 +152,13 @@ class WithoutNuisances(NamedTuple):
     def _of_blocks(self, name: str) -> Float[np.ndarray, "points sizes"]:
         """The same for a candidate of several columns."""
         library, found = self.view.library, []
-        for point in library.points[name]:
-            columns, inside, u = (
-                self.view.columns[:, point.at],
-                self.inside[:, point.at],
-                self.u[point.at],
-            )
+        for at in (point.at for point in library.points[name]):
+            columns, inside, u = self.view.columns[:, at], self.inside[:, at], self.u[at]
             information = columns.T @ columns - inside.T @ inside
-            found.append(
-                [
-                    self.gain(s.sd * u, s.sd[:, None] * information * s.sd) + s.log_weight
-                    for s in library.sizes[name]
-                ]
-            )
-        return np.array(found)
+            for s in library.sizes[name]:
+                gain = self.gain(s.sd * u, s.sd[:, None] * information * s.sd)
+                found.append(gain + s.log_weight)
+        return np.reshape(found, (len(library.points[name]), -1))
 
     def _scored(self, point: GridPoint, gains: Float[np.ndarray, "sizes"]) -> ScoredPoint:
         best = self.view.library.sizes[point.effect][int(np.argmax(gains))]

@@ -390,13 +390,13 @@ def averaged(
     if chosen != begun:
         assembly = Assembly(assembly.layout, assembly.record, dict(chosen))
         mode = find_mode(assembly, [mode.v], mode.covariance, mode.point, STILL)
+        at_sizes = _AtSizes(assembly, mode, chosen)
     else:
         mode = at_mode(
             Density(assembly, mode.point, mode.flat, mode.v), mode.v, mode.change, quick=True
         )
     # Σ over the sizes of one effect, the others at their likeliest: as if ratios of evidence multiplied. They do
     # where effects do not overlap; where they do, one of them mostly has its size by the other's.
-    at_sizes = _AtSizes(assembly, mode, chosen)
     log_evidence = mode.log_evidence
     for name in chosen:
         gains = at_sizes.of(name, chosen)
