@@ -66,3 +66,12 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip("needs the reference data sets in ../shared/data, beside this checkout")
     return SHARED_DATA
+
+
+@pytest.fixture
+def folder(request: pytest.FixtureRequest, shared_data: Path) -> Path:
+    """The data set that a module of tests names as its FOLDER; skips where it is absent."""
+    name = request.module.FOLDER
+    if not (shared_data / name).is_dir():
+        pytest.skip(f"needs the reference data in ../shared/data/{name}, beside this checkout")
+    return shared_data / name

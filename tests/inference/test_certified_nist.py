@@ -16,6 +16,7 @@ import pytest
 from benchmarks.accuracy import nist_linear, nist_nonlinear
 from benchmarks.accuracy.nist import digits
 
+FOLDER = "nist_strd"
 PARAMETERS, DEVIATIONS = 8.0, 6.0  # digits
 # Not to be met: of data without noise, standard deviations are rounding.
 MEANINGLESS = ("Lanczos1", "wampler1", "wampler2")
@@ -28,16 +29,6 @@ def some_fast(names):
 
 
 # NIST's own.
-
-
-@pytest.fixture
-def folder(shared_data):
-    found = shared_data / "nist_strd"
-    if not found.is_dir():
-        pytest.skip(
-            "needs the NIST reference data in ../shared/data/nist_strd, beside this checkout"
-        )
-    return found
 
 
 @pytest.mark.parametrize("name", some_fast(nist_nonlinear.NONLINEAR))

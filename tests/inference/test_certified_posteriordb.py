@@ -14,19 +14,10 @@ import pytest
 import bayescal as bc
 from benchmarks.accuracy import posteriordb
 
+FOLDER = "posteriordb"
 SHIFT, RATIO = 0.05, 0.03
 # The others are slow only by their number.
 FAST = (posteriordb.SCHOOLS,)
-
-
-@pytest.fixture
-def folder(shared_data):
-    found = shared_data / "posteriordb"
-    if not found.is_dir():
-        pytest.skip(
-            "needs the reference posteriors in ../shared/data/posteriordb, beside this checkout"
-        )
-    return found
 
 
 @pytest.mark.parametrize(
