@@ -284,12 +284,10 @@ class Assembly:
         # In general all columns may move; of an affine output only those of the effects that have the shape.
         if not self.affine or self.kinds[i] != "shape":
             up, down = (self.linearise(point, hyper) for hyper in ends)
-            columns, mean = (
-                (up.jacobian - down.jacobian) / (2 * SHIFT),
-                (up.mean - down.mean) / (2 * SHIFT),
-            )
+            parts = zip(up, down, strict=True)
+            mean, columns, rows = ((above - below) / (2 * SHIFT) for above, below in parts)
             which = np.flatnonzero(np.any(columns != 0, axis=0))
-            return Moved(which, columns[:, which], mean, (up.rows - down.rows) / (2 * SHIFT))
+            return Moved(which, columns[:, which], mean, rows)
         slopes = self.slopes(point, ends[0])
         terms = [t for t in self.terms if name in t.known.shape_names]
         n = self.record.size
@@ -303,10 +301,8 @@ class Assembly:
                 mean += column * point.rows[:, self._row_of[t.known.of, t.index]]
             else:
                 mean += column * self.value(t, point.x, ends[0])
-        which = np.concatenate(
-            [np.arange(t.at.start, t.at.stop) for t in terms if t.place == "x"]
-            or [np.zeros(0, int)]
-        )
+        every = np.arange(self.size)
+        which = np.concatenate([every[:0], *(every[t.at] for t in terms if t.place == "x")])
         return Moved(which, made[:, which], mean, rows)
 
     def _affine_line(self, point: Point, hyper: Values) -> Line:

@@ -75,19 +75,16 @@ def find_mode(
     if starts is None and assembly.kinds == ["noise"]:  # one hill
         wanted = wanted[:5]
     if start:
-        known = [
-            float(h.prior.coordinate(start[h.name])) if h.name in start else 0.0
-            for h in assembly.hypers
-        ]
-        wanted = [np.array(known), *wanted]
+        known = np.zeros(dim)
+        for i, h in enumerate(assembly.hypers):
+            known[i] = h.prior.coordinate(start[h.name]) if h.name in start else 0.0
+        wanted = [known, *wanted]
 
     def climbed(starts: Sequence[np.ndarray], point: Point) -> _Summit:
         return _climbed(assembly, starts, covariance, point, flat, still)
 
-    top, highest = (
-        climbed(wanted if dim else wanted[:1], point),
-        partial(max, key=attrgetter("value")),
-    )
+    highest = partial(max, key=attrgetter("value"))
+    top = climbed(wanted if dim else wanted[:1], point)
     if starts is None:
         # A product a·b is that of −a and −b: its density has two hills, and which one the prior draws met was chance.
         promoted = np.array([h.kind == "promoted" for h in assembly.hypers], dtype=bool)
@@ -324,7 +321,8 @@ def at_mode(
     value, found = density.at(v)
     point = density.point if point is None else point
     if found is None:
-        return _lost(point, v, density.flat)
+        nothing = np.full((len(v), len(v)), np.nan)
+        return Mode(point, v, nothing, NOWHERE, -math.inf, math.inf, density.flat, True)
     mode = Mode(point, v, np.zeros((0, 0)), value, value, change, density.flat, False)
     if not len(v):
         return mode
@@ -380,8 +378,3 @@ def curvature(
         rows.append(row)
     found = np.array(rows)
     return 0.5 * (found + found.T)
-
-
-def _lost(point: Point, v: np.ndarray, flat: np.ndarray) -> Mode:
-    nothing = np.full((len(v), len(v)), np.nan)
-    return Mode(point, v, nothing, NOWHERE, -math.inf, math.inf, flat, True)

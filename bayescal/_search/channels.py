@@ -55,14 +55,11 @@ class Channels(Printed):
         rows = [*self._errors(), *map(self._effect, self.effects), noise]
         parts = [table(["", *self.trails], rows)]
         parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
-        parts += [  # of a search that ended early; one that could not begin is not reliable, which is said
-            f"{n}: {t.search.stopped}"
-            for n, t in self.trails.items()
-            if t.search is not None and not t.search.complete
-        ]
-        parts += [
-            f"{n}: result not reliable: {t.gate.reason}" for n, t in self.trails.items() if not t.ok
-        ]
+        # Of a search that ended early; one that could not begin is not reliable, which is said.
+        searches = {n: t.search for n, t in self.trails.items() if t.search is not None}
+        parts += [f"{n}: {s.stopped}" for n, s in searches.items() if not s.complete]
+        against = {n: t.gate.reason for n, t in self.trails.items() if not t.ok}
+        parts += [f"{n}: result not reliable: {why}" for n, why in against.items()]
         return "\n".join(parts)
 
     def _brief(self) -> str:
@@ -84,20 +81,16 @@ class Channels(Printed):
         }
 
     def _errors(self) -> list[list[str]]:
-        trails = self.trails.values()
-        rows = [
-            ["unit", *(unit_label(t.final.calibration.unit) for t in trails)],
-            ["as fitted, first model", *(number(t.steps[0].rmse_fitted) for t in trails)],
-            ["as fitted, last", *(number(t.final.rmse_fitted) for t in trails)],
-        ]
+        trails, columns = self.trails.values(), self._columns()
+        shown = ["as fitted, first model", "as fitted, last"]
         if any(t.final.rmse > APART * t.final.rmse_fitted for t in trails):
-            rows.append(["new run, last", *(number(t.final.rmse) for t in trails)])
+            shown.append("new run, last")
         if any(t.holdout is not None for t in trails):
-            rows += [
-                ["held out, first", *(number(t.steps[0].holdout_rmse) for t in trails)],
-                ["held out, last", *(number(t.final.holdout_rmse) for t in trails)],
-            ]
-        return [*rows, ["noise floor", *(number(t.final.noise_floor) for t in trails)]]
+            shown += ["held out, first", "held out, last"]
+            columns["held out, first"] = [t.steps[0].holdout_rmse for t in trails]
+            columns["held out, last"] = columns["held out"]
+        rows = [[name, *map(number, columns[name])] for name in (*shown, "noise floor")]
+        return [["unit", *map(unit_label, columns["unit"])], *rows]
 
     def _effect(self, name: str) -> list[str]:
         cells = []

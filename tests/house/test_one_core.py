@@ -37,7 +37,7 @@ NEEDED_BY = {
     'LeastSquares(curvature="hessian"), or a law that is not Gaussian': "least_squares._Refinement.hessian "
     "least_squares._Refinement.hessian.<locals>.slope",
     "a basis that cannot be computed": "programs.columns_or_refusal",
-    "a density that is nowhere": "mode._lost gaussian._factors",
+    "a density that is nowhere": "gaussian._factors",
     "the module's own making": "programs.program",
     "log likelihoods of single readings, for ArviZ": "noise_on_record._densities noise_on_record.log_densities",
     "a term that something added stands for": "linear_model.LinearModel.uncertainty",
