@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.named_draws import named
 from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.importance_weights import resample, smoothed
@@ -47,12 +48,7 @@ class StructureShare:
     probability: float
 
 
-class _Values(NamedTuple):
-    """Draws by name: coefficients (s, members), what stands in φ (s,), per-reading coefficients (s, n) each."""
-
-    coefficients: dict[str, np.ndarray]
-    hypers: dict[str, np.ndarray]
-    rows: dict[str, np.ndarray]
+_Values = dict[str, np.ndarray]  # draws of each unknown by name, (s,) or (s, members)
 
 
 @on_one_thread
@@ -117,22 +113,10 @@ def _drawn(weighed: Weighed, count: int, seed: int) -> _Values:
 
 
 def _by_name(layout: Layout, x: np.ndarray, rows: np.ndarray, v: np.ndarray) -> _Values:
-    hypers = {h.name: np.asarray(h.prior.value(v[:, i])) for i, h in enumerate(layout.hypers)}
-    fixed = {name: np.full(len(x), float(value)) for name, value in layout.model.fixed}
-    coefficients, beside = {}, {}
-    for b in layout.blocks:
-        if b.place == "x":
-            coefficients[b.name] = x[:, b.start : b.start + b.size]
-        elif b.place == "row":
-            beside[b.name] = rows[:, :, len(beside)]
-        elif b.place == "phi":
-            value = np.stack([hypers[name] for name in b.member_names()], axis=1)
-            if b.coefficient.group_sd is not None:
-                # Draws of a structure hold the value in units of its spread; those of the union, the value.
-                spread = {**fixed, **hypers}[b.group_sd_name]
-                value = b.coefficient.mean + spread[:, None] * value
-            coefficients[b.name] = value
-    return _Values(coefficients, hypers, beside)
+    """Of coefficients the value, also where a structure holds it in units of its spread: so the union does."""
+    members: Any = {group: range(count) for group, count in layout.counts}
+    found = named(layout, members, x[None], rows[None], v[None])
+    return {str(name): found[name].values[0] for name in found.data_vars}
 
 
 def _union(structures: Structures, models: Sequence[Model]) -> Model:
@@ -152,7 +136,7 @@ def _together(
 ) -> Calibration:
     """The draws of all structures as those of one model, in a random order."""
     layout, n = Layout(model, last.layout.counts), len(last.readings)
-    counts = [len(next(iter((p.hypers or p.coefficients).values()))) for p in parts]
+    counts = [len(next(iter(part.values()))) for part in parts]
     total = sum(counts)
     # Zeros are the point: an effect that a structure lacks has the coefficient zero in its draws, not its prior's
     # mean.
@@ -161,11 +145,11 @@ def _together(
     for part, end, count in zip(parts, np.cumsum(counts), counts, strict=True):
         at = slice(end - count, end)
         for b in layout.x_blocks:
-            if b.name in part.coefficients:
-                x[at, b.start : b.start + b.size] = part.coefficients[b.name]
+            if b.name in part:
+                x[at, b.start : b.start + b.size] = part[b.name].reshape(count, -1)
         for k, b in enumerate(layout.row_blocks):
-            if b.name in part.rows:
-                rows[at, :, k] = part.rows[b.name]
+            if b.name in part:
+                rows[at, :, k] = part[b.name]
     for i, h in enumerate(layout.hypers):
         v[:, i] = _coordinates(h, parts, counts)
     random = np.random.default_rng(last.seed)
@@ -185,14 +169,14 @@ def _together(
 
 def _coordinates(h, parts: Sequence[_Values], counts: Sequence[int]) -> Float[np.ndarray, "s"]:
     """Of one entry of φ; where a structure has it not, as in those that have it, or no between-group deviation."""
-    there = [np.asarray(h.prior.coordinate(p.hypers[h.name])) for p in parts if h.name in p.hypers]
+    there = [np.asarray(h.prior.coordinate(p[h.name])) for p in parts if h.name in p]
     # A shape of an effect that is not there moves nothing; any value serves, and the median keeps summaries
     # undisturbed.
     usual = float(np.median(np.concatenate(there)))
     learned, known = h.kind == "group_sd" and h.name.endswith(".group_sd"), iter(there)
     absent = ABSENT if learned else usual
     found = (
-        next(known) if h.name in part.hypers else np.full(count, absent)
+        next(known) if h.name in part else np.full(count, absent)
         for part, count in zip(parts, counts, strict=True)
     )
     return np.concatenate([*found])
