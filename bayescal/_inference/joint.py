@@ -11,8 +11,8 @@ from scipy.special import gammaln
 
 from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.gaussian import LOG_2PI, Drawn
-from bayescal._inference.mode import Mode
-from bayescal._inference.noise_on_record import total_log_density, variance
+from bayescal._inference.mode import Mode, of_single_readings
+from bayescal._inference.noise_on_record import total_log_density
 from bayescal._inference.terms import Term
 
 FREEDOM = 5  # of the Student-t proposals
@@ -97,16 +97,11 @@ def _draw_rows(assembly: Assembly, mode: Mode, x, hyper: Batch, own: Float[np.nd
             line = assembly.linearise(mode.point, one)
             known = line.mean - np.sum(line.rows * mode.point.rows, axis=1)
         left = assembly.record.y - known - line.jacobian @ (x[b] - mode.point.x)
-        noise = variance(assembly.noise, one, assembly.record)
-        # As in `mode._with_rows`, a system for each reading; L⁻ᵀ of L·Lᵀ places what is drawn.
-        precision = line.rows[:, :, None] * line.rows[:, None, :] / noise[:, None, None]
-        precision = precision + np.diag(1 / assembly.row_sd**2)
-        chol = np.linalg.cholesky(precision)
-        pull = line.rows * (left / noise)[:, None]
+        precision, pull = of_single_readings(assembly, line, left, one)
+        chol = np.linalg.cholesky(precision)  # L⁻ᵀ of L·Lᵀ places what is drawn
         root = np.linalg.inv(chol).transpose(0, 2, 1)  # of the covariance of each reading's own
-        drawn[b] = (root @ ((root.transpose(0, 2, 1) @ pull[..., None]) + own[b][..., None]))[
-            ..., 0
-        ]
+        placed = root @ (root.transpose(0, 2, 1) @ pull[..., None] + own[b][..., None])
+        drawn[b] = placed[..., 0]
         volumes[b] = -np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)))
     return drawn, volumes
 

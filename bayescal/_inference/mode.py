@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.parallel import on_one_thread
-from bayescal._inference.assembly import Assembly, Point
+from bayescal._inference.assembly import Assembly, Line, Point
 from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import LOG_2PI, Conditional, column_scale, condition
 from bayescal._inference.noise_on_record import variance
@@ -292,14 +292,20 @@ def _with_rows(assembly, density: Density, found, v, x=None) -> Point:
         return point
     hyper = assembly.hyper(v)
     line = assembly.linearise(point, hyper)
-    rest = assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
-    noise = variance(assembly.noise, hyper, assembly.record)
-    # Given x, the own coefficients c of a reading are seen by it alone: (r·rᵀ/σ² + D⁻¹)·c = r·rest/σ² with its slopes
-    # r and their prior variances D, a small system for each.
-    precision = line.rows[:, :, None] * line.rows[:, None, :] / noise[:, None, None]
-    precision = precision + np.diag(1 / assembly.row_sd**2)
-    pull = line.rows * (rest / noise)[:, None]
+    left = assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
+    precision, pull = of_single_readings(assembly, line, left, hyper)
     return Point(x, np.linalg.solve(precision, pull[:, :, None])[:, :, 0])
+
+
+def of_single_readings(
+    assembly: Assembly, line: Line, left: Float[np.ndarray, "n"], hyper: Mapping[str, float]
+) -> tuple[Float[np.ndarray, "n k k"], Float[np.ndarray, "n k"]]:
+    """Precision of each reading's own coefficients, all else given, and the pull of what is `left` of it."""
+    # They are seen by this reading alone: (r·rᵀ/σ² + D⁻¹)·c = r·left/σ² with its slopes r and their prior variances
+    # D, a small system for each.
+    noise = variance(assembly.noise, hyper, assembly.record)
+    precision = line.rows[:, :, None] * line.rows[:, None, :] / noise[:, None, None]
+    return precision + np.diag(1 / assembly.row_sd**2), line.rows * (left / noise)[:, None]
 
 
 def at_mode(
