@@ -23,8 +23,8 @@ from bayescal._core.importance_weights import Corrections, effective_size, smoot
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import NOWHERE, Density, about
-from bayescal._inference.gaussian import Drawn, Gram, Prior, draw
-from bayescal._inference.joint import FREEDOM, Batch, draw_joint, linearise_draws, normal_numbers
+from bayescal._inference.gaussian import Drawn, Gram, draw
+from bayescal._inference.joint import FREEDOM, draw_joint, linearise_draws, normal_numbers
 from bayescal._inference.mode import Mode, find_mode
 from bayescal._inference.noise_on_record import grams
 from bayescal._inference.trust import sampling
@@ -74,7 +74,6 @@ class Mixture(NamedTuple):
     middle: Float[np.ndarray, "d"]
     wide: Float[np.ndarray, "d d"]
     share: float  # of the wide one
-    prior: PriorShare | None
 
     def draw(self, random: np.random.Generator, count: int) -> Float[np.ndarray, "s d"]:
         dim = self.centre.shape[1]
@@ -84,21 +83,9 @@ class Mixture(NamedTuple):
         which = random.integers(len(self.centre), size=count)
         apart = random.random(count) < self.share
         narrow = self.centre[which] + normal @ self.chol.T
-        v = np.where(apart[:, None], self.middle + normal @ self.wide.T, narrow)
-        # A defensive share of the prior: no weight exceeds the likelihood over that share, however narrow the rest
-        # has become (T. Hesterberg, Technometrics 37 (1995) 185).
-        if self.prior is not None:
-            v = np.where(random.random((count, 1)) < PRIOR, self.prior.draw(random, count), v)
-        return v
+        return np.where(apart[:, None], self.middle + normal @ self.wide.T, narrow)
 
     def log_density(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
-        own = self._of_components(v)
-        if self.prior is None:
-            return own
-        prior = math.log(PRIOR) + self.prior.log_density(v)
-        return np.logaddexp(math.log1p(-PRIOR) + own, prior)
-
-    def _of_components(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
         dim = self.centre.shape[1]
         half = 0.5 * (FREEDOM + dim)
         # Its density: Γ((ν+d)/2)/(Γ(ν/2)·(νπ)^(d/2)·|L|)·(1 + |L⁻¹(v − c)|²/ν)^(−(ν+d)/2), summed over the centres c.
@@ -282,10 +269,8 @@ class Rounds:
 
     def __init__(self, prior: PriorShare | None) -> None:
         self.prior, self.judged = prior, Corrections()
-        self.mixtures, self.proposed = (
-            list[Mixture](),
-            np.zeros((0, 0)),
-        )  # each mixture's density of all draws
+        self.mixtures = list[Mixture]()
+        self.proposed = np.zeros((0, 0))  # each mixture's density of all draws
         self.counts, self.parts = list[int](), list[_Placed]()
 
     def add(
