@@ -14,7 +14,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.settings import searching
@@ -201,7 +200,7 @@ def plan_readings(
     with stage("expecting what each campaign would leave"):
         for name, readings in plans.items():
             kept, means, noise = expected_readings(calibration, readings, None)
-            joint = _Joint.of(values, means, noise)
+            joint = _Joint(values, means, noise)
             found.append((PlannedCampaign(name, readings, joint.left()), joint, kept))
     found.sort(key=lambda one: one[0].u)
     best, joint, kept = found[0]
@@ -251,7 +250,6 @@ def _differs(readings: Measurements, column: str) -> bool:
     return column != readings.output and values.dtype.kind in "if" and float(np.ptp(values)) > 0
 
 
-@dataclass
 class _Joint:
     """The quantity at g places and n readings as jointly normal.
 
@@ -263,21 +261,15 @@ class _Joint:
             quantity seem to say a little (as R² is adjusted for the number of regressors).
     """
 
-    own: Float[np.ndarray, "g"]
-    across: Float[np.ndarray, "g n"]
-    readings: Float[np.ndarray, "n n"]
-    inflation: float
-
-    @classmethod
-    def of(cls, values: np.ndarray, means: np.ndarray, noise: np.ndarray) -> _Joint:
+    def __init__(self, values: np.ndarray, means: np.ndarray, noise: np.ndarray) -> None:
         centred, draws = means - means.mean(axis=0), len(values)
         signal = centred.T @ centred / draws
-        readings = signal + noise
+        self.own, self.across = np.mean(values**2, axis=0), values.T @ centred / draws
+        self.readings = signal + noise
         # tr K⁻¹S, K with noise and S without: as many directions of the readings as the draws make look informative.
         # An empirical regression on so many explains (freedom/draws) of the variance by chance.
-        freedom = float(np.trace(np.linalg.solve(readings, signal)))
-        inflation = draws / max(draws - freedom, 1.0)
-        return cls(np.mean(values**2, axis=0), values.T @ centred / draws, readings, inflation)
+        freedom = float(np.trace(np.linalg.solve(self.readings, signal)))
+        self.inflation = draws / max(draws - freedom, 1.0)
 
     def _u(self, left: np.ndarray) -> float:
         least = float(np.mean(self.own))

@@ -147,11 +147,27 @@ class SearchPath(Printed):
 
     @property
     def ending(self) -> str:
-        """Why the search ended where it did, in words; empty where none was made."""
-        if self.search is None or not (self.search.complete or self.search.stopped):
+        """Why the search ended where it did: time, a bound on the effects, or that nothing more is probable enough."""
+        search, found = self.search, self.final.discovery
+        if search is None or not (search.complete or search.stopped):
             return ""
-        added = sum(s.added is not None for s in self.steps)
-        return ending(self.final.discovery, added, self.search.max_effects, self.search.stopped)
+        if found is None:
+            nothing = "Nothing was looked for: the result of the fit is not reliable."
+            return search.stopped or nothing
+        said = [search.stopped] if search.stopped else []
+        added, most = sum(s.added is not None for s in self.steps), search.max_effects or 0
+        if not said and added >= most > 0:
+            said.append(
+                f"The search has added as many effects as it may, {most} (--max-effects, in Python max_effects): "
+                "with more, more may be found."
+            )
+        # Of candidates that these readings can test, the nearest one says how far the search was from another end.
+        tested = [c for c in found.candidates if c.probability is not None]
+        if tested:
+            said.append(_nearest(max(tested, key=lambda c: c.probability or 0.0), added))
+        elif not said:
+            said.append("These readings can test no further candidate.")
+        return " ".join(said)
 
     if TYPE_CHECKING:
 
@@ -212,32 +228,6 @@ class SearchPath(Printed):
                 s.discovery.nothing_missing if s.discovery else None for s in steps
             ],
         }
-
-
-def ending(found: Discovery | None, added: int, most: int | None, stopped: str) -> str:
-    """Why a search ended where it did: time, a bound on the effects, or that nothing more is probable enough.
-
-    Args:
-        found: what is missing from the last model.
-        added: effects that were added.
-        most: effects that may be.
-        stopped: why it ended early; empty where it did not.
-    """
-    if found is None:
-        return stopped or "Nothing was looked for: the result of the fit is not reliable."
-    said = [stopped] if stopped else []
-    if not stopped and most is not None and added >= most > 0:
-        said.append(
-            f"The search has added as many effects as it may, {most} (--max-effects, in Python max_effects): "
-            "with more, more may be found."
-        )
-    # Of candidates that these readings can test, the nearest one says how far the search was from another end.
-    tested = [c for c in found.candidates if c.probability is not None]
-    if tested:
-        said.append(_nearest(max(tested, key=lambda c: c.probability or 0.0), added))
-    elif not said:
-        said.append("These readings can test no further candidate.")
-    return " ".join(said)
 
 
 def _nearest(best: Candidate, added: int) -> str:
