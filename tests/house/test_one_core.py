@@ -27,7 +27,7 @@ CORE = (
 LAWS = "white_noise heteroscedastic_noise student_t_noise quantised_noise correlated_noise"
 # What only a named option or a kind of model needs, by that: each has tests of its own.
 NEEDED_BY = {
-    "noise in a column of the readings": "joint._draw_rows "
+    "noise in a column of the readings": "joint._draw_rows mode.of_single_readings "
     "record.Record.moved_columns_of_draws programs.moved_columns_along assembly.Assembly._responding",
     "a flat prior": "gaussian.column_scale",
     "a nonlinear response": "record.Record.response record.Record.responses "
@@ -40,7 +40,7 @@ NEEDED_BY = {
     "a density that is nowhere": "gaussian._factors",
     "the module's own making": "programs.program",
     "log likelihoods of single readings, for ArviZ": "noise_on_record._densities noise_on_record.log_densities",
-    "a term that something added stands for": "linear_model.LinearModel.uncertainty",
+    "a term that something added stands for": "linear_model.LinearModel.uncertainty linear_model.LinearModel.beyond",
     "NUTS where weights fail": "student_t_noise.StudentT.amplitudes",
     "JSON of a result": "correlated_noise.OrnsteinUhlenbeck.derived",
 }
