@@ -18,12 +18,12 @@ quantity that scatters (a reading) conforms with the probability of one reading 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
+from scipy.stats import multivariate_normal
 
 PLACES = 401  # shifts among which the most favourable one is looked for: its p_c need only be within 1/400 of the top
 STEPS = 60  # of bisection, each of which halves the bracket: the last is 1e-18 of it
@@ -31,7 +31,7 @@ FAR = 10.0  # standard deviations beyond which a normal distribution has 1e-23
 
 
 class Limits(NamedTuple):
-    """The tolerance interval, in the unit of the quantity; infinite where there is no limit."""
+    """A tolerance or an acceptance interval, in the unit of the quantity; infinite where there is no limit."""
 
     low: float
     high: float
@@ -74,14 +74,7 @@ class DrawnQuantity:
         return float(np.sqrt(max(p * (1 - p), 1 / len(self.low)) / len(self.low)))
 
 
-class Acceptance(NamedTuple):
-    """The estimates that are accepted, from `low` to `high`."""
-
-    low: float
-    high: float
-
-
-def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Acceptance | None:
+def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Limits | None:
     """The acceptance interval of a stated probability of false acceptance; None where no estimate has so small a one.
 
     Args:
@@ -100,7 +93,7 @@ def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Acc
         return None
     down = first if np.isinf(first) else _edge(drawn, limits, wanted, best, first)
     up = last if np.isinf(last) else _edge(drawn, limits, wanted, best, last)
-    return Acceptance(drawn.estimate[0] + down, drawn.estimate[1] + up)
+    return Limits(drawn.estimate[0] + down, drawn.estimate[1] + up)
 
 
 def _most_favourable(drawn: DrawnQuantity, limits: Limits, first: float, last: float) -> float:
@@ -149,7 +142,7 @@ class GlobalRisks:
 
 
 def global_risks(
-    mean: float, sd: float, uncertainty: float, limits: Limits, accepted: Acceptance
+    mean: float, sd: float, uncertainty: float, limits: Limits, accepted: Limits
 ) -> GlobalRisks:
     """Risks over items N(mean, sd²), each measured with a normal error of a standard uncertainty.
 
@@ -159,24 +152,27 @@ def global_risks(
         limits: the tolerance interval.
         accepted: estimates that are accepted.
 
-    Source: JCGM 106:2012, 9.5, the integral over the measured value in closed form.
+    Source: JCGM 106:2012, 9.5: item and estimate are normal together, with the covariance sd².
     """
-    inside, outside = _pieces(mean, sd, uncertainty, limits, accepted)
-    taken_inside, all_inside = _taken(inside, mean, sd, uncertainty, accepted)
-    taken_outside, _ = _taken(outside, mean, sd, uncertainty, accepted)
-    return GlobalRisks(
-        conforming=all_inside,
-        accepted=taken_inside + taken_outside,
-        consumer=taken_outside,
-        producer=all_inside - taken_inside,
-    )
+    covariance = np.full((2, 2), sd**2) + np.diag([0.0, uncertainty**2])
+
+    def share(items: Limits, read: Limits) -> float:
+        """Probability that an item is among these, and what is read of it among those."""
+        ends = np.transpose([items, read])
+        both = multivariate_normal([mean, mean], covariance, allow_singular=True)
+        return float(both.cdf(ends[1], lower_limit=ends[0]))
+
+    taken, conforming = share(limits, accepted), share(limits, Limits(-np.inf, np.inf))
+    below, above = Limits(-np.inf, limits.low), Limits(limits.high, np.inf)
+    wrongly = share(below, accepted) + share(above, accepted)
+    return GlobalRisks(conforming, taken + wrongly, wrongly, conforming - taken)
 
 
 def risks_of_curves(
     devices: Float[np.ndarray, "n g"],
     errors: Float[np.ndarray, "d g"],
     limits: Limits,
-    accepted: Acceptance,
+    accepted: Limits,
     seed: int,
 ) -> GlobalRisks:
     """Risks of a quantity over a range, which conforms, and is accepted, where all of its curve is inside: by counting.
@@ -193,41 +189,3 @@ def risks_of_curves(
     taken = (read.min(axis=1) >= accepted.low) & (read.max(axis=1) <= accepted.high)
     counted = (good, taken, taken & ~good, good & ~taken)
     return GlobalRisks(*(float(one.mean()) for one in counted))
-
-
-Pieces = list[tuple[float, float]]
-
-
-def _pieces(
-    mean: float, sd: float, uncertainty: float, limits: Limits, accepted: Acceptance
-) -> tuple[Pieces, Pieces]:
-    """Stretches of y, inside and outside the limits, on which the integrand is smooth on the scale of each."""
-    steps = np.array([-FAR, -5, -3, -2, -1, 0, 1, 2, 3, 5, FAR])
-    marks = [*(mean + sd * steps), *limits]
-    marks += [edge + uncertainty * s for edge in accepted for s in steps]
-    low, high = mean - FAR * sd, mean + FAR * sd
-    at = np.unique(np.clip([m for m in marks if np.isfinite(m)], low, high))
-    inside, outside = [], []
-    for left, right in pairwise(at):
-        conforming = limits.low <= 0.5 * (left + right) <= limits.high
-        (inside if conforming else outside).append((float(left), float(right)))
-    return inside, outside
-
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)  # exact to 1e-15 on pieces of these widths
-
-
-def _taken(
-    pieces: Pieces, mean: float, sd: float, uncertainty: float, accepted: Acceptance
-) -> tuple[float, float]:
-    """Probability that an item is on these stretches and accepted, and that it is on them."""
-    taken = total = 0.0
-    for left, right in pieces:
-        y = 0.5 * (right - left) * (_NODES + 1) + left
-        z = (y - mean) / sd
-        density = np.exp(-0.5 * z**2) / (sd * np.sqrt(2 * np.pi))
-        weight = 0.5 * (right - left) * _WEIGHTS * density
-        below, above = (accepted.low - y) / uncertainty, (accepted.high - y) / uncertainty
-        taken += float(weight @ (ndtr(above) - ndtr(below)))
-        total += float(weight.sum())
-    return taken, total

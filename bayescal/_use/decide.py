@@ -25,7 +25,6 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._use.conformity import (
-    Acceptance,
     DrawnQuantity,
     GlobalRisks,
     Limits,
@@ -188,11 +187,11 @@ def _decision(
     drawn, limits = quantity.drawn(), quantity.limits
     p = drawn.probability(limits)
     guarded = acceptance(drawn, limits, how.false_accept)
-    accepted = guarded if how.rule == "guarded" else Acceptance(*limits)
+    accepted = guarded if how.rule == "guarded" else limits
     decision, why = _decided(calibration, quantity, drawn, p, how)
     uncertainty = float(max(np.std(drawn.low), np.std(drawn.high)))
     notes = list(quantity.notes)
-    within = accepted or Acceptance(math.inf, math.inf)  # where no estimate is accepted
+    within = accepted or Limits(math.inf, math.inf)  # where no estimate is accepted
     risks = None
     if devices is not None:
         risks = global_risks(*devices, uncertainty, limits, within)

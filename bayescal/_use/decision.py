@@ -10,7 +10,7 @@ from typing import Any
 from bayescal._core.as_json import as_json
 from bayescal._core.formatting import WIDTH, Printed, number, table, with_error
 from bayescal._data.unit_conversion import unit_label
-from bayescal._use.conformity import Acceptance, GlobalRisks, Limits
+from bayescal._use.conformity import GlobalRisks, Limits
 from bayescal._use.recalibration import Recalibration
 
 ACCEPT, REJECT, UNDECIDED = "accept", "reject", "undecided"
@@ -51,7 +51,7 @@ class Decision:
     probability: float
     probability_error: float
     guard_bands: tuple[float, float] | None
-    accepted: Acceptance | None
+    accepted: Limits | None
     decision: str
     why: str
     risk: float | None

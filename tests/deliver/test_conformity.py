@@ -7,7 +7,6 @@ import pytest
 from scipy import integrate, stats
 
 from bayescal._use.conformity import (
-    Acceptance,
     DrawnQuantity,
     Limits,
     acceptance,
@@ -44,9 +43,9 @@ def test_resistors_between_acceptance_limits() -> None:
     """JCGM 106, 9.5, example: 1500 Ω ± 0.2 Ω, made with u₀ = 0.12 Ω, measured with u = 0.04 Ω.
 
     With estimates accepted within 0.18 Ω the consumer's risk is printed as 1 % and the producer's as 7 %. The same by
-    two-dimensional simulation, which shares nothing with the quadrature.
+    two-dimensional simulation, which shares nothing with the closed form.
     """
-    limits, accepted = Limits(1499.8, 1500.2), Acceptance(1499.82, 1500.18)
+    limits, accepted = Limits(1499.8, 1500.2), Limits(1499.82, 1500.18)
     found = global_risks(1500.0, 0.12, 0.04, limits, accepted)
     assert (round(100 * found.consumer), round(100 * found.producer)) == (1, 7)
     random = np.random.default_rng(106)
@@ -80,20 +79,20 @@ def test_consumers_risk_of_four_to_one_by_the_table_of_rp_19(conforming, per_cen
     The digits are those against which Suncal's own tests check (github.com/sandialabs/suncal, test_risk.py).
     """
     sd = float(1 / stats.norm.ppf(0.5 * (1 + conforming)))
-    found = global_risks(0.0, sd, sd / 4, Limits(-1.0, 1.0), Acceptance(-1.0, 1.0))
+    found = global_risks(0.0, sd, sd / 4, Limits(-1.0, 1.0), Limits(-1.0, 1.0))
     assert found.conforming == pytest.approx(conforming, abs=1e-9)
     assert 100 * found.consumer == pytest.approx(per_cent, abs=2e-6)
 
 
 def test_risks_of_deavers_test_at_two_standard_deviations() -> None:
     """D. Deaver, NCSL 1995: limits at 2 sd, u₀/u = 4: false accepts 0.8 %, false rejects 1.5 %."""
-    found = global_risks(0.0, 4.0, 1.0, Limits(-8.0, 8.0), Acceptance(-8.0, 8.0))
+    found = global_risks(0.0, 4.0, 1.0, Limits(-8.0, 8.0), Limits(-8.0, 8.0))
     assert (round(100 * found.consumer, 1), round(100 * found.producer, 1)) == (0.8, 1.5)
 
 
 @pytest.mark.parametrize("uncertainty", [0.003, 0.3, 3.0])
-def test_the_quadrature_holds_where_one_width_is_far_smaller_than_the_other(uncertainty) -> None:
-    limits, accepted = Limits(-0.5, np.inf), Acceptance(-0.4, np.inf)
+def test_global_risks_hold_where_one_width_is_far_smaller_than_the_other(uncertainty) -> None:
+    limits, accepted = Limits(-0.5, np.inf), Limits(-0.4, np.inf)
     found = global_risks(0.1, 0.7, uncertainty, limits, accepted)
 
     def density(y: float) -> float:
@@ -192,7 +191,7 @@ def test_decisions_on_simulated_devices_are_wrong_as_often_as_stated() -> None:
         stated = np.where(~accepted, p, 0.0).mean()
         assert stated == pytest.approx((~accepted & good).mean(), abs=0.002)
     # Globally, of acceptance by the reading itself, as a laboratory without the population decides.
-    for accepted in (Acceptance(*limits), Acceptance(limits.low + 0.196, limits.high - 0.196)):
+    for accepted in (limits, Limits(limits.low + 0.196, limits.high - 0.196)):
         stated = global_risks(mean, sd, u, limits, accepted)
         taken = (read >= accepted.low) & (read <= accepted.high)
         assert stated.consumer == pytest.approx((taken & ~good).mean(), abs=0.002)
