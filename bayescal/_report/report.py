@@ -112,6 +112,7 @@ def page(
         "probability": probability,
         "minus": lambda text: text.replace("-", "−"),
         "measured": tables.measured,
+        "with_error": with_error,
         "zip": zip,
     }
     pictures = figures.Pictures()
@@ -120,6 +121,7 @@ def page(
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         chapters=[_chapter(c, pictures) for c in found],
         k=tables.K,
+        many=MANY,
         certificate=certificate.rows() if certificate else [],
         decisions=decisions,
         output_unit=output_unit,
@@ -165,11 +167,10 @@ def _chapter(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
         "matrix": tables.matrix(chapter),
         "skewed": tables.skewed(chapter),
         "check": chapter.check,
-        "checks": _checks(data, last),
+        "checks": [0, last] if last else [0],
         "allan": tables.allan(chapter.check),
         "discoveries": [_discovery(m, data, pictures) for m in data["missing"]],
         "budget": found,
-        "budget_rows": _budget_rows(found),
         "no_budget": no_budget,
         "pictures": _pictures(chapter, pictures),
     }
@@ -180,19 +181,6 @@ def _groups(data: dict[str, Any]) -> str:
     counted = [(k, data["readings"]["groups"].get(k, 0)) for k in GROUPS]
     plural = {"axis": "axes"}
     return ", ".join(f"{n} {plural.get(k, k + 's')}" for k, n in counted if n > 1)
-
-
-def _checks(data: dict[str, Any], last: int) -> list[dict[str, Any]]:
-    """The check tables of the first and the last step."""
-    shown = [0, last] if last else [0]
-    return [
-        {
-            "step": i,
-            "title": data["steps"][i]["title"],
-            "rows": [e for e in data["check"] if e["step"] == i],
-        }
-        for i in shown
-    ]
 
 
 def _discovery(
@@ -214,25 +202,10 @@ def _discovery(
         "unstated": found.get("unstated", ""),
         "sets": found["sets"],
         "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
-        "rows": [_candidate(c) for c in tested if not is_quiet(c)][:MANY],
+        "rows": [c for c in tested if not is_quiet(c)][:MANY],
         "alike": sorted(", ".join(sorted(g)) for g in groups),
         "not_testable": sentences.not_tested(found["candidates"]),
         "picture": pictures.missing(found, title),
-    }
-
-
-def _candidate(c: dict[str, Any]) -> dict[str, Any]:
-    unit = unit_label(c["unit"])
-    return {
-        "effect": c["effect"],
-        "probability": probability(c["probability"]),
-        "factor": "–" if c["log_bayes_factor"] is None else f"{c['log_bayes_factor']:z.1f}",
-        "refit": c["source"] == "refit",
-        "size": f"{with_error(c['size'] or 0.0, c['size_sd'] or 0.0)} {unit}".strip(),
-        "detectable": "–"
-        if c["minimum_detectable"] is None
-        else tables.measured(c["minimum_detectable"], c["unit"], 2),
-        "kind": c["kind"] or "",
     }
 
 
@@ -244,16 +217,6 @@ def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
         return budget(chapter.calibration, k=tables.K).shown(), ""
     except BayescalError as error:
         return None, f"There is no budget: {error}"
-
-
-def _budget_rows(found: Budget | None) -> list[dict[str, str]]:
-    if found is None:
-        return []
-    head = ("name", "estimate", "sensitivity", "contribution", "share")
-    return [
-        dict(zip(head, (*c.cells(), f"{100 * c.share:z.1f} %"), strict=True))
-        for c in found.coefficients[:MANY]
-    ]
 
 
 def _pictures(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:

@@ -32,13 +32,19 @@ from bayescal._data.unit_conversion import (
     unit_label,
 )
 from bayescal._use import inversion
-from bayescal._use.budget_notes import learned_group_sds, notes_on
 from bayescal._use.compensator import Compensator, compensator
+from bayescal._use.operating_equation import OperatingEquation
+from bayescal._use.provenance import bias_only
 
 REST = "between-group sd, shapes, curvature"
 STRUCTURES = "which effects there are (average over structures)"
 SMALL = 5e-4  # share of the variance below which a coefficient is not printed
 READINGS = "noise of the calibration's readings"
+SHARED = (
+    "Not in it: errors that all readings share and no prior states, such as that of a reference or of the thermometer. "
+    "Add their variances."
+)
+FEW = 10  # groups, below which a spread between them is not known well enough for a normal distribution
 
 
 @dataclass(frozen=True)
@@ -62,9 +68,10 @@ class Contribution:
     share: float
 
     def cells(self) -> list[str]:
-        """Name, estimate, sensitivity and contribution as people read them."""
+        """Name, estimate, sensitivity, contribution and share as people read them."""
         estimate = f"{with_error(self.value, self.uncertainty)} {unit_label(self.unit)}".strip()
-        return [self.name, estimate, number(self.sensitivity), number(self.contribution)]
+        parts = number(self.sensitivity), number(self.contribution)
+        return [self.name, estimate, *parts, f"{100 * self.share:z.1f} %"]
 
 
 @dataclass(frozen=True)
@@ -170,7 +177,7 @@ def budget_text(found: Budget) -> str:
         f"Uncertainty budget of {found.stimulus} at {at}",
         table(
             ["coefficient", "estimate", "sensitivity", *tail],
-            [[*c.cells(), f"{100 * c.share:.1f} %"] for c in seen],
+            [c.cells() for c in seen],
         ),
         "Shares count correlations and add up to 100 %; a negative share reduces the variance."
         + hidden,
@@ -291,7 +298,7 @@ def _by_source(
         )
         _, gradient = _slopes(chosen, point)
         total = float(gradient @ chosen._moments.covariance @ gradient)
-    slopes, learned = dict[str, float](), learned_group_sds(chosen._equation)
+    slopes, learned = dict[str, float](), _learned_group_sds(chosen._equation)
     for i, unknown in enumerate(chosen._equation.unknowns()):
         if unknown.kind == "new":
             kind = "A" if unknown.key in learned else "B"
@@ -315,3 +322,49 @@ def _by_source(
 def _share(name: str, kind: str, value: float, variance: float) -> SourceShare:
     share = value / variance if variance > 0 else 0.0
     return SourceShare(name, kind, float(np.sign(value) * abs(value) ** 0.5), share)
+
+
+def _learned_group_sds(equation: OperatingEquation) -> set[str]:
+    """Coefficients of which a new member is drawn in use, from a spread that the readings told."""
+    given, fixed = dict(equation.members), dict(equation.layout.model.fixed)
+    return {
+        b.name
+        for b in equation.blocks
+        if b.coefficient.group_sd is not None
+        and b.coefficient.per not in given
+        and b.group_sd_name not in fixed
+    }
+
+
+def notes_on(chosen: Compensator, point: Mapping[str, float]) -> tuple[str, ...]:
+    """Where the operating point is outside the calibrated range, which coverage is short, and what is not counted.
+
+    Args:
+        chosen: whose budget it is.
+        point: the operating point, fixed units.
+    """
+    ranges = {
+        i.name: (i.low, i.high, i.unit) for i in chosen.inputs if i.kind in ("column", "elapsed")
+    }
+    if chosen.stimulus_range is not None:
+        ranges[chosen.stimulus] = (*chosen.stimulus_range, chosen.unit)
+    notes = [
+        f"{name} = {point[name]:.6g} is outside its calibrated range, {low:.6g} to {high:.6g} {unit}: an "
+        "extrapolation, whose uncertainty does not say by how much the equation itself may fail."
+        for name, (low, high, unit) in ranges.items()
+        if not low <= point[name] <= high
+    ]
+    assert chosen.calibration is not None and chosen.equation is not None
+    learned = _learned_group_sds(chosen.equation)
+    for block in chosen.equation.blocks:
+        per = block.coefficient.per
+        if per is not None and block.name in learned:
+            count = len(chosen.calibration.levels.get(per, ()))
+            if count < FEW:
+                notes.append(
+                    f"{block.name} of a new {per} is known from {count} of them: an expanded uncertainty covers less "
+                    "than that of a normal distribution."
+                )
+    if not chosen.equation.slope_calibrated(chosen.calibration):
+        notes.append(bias_only(chosen.stimulus))
+    return (*dict.fromkeys(notes), SHARED)

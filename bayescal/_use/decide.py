@@ -199,10 +199,8 @@ def _decision(
         # Each device is corrected by what was found of it: its error is estimated as zero, and the decision the same.
         took = decision == ACCEPT
         risks = GlobalRisks(p, float(took), (1 - p) * took, p * (not took))
-    elif (curves := quantity.of_devices(table, DEVICES)) is not None:
-        values = quantity.values()
-        errors = values - values.mean(axis=0)
-        risks = risks_of_curves(curves, errors, limits, within, calibration.seed)
+    elif (curves := quantity.curves(table, DEVICES)) is not None:
+        risks = risks_of_curves(*curves, limits, within, calibration.seed)
     elif asked:
         notes.append(
             "No global risk is stated: the population is of another quantity, or the limit holds over a range and no "

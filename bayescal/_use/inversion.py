@@ -55,7 +55,7 @@ class Inverse:
     @cached_property
     def inputs(self) -> tuple[str, ...]:
         """Inputs that the output depends on."""
-        theta, inputs = self._zeros()
+        theta, inputs = self.ones()
         keep = live(
             lambda inputs: self.equation.point(theta, jnp.ones(()), inputs, self.reference), inputs
         )
@@ -64,10 +64,11 @@ class Inverse:
     @cached_property
     def affine(self) -> bool:
         """Whether the output is a straight line in the stimulus, by its traced derivative."""
-        theta, inputs = self._zeros()
+        theta, inputs = self.ones()
         return not live(lambda s: jax.grad(self._at(theta, inputs))(s), jnp.ones(()))[0]
 
-    def _zeros(self) -> tuple[Scalars, Scalars]:
+    def ones(self) -> tuple[Scalars, Scalars]:
+        """θ by key, and the inputs by name, to trace the equation with."""
         theta = {u.key: jnp.ones(()) for u in self.equation.unknowns()}
         return theta, {n: jnp.ones(()) for n in self.names}
 

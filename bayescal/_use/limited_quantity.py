@@ -25,7 +25,7 @@ from bayescal._core.errors import InputError
 from bayescal._data.unit_conversion import convert, same_dimension, unit_label
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._use import inversion
-from bayescal._use.budget_notes import notes_on
+from bayescal._use.budget import notes_on
 from bayescal._use.compensator import Compensator
 from bayescal._use.conformity import DrawnQuantity, Limits
 from bayescal._use.inputs import PAST
@@ -36,17 +36,14 @@ from bayescal._use.provenance import bias_only
 
 READING, MEAN = "corrected reading", "corrected mean"
 ALL = 10**9  # draws: every one there is
-PLACES = {
-    1: 33,
-    2: 9,
-    3: 5,
-}  # along each of so many ranges. Between 33 places a parabola rises by less than 1/1000 of
-# what it rises over the range ((1/32)²); with two and three ranges 81 and 125 places keep the draws in memory.
+# Along each of so many ranges. Between 33 places a parabola rises by less than 1/1000 of what it rises over the range
+# ((1/32)²); with two and three ranges 81 and 125 places keep the draws in memory.
+PLACES = {1: 33, 2: 9, 3: 5}
 
 HELD = "{} was held at its estimate, so that its uncertainty is not known: fit with --method marginal or nuts"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LimitedQuantity:
     """A quantity that is limited, evaluated on draws.
 
@@ -74,52 +71,45 @@ class LimitedQuantity:
         """Whether it changes with the time of the record."""
         return False
 
+    @property
+    def is_error(self) -> bool:
+        """Whether it is what a correction leaves: then it is estimated as zero, whichever the device."""
+        return self.limit.quantity in (READING, MEAN)
+
     def drawn(self, later: float = 0.0) -> DrawnQuantity:
         """What the posterior says of it, s after the last reading of the calibration."""
-        raise NotImplementedError
-
-    def values(self) -> Float[np.ndarray, "d g"]:
-        """Its value in each draw, in the calibration's order, at each place of the limit's range."""
         raise NotImplementedError
 
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
         """Mean and standard deviation over devices whose coefficients have these; None where that cannot be said."""
         raise NotImplementedError
 
-    @property
-    def is_error(self) -> bool:
-        """Whether it is what a correction leaves: then it is estimated as zero, whichever the device."""
-        return self.limit.quantity in (READING, MEAN)
-
-    def of_devices(
+    def curves(
         self, table: Mapping[str, tuple[float, float]], count: int
-    ) -> Float[np.ndarray, "n g"] | None:
-        """Its value at each place for devices drawn anew, whose coefficients have these means and standard deviations.
+    ) -> tuple[Float[np.ndarray, "n g"], Float[np.ndarray, "d g"]] | None:
+        """At each place of a range: `count` devices, whose coefficients have these means and standard deviations, drawn
+        anew; and the errors of a measurement of one, by draw.
 
         None where it has a single place, or none of its coefficients is named.
         """
         return None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LimitedUnknown(LimitedQuantity):
     """An unknown of the model: draws (d,)."""
 
-    draws: tuple[float, ...] | np.ndarray = ()
+    draws: np.ndarray
 
     def drawn(self, later: float = 0.0) -> DrawnQuantity:
-        draws = np.asarray(self.draws)
-        mean = float(draws.mean())
-        return DrawnQuantity(draws, draws, (mean, mean))
-
-    def values(self) -> Float[np.ndarray, "d g"]:
-        return np.asarray(self.draws)[:, None]
+        mean = float(self.draws.mean())
+        return DrawnQuantity(self.draws, self.draws, (mean, mean))
 
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
         return table.get(self.limit.quantity)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class QuantityInUse(LimitedQuantity):
     """A slot, or the error of a corrected reading, at the places of a grid.
 
@@ -128,36 +118,33 @@ class QuantityInUse(LimitedQuantity):
         places: the stimulus and every input by name, (g,) each.
     """
 
-    chosen: Compensator | None = None
-    places: Mapping[str, np.ndarray] | None = None
+    chosen: Compensator
+    places: Mapping[str, np.ndarray]
 
     @property
     def place(self) -> dict[str, tuple[float, float, str]]:
-        units = {self._chosen.stimulus: self._chosen.unit}
-        units |= {i.name: i.unit for i in self._chosen.inputs if i.kind != "lag slope"}
-        names = [
-            n for n in units if n in self._acting or n in (self._chosen.stimulus,) * self.is_error
-        ]
+        units = {self.chosen.stimulus: self.chosen.unit}
+        units |= {i.name: i.unit for i in self.chosen.inputs if i.kind != "lag slope"}
+        shown = self._acting | ({self.chosen.stimulus} if self.is_error else set())
         return {
-            n: (float(v.min()), float(v.max()), units[n])
-            for n in names
-            if (v := self._places[n]).size
+            n: (float(self.places[n].min()), float(self.places[n].max()), unit)
+            for n, unit in units.items()
+            if n in shown
         }
 
     @cached_property
     def _acting(self) -> set[str]:
         """Inputs, and the stimulus, that it depends on."""
         if self.is_error:
-            return set(self._chosen._inverse.inputs)
-        equation, reference = self._chosen._equation, self._chosen._inverse.reference
-        theta = {u.key: jnp.ones(()) for u in equation.unknowns()}
-        inputs = {n: jnp.ones(()) for n in sorted(self._chosen._inverse.names)}
+            return set(self.chosen._inverse.inputs)
+        equation, reference = self.chosen._equation, self.chosen._inverse.reference
+        theta, inputs = self.chosen._inverse.ones()
 
         def value(s, inputs):
             return equation.slot(self.limit.quantity, theta, s, inputs, reference)
 
-        names = [self._chosen.stimulus, *inputs]
         live = inversion.live(value, jnp.ones(()), inputs)
+        names = (self.chosen.stimulus, *sorted(inputs))
         return {n for n, acts in zip(names, live, strict=True) if acts}
 
     @property
@@ -165,7 +152,7 @@ class QuantityInUse(LimitedQuantity):
         return "time" in self._acting
 
     def drawn(self, later: float = 0.0) -> DrawnQuantity:
-        values, scatter = self._values(self._chosen._moments.draws, later)
+        values, scatter = self._values(self.chosen._moments.draws, later)
         middle = values.mean(axis=0)
         return DrawnQuantity(
             values.min(axis=1),
@@ -174,24 +161,25 @@ class QuantityInUse(LimitedQuantity):
             scatter,
         )
 
-    def values(self) -> Float[np.ndarray, "d g"]:
-        return self._values(self._chosen._moments.draws, 0.0)[0]
-
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
         if self._size > 1:
             return None
-        values = self._drawn_anew(table, len(self._chosen._moments.draws))
+        values = self._drawn_anew(table, len(self.chosen._moments.draws))
         return None if values is None else (float(values.mean()), float(values.std()))
 
-    def of_devices(
+    def curves(
         self, table: Mapping[str, tuple[float, float]], count: int
-    ) -> Float[np.ndarray, "n g"] | None:
-        return None if self._size == 1 else self._drawn_anew(table, count)
+    ) -> tuple[Float[np.ndarray, "n g"], Float[np.ndarray, "d g"]] | None:
+        devices = None if self._size == 1 else self._drawn_anew(table, count)
+        if devices is None:
+            return None
+        values, _ = self._values(self.chosen._moments.draws, 0.0)
+        return devices, values - values.mean(axis=0)
 
     def _drawn_anew(
         self, table: Mapping[str, tuple[float, float]], count: int
     ) -> Float[np.ndarray, "n g"] | None:
-        chosen = self._chosen
+        chosen = self.chosen
         known = [i for i, u in enumerate(chosen._equation.unknowns()) if u.name in table]
         if not known or self.is_error:
             return None
@@ -203,30 +191,20 @@ class QuantityInUse(LimitedQuantity):
         return self._values(theta, 0.0)[0]
 
     @property
-    def _chosen(self) -> Compensator:
-        assert self.chosen is not None
-        return self.chosen
-
-    @property
-    def _places(self) -> Mapping[str, np.ndarray]:
-        assert self.places is not None
-        return self.places
-
-    @property
     def _size(self) -> int:
-        return len(self._places[self._chosen.stimulus])
+        return len(self.places[self.chosen.stimulus])
 
     def _values(
         self, theta: Float[np.ndarray, "d p"], later: float
     ) -> tuple[Float[np.ndarray, "d g"], float]:
         """Values for θ at the places, and by how much single readings scatter."""
-        chosen = self._chosen
+        chosen = self.chosen
         inverse, moments = chosen._inverse, chosen._moments
         zero = np.zeros(self._size)
-        inputs = {n: jnp.asarray(self._places.get(n, zero)) for n in inverse.names}
+        inputs = {n: jnp.asarray(self.places.get(n, zero)) for n in inverse.names}
         if "time" in inputs:
             inputs["time"] = inputs["time"] + later
-        stimulus, draws = jnp.asarray(self._places[chosen.stimulus]), jnp.asarray(theta)
+        stimulus, draws = jnp.asarray(self.places[chosen.stimulus]), jnp.asarray(theta)
         start = inverse.equation, inverse.reference
         if not self.is_error:
             name = self.limit.quantity
@@ -291,20 +269,15 @@ def limited_quantity(
     places = {n: np.full(size, v) for n, v in point.items()}
     places |= {n: g.ravel() for (n, _, _), g in zip(ranges, grid, strict=True)}
     # Where a range leaves what was calibrated is said by `not_covered`, in its own words.
-    beside = (
-        {bias_only(chosen.stimulus)} if limit.quantity in slots else set()
-    )  # is of a correction
-    said = [
-        n
-        for n in notes_on(chosen, point)
-        if "outside its calibrated range" not in n and n not in beside
-    ]
-    said += _of_the_noise(calibration, limit.quantity)
+    beside = bias_only(chosen.stimulus) if limit.quantity in slots else ""  # is of a correction
+    said = notes_on(chosen, point)
+    notes += [n for n in said if "outside its calibrated range" not in n and n != beside]
+    notes += _of_the_noise(calibration, limit.quantity)
     return QuantityInUse(
         limit=limit,
         limits=_limits(limit, unit, local_gravity),
         unit=unit,
-        notes=(*notes, *said),
+        notes=tuple(notes),
         not_covered=tuple(not_covered),
         chosen=chosen,
         places=places,
@@ -328,11 +301,7 @@ def _of_the_noise(calibration: Calibration, quantity: str) -> list[str]:
 
 
 def _limits(limit: StatedLimit, unit: str, local_gravity: float) -> Limits:
-    """The tolerance limits in the unit of the quantity.
-
-    Raises:
-        InputError: the unit is of another dimension, or none is given.
-    """
+    """The tolerance limits in the unit of the quantity."""
     if not limit.unit and unit_label(unit):
         raise InputError(
             f"limit {limit.text!r} has no unit: {limit.quantity} is in {unit_label(unit)}"
@@ -342,13 +311,9 @@ def _limits(limit: StatedLimit, unit: str, local_gravity: float) -> Limits:
             f"limit {limit.text!r}: {limit.quantity} is in {unit_label(unit) or 'plain numbers'}, not in "
             f"{unit_label(limit.unit) or 'plain numbers'}"
         )
-    low, high = (
-        float(
-            convert(v, limit.unit or "1", unit or "1", local_gravity=local_gravity, difference=True)
-        )
-        for v in (limit.low, limit.high)
-    )
-    return Limits(low, high)
+    ends, own = np.array([limit.low, limit.high]), unit or "1"
+    found = convert(ends, limit.unit or "1", own, local_gravity=local_gravity, difference=True)
+    return Limits(*found.tolist())
 
 
 def _unknown(calibration: Calibration, limit: StatedLimit, local_gravity: float) -> LimitedUnknown:
@@ -366,8 +331,9 @@ def _unknown(calibration: Calibration, limit: StatedLimit, local_gravity: float)
         )
     values, unit = draws[limit.quantity]
     not_covered = () if np.ptp(values) > 0 else (HELD.format(limit.quantity),)
+    limits = _limits(limit, unit, local_gravity)
     return LimitedUnknown(
-        limit, _limits(limit, unit, local_gravity), unit, not_covered=not_covered, draws=values
+        limit=limit, limits=limits, unit=unit, not_covered=not_covered, draws=values
     )
 
 
@@ -380,10 +346,8 @@ def _draws_by_name(calibration: Calibration) -> dict[str, tuple[np.ndarray, str]
         if b.place != "row"
     }
     for name in map(str, calibration.posterior):
-        values, unit = (
-            calibration.samples(name),
-            str(calibration.posterior[name].attrs.get("units", "1")),
-        )
+        values = calibration.samples(name)
+        unit = str(calibration.posterior[name].attrs.get("units", "1"))
         if values.ndim == 1:
             found[name] = values, unit
         else:
@@ -395,11 +359,7 @@ def _draws_by_name(calibration: Calibration) -> dict[str, tuple[np.ndarray, str]
 def _resolved(
     chosen: Compensator, span: LimitedRange, limit: StatedLimit, local_gravity: float
 ) -> tuple[str, float, float]:
-    """The column of a range, and its ends in that column's unit.
-
-    Raises:
-        InputError: there is no such column, several could be meant, or the unit is of another dimension.
-    """
+    """The column of a range, and its ends in that column's unit."""
     readings = chosen._calibration.readings
     inputs = {i.name: i.unit for i in chosen.inputs if i.kind != "lag slope"}
     acting = {chosen.stimulus: chosen.unit, **inputs}
@@ -417,11 +377,8 @@ def _resolved(
         meant = [n for n, u in acting.items() if same_dimension(u, unit) and n not in past]
         meant = meant or [n for n, u in known.items() if same_dimension(u, unit)]
         if len(meant) != 1:
-            could = (
-                f"several could be meant: {', '.join(meant)}"
-                if meant
-                else "no column is in that unit"
-            )
+            several = f"several could be meant: {', '.join(meant)}"
+            could = several if meant else "no column is in that unit"
             raise InputError(
                 f"limit {limit.text!r}: of which column is the range in {unit_label(unit) or 'plain numbers'}? "
                 f"{could}. Name it: over temperature -20..60 °C"
@@ -432,10 +389,8 @@ def _resolved(
         raise InputError(
             f"limit {limit.text!r}: {name} is in {unit_label(unit)}, not in {unit_label(span.unit) or 'plain numbers'}"
         )
-    low, high = (
-        float(convert(v, span.unit or "1", unit, local_gravity=local_gravity))
-        for v in (span.low, span.high)
-    )
+    ends = np.array([span.low, span.high])
+    low, high = convert(ends, span.unit or "1", unit, local_gravity=local_gravity).tolist()
     return name, low, high
 
 
@@ -450,11 +405,8 @@ def _beyond(chosen: Compensator, name: str, low: float, high: float) -> list[str
     elif name in known:
         span = known[name]
     else:
-        span = (
-            float(readings[name].min()),
-            float(readings[name].max()),
-            readings.unit(name) or "1",
-        )
+        values, unit = readings[name], readings.unit(name) or "1"
+        span = (float(values.min()), float(values.max()), unit)
     first, last = calibrated_limits(span[:2])
     if first <= low and high <= last:
         return []
