@@ -150,11 +150,7 @@ def _checked(given: dict[str, Any], section: str, where: str) -> dict[str, Any]:
 
 
 def _text(value: Any, where: str) -> str:
-    """A value as text: what is written as a number (a serial number) is taken as it stands.
-
-    Raises:
-        InputError: it is neither.
-    """
+    """A value as text: what is written as a number (a serial number) is taken as it stands."""
     if (
         isinstance(value, bool)
         or not isinstance(value, str | int | float)

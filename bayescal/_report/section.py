@@ -136,11 +136,7 @@ def _read_result(path: Path) -> dict[str, Any]:
 
 
 def _refuse_strangers(folder: Path, data: dict[str, Any], calibration: Calibration) -> None:
-    """A result and a calibration of two different runs make no report.
-
-    Raises:
-        InputError: instrument, effects, readings, seed or draws differ.
-    """
+    """A result and a calibration of two different runs make no report."""
     try:
         told = (
             data["instrument"],

@@ -31,8 +31,8 @@ from bayescal._data.unit_conversion import (
     same_dimension,
     unit_label,
 )
-from bayescal._use import inversion
 from bayescal._use.compensator import Compensator, compensator
+from bayescal._use.inversion import AtPoint
 from bayescal._use.operating_equation import OperatingEquation
 from bayescal._use.provenance import bias_only
 
@@ -275,13 +275,9 @@ def _by_coefficient(
     )
 
 
-def _slopes(
-    chosen: Compensator, point: Mapping[str, float]
-) -> tuple[inversion.AtPoint, np.ndarray]:
+def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[AtPoint, np.ndarray]:
     """The equation at a point, and ∂value/∂θ there."""
-    assert chosen.equation is not None
-    inverse, mean = chosen._inverse, chosen._moments.mean
-    found = inversion.at_point(chosen.equation, inverse.reference, mean, point, inverse.names)
+    found = chosen._inverse.at_point(chosen._moments.mean, point)
     return found, 0.0 - found.gradient / found.slope
 
 

@@ -104,11 +104,7 @@ def _from_template(program: CompensationProgram, language: Language) -> str:
 
 
 def _record(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str, Any]:
-    """What a record is corrected by, reading by reading: its columns, and what is made of their past.
-
-    Empty where nothing is made of the past. Rates, lags and slopes of lags come as (column's field, own field, τ);
-    the slope of a lag with the field of the lag besides.
-    """
+    """What a record is corrected by, reading by reading: fields of its columns, and of what is made of their past."""
     past = [i for i in program.inputs if i.kind != "column"]
     columns = {i.column: fields[i.name] for i in program.inputs if i.kind == "column"}
     units = {i.column: i.unit for i in program.inputs if i.kind == "column"}

@@ -9,7 +9,6 @@ renamed.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -82,16 +81,22 @@ class _FileCompensation:
     noise: bool
     expected: ExpectedColumns
     done: CompensationSummary
+    all: Compensated | None = None  # of rows that could not be taken by themselves
+    start: int = 0  # of the next rows among them
 
-    def part(self, table: Table) -> Compensated:
-        """Compensate the rows of a table by themselves."""
-        converted = convert_columns(table, self.expected, self.options)
-        if not self.done.flags:
-            self.done.flags = tuple(converted.flags)
-        return self._take(table, converted)
+    def rows(self, table: Table) -> tuple[np.ndarray, np.ndarray]:
+        """Value and uncertainty of the next rows of the file, which are in `table`."""
+        if self.all is None:
+            converted = convert_columns(table, self.expected, self.options)
+            self.done.flags = self.done.flags or tuple(converted.flags)
+            found = self._compensated(table, converted)
+            return found.value, found.uncertainty
+        rows = slice(self.start, self.start + table.rows)
+        self.start += table.rows
+        return self.all.value[rows], self.all.uncertainty[rows]
 
-    def whole(self, table: Table) -> Compensated:
-        """Compensate all rows of a table, the past of each counting."""
+    def whole(self, table: Table) -> None:
+        """Compensate all rows of a table beforehand, the past of each counting."""
         size = 8 * table.rows * len(self.expected.columns)
         if size > MAX_BYTES:
             raise InputError(
@@ -103,14 +108,9 @@ class _FileCompensation:
         there = kept_table(table, converted)
         problems_of_whole([there], converted, self.expected, True).refuse()
         self.done.flags = assemble([there], converted, self.expected, (source,)).flags
-        return self._take(table, converted)
+        self.all = self._compensated(table, converted)
 
-    @property
-    def needs_whole(self) -> bool:
-        """Whether rows cannot be taken by themselves: their past counts, or times that count from the first."""
-        return self.compensator.history or any(c.name == "time" for c in self.expected.columns)
-
-    def _take(self, table: Table, converted: ConvertedColumns) -> Compensated:
+    def _compensated(self, table: Table, converted: ConvertedColumns) -> Compensated:
         readings = of_columns(converted.values, converted.units)
         found = self.compensator(readings, noise=self.noise, method=self.method, warn=False)
         self.done.rows += table.rows
@@ -178,14 +178,10 @@ def compensate_file(
         table = open_table(path, path.name, _limit(suffix), options.decimal, asked)
         raw, names = _names(table, expected, options)
         done = CompensationSummary(out, names)
-        job = _FileCompensation(
-            compensator=compensator,
-            options=options,
-            method=method,
-            noise=noise,
-            expected=expected,
-            done=done,
-        )
+        job = _FileCompensation(compensator, options, method, noise, expected, done)
+        # Rows cannot be taken by themselves where their past counts, or times that count from the first.
+        if compensator.history or any(c.name == "time" for c in expected.columns):
+            job.whole(table)
         writers = {".parquet": _parquet, ".nc": _netcdf, **dict.fromkeys(AS_CSV, _as_csv)}
         writers.get(suffix, _csv)(job, path, partial, table, raw)
     return done
@@ -208,11 +204,7 @@ def _expected(compensator: Compensator) -> ExpectedColumns:
 def _names(
     table: Table, expected: ExpectedColumns, options: ReadOptions
 ) -> tuple[str, tuple[str, str]]:
-    """The output's header in the file, and the names of the columns to add.
-
-    Raises:
-        InputError: there is no output, or the names are taken.
-    """
+    """The output's header in the file, and the names of the columns to add."""
     problems = Problems(table.problems)
     table, places = matched(table, expected, options, problems)
     problems.refuse()
@@ -231,28 +223,9 @@ def _names(
     return header.raw, names
 
 
-def _slices(
-    job: _FileCompensation, whole: Compensated | None
-) -> Callable[[Table], tuple[np.ndarray, np.ndarray]]:
-    """A function that gives value and uncertainty of the next rows."""
-    start = 0
-
-    def take(table: Table) -> tuple[np.ndarray, np.ndarray]:
-        nonlocal start
-        if whole is None:
-            found = job.part(table)
-            return found.value, found.uncertainty
-        rows = slice(start, start + table.rows)
-        start += table.rows
-        return whole.value[rows], whole.uncertainty[rows]
-
-    return take
-
-
 def _csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
     """Lines as they stand, with two fields more."""
-    whole = job.whole(table) if job.needs_whole else None
-    take, unit = _slices(job, whole), job.compensator.unit
+    unit = job.compensator.unit
     with partial.open("wb") as target:
         for part in csv_parts(path, table.file, ROWS, job.options.decimal):
             if part.table is None:  # comments and the header
@@ -261,8 +234,7 @@ def _csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: s
                 target.write(_longer(part.lines[0], added, part.separator))
                 target.writelines(_longer(line, ["", ""], part.separator) for line in part.behind)
                 continue
-            value, uncertainty = take(part.table)
-            rows = iter(zip(value.tolist(), uncertainty.tolist(), strict=True))
+            rows = iter(np.column_stack(job.rows(part.table)).tolist())
             for line in part.lines:
                 if not line.strip():
                     target.write(line)
@@ -283,8 +255,7 @@ def _longer(line: bytes, fields: list[str], separator: str) -> bytes:
 
 
 def _parquet(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
-    whole = job.whole(table) if job.needs_whole else None
-    take, unit = _slices(job, whole), job.compensator.unit
+    unit = job.compensator.unit
     with pq.ParquetFile(path) as opened:
         schema = opened.schema_arrow
     in_header = raw != raw.partition(" [")[0]  # the unit of the output stands in its name
@@ -293,13 +264,12 @@ def _parquet(job: _FileCompensation, path: Path, partial: Path, table: Table, ra
         schema = schema.append(pa.field(name, pa.float64(), metadata={"units": unit}))
     with pq.ParquetWriter(partial, schema) as writer:
         for batch, part in parquet_parts(path, table.file, ROWS):
-            columns = [*batch.columns, *(pa.array(v) for v in take(part))]
+            columns = [*batch.columns, *(pa.array(v) for v in job.rows(part))]
             writer.write_table(pa.Table.from_arrays(columns, schema=schema))
 
 
 def _as_csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
     """A sheet or vectors as CSV: its cells as text, with two columns more."""
-    found = job.whole(table) if job.needs_whole else job.part(table)
     told = load_whole(table, dict.fromkeys(range(len(table.headers)), False))
     unit = job.compensator.unit
     with partial.open("w", encoding="utf-8", newline="") as target:
@@ -307,16 +277,15 @@ def _as_csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw
         added = [f"{name} [{unit}]" for name in job.done.columns]
         writer.writerow([*(header.raw for header in table.headers), *added])
         texts = [told[i].values.tolist() for i in range(len(table.headers))]
-        values = ([_number(v) for v in vs.tolist()] for vs in (found.value, found.uncertainty))
+        values = ([_number(v) for v in vs.tolist()] for vs in job.rows(table))
         writer.writerows(zip(*texts, *values, strict=True))
 
 
 def _netcdf(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
-    found = job.whole(table) if job.needs_whole else job.part(table)
     with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as opened:
         dataset = opened.load()
     (dimension,) = dataset[raw].dims
     unit = {"units": job.compensator.unit}
-    values = zip(job.done.columns, (found.value, found.uncertainty), strict=True)
+    values = zip(job.done.columns, job.rows(table), strict=True)
     dataset = dataset.assign({name: (dimension, v, unit) for name, v in values})
     partial.write_bytes(netcdf_bytes(dataset))

@@ -36,15 +36,6 @@ STIMULUS = "(stimulus)"  # its name as an input of the graph
 STEPS = 20  # of Newton
 AGAIN = "Export it again"
 KINDS = ("column", "elapsed", *PAST)
-_INPUT = {
-    "name": str,
-    "unit": str,
-    "meaning": str,
-    "kind": str,
-    "column": str,
-    "low": float,
-    "high": float,
-}
 SHAPE = {
     "schema": str,
     "version": int,
@@ -58,7 +49,12 @@ SHAPE = {
         "made_by": str,
         "calibration?": str,
     },
-    "inputs": [{**_INPUT, "tau?": OneOf(None, float)}],
+    "inputs": [
+        {
+            **dict.fromkeys(("name", "unit", "meaning", "kind", "column"), str),
+            **{"low": float, "high": float, "tau?": OneOf(None, float)},
+        }
+    ],
     "stimulus_range": OneOf(None, (float, float)),
     "unknowns": [{"name": str, "unit": str, "mean": float}],
     "covariance": [[float]],
@@ -135,22 +131,20 @@ class CompensationProgram:
         """
         target = np.asarray(output, kind)
         given = {i.name: np.asarray(inputs[i.name], kind) for i in self.inputs if i.name in inputs}
-        s, settled = np.zeros_like(target), self.affine
+
+        def at(s: np.ndarray, *outputs: int) -> list[Any]:
+            return self.graph.evaluate(outputs, {**given, STIMULUS: s}, kind)
+
+        s = np.zeros_like(target)
         for _ in range(1 if self.affine else STEPS):
-            found, slope = self.graph.evaluate(
-                (self.expected, self.slope), {**given, STIMULUS: s}, kind
-            )
+            found, slope = at(s, self.expected, self.slope)
             with np.errstate(all="ignore"):
                 s = s - (found - target) / slope
-        if not settled:
-            found, slope = self.graph.evaluate(
-                (self.expected, self.slope), {**given, STIMULUS: s}, kind
-            )
+        if not self.affine:
+            (found,) = at(s, self.expected)
             near = 1e4 * np.finfo(kind).eps * (np.abs(target) + np.abs(found))
             s = np.where(np.abs(found - target) <= near, s, np.nan).astype(kind)
-        slope, *gradient = self.graph.evaluate(
-            (self.slope, *self.gradient), {**given, STIMULUS: s}, kind
-        )
+        slope, *gradient = at(s, self.slope, *self.gradient)
         factor = self.factor.astype(kind)
         square = np.zeros_like(target)
         for j in range(len(gradient)):
@@ -228,11 +222,7 @@ def from_data(data: Any, file: str) -> CompensationProgram:
 
 
 def _refuse_torn(program: CompensationProgram) -> None:
-    """Parts that are each right may not go together.
-
-    Raises:
-        ValueError: they do not; says which.
-    """
+    """Refuse parts that are each right and do not go together, by a `ValueError`."""
     sizes = {len(program.unknowns), len(program.gradient), *program.covariance.shape}
     if len(sizes) > 1:
         raise ValueError("its covariance, unknowns and gradient are of different sizes")

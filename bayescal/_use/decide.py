@@ -132,11 +132,6 @@ class _How(NamedTuple):
 
 
 def _refuse(rule: str, false_accept: float, capability: float, conformity: float) -> None:
-    """Refuse a rule or a probability that is none.
-
-    Raises:
-        InputError: it is so.
-    """
     if rule not in get_args(Rule):
         raise InputError(f"rule {rule!r} is none: choose {', '.join(get_args(Rule))}")
     if not 0 < false_accept < 0.5:

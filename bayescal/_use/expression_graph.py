@@ -32,10 +32,13 @@ def _infix(compute: Callable[..., Any], sign: str, boolean: bool = False) -> Ope
     return Operation(compute, written, written, written, boolean)
 
 
-def _function(compute: Callable[..., Any], name: str) -> Operation:
-    return Operation(
-        compute, f"BAYESCAL_CALL({name}, {{0}})", f"math.{name}({{0}})", f"Math.{name}({{0}})"
-    )
+def _function(name: str) -> Operation:
+    """Called the same in NumPy, C, Python and JavaScript."""
+    called = (f"BAYESCAL_CALL({name}, {{0}})", f"math.{name}({{0}})", f"Math.{name}({{0}})")
+    return Operation(getattr(np, name), *called)
+
+
+FUNCTIONS = "exp log expm1 log1p sqrt sin cos tan asin acos atan sinh cosh tanh floor ceil"
 
 
 OPERATIONS: dict[str, Operation] = {
@@ -61,22 +64,7 @@ OPERATIONS: dict[str, Operation] = {
         "Math.atan2({0}, {1})",
     ),
     "rem": Operation(np.fmod, "BAYESCAL_CALL2(fmod, {0}, {1})", "math.fmod({0}, {1})", "{0} % {1}"),
-    "exp": _function(np.exp, "exp"),
-    "log": _function(np.log, "log"),
-    "expm1": _function(np.expm1, "expm1"),
-    "log1p": _function(np.log1p, "log1p"),
-    "sqrt": _function(np.sqrt, "sqrt"),
-    "sin": _function(np.sin, "sin"),
-    "cos": _function(np.cos, "cos"),
-    "tan": _function(np.tan, "tan"),
-    "asin": _function(np.arcsin, "asin"),
-    "acos": _function(np.arccos, "acos"),
-    "atan": _function(np.arctan, "atan"),
-    "sinh": _function(np.sinh, "sinh"),
-    "cosh": _function(np.cosh, "cosh"),
-    "tanh": _function(np.tanh, "tanh"),
-    "floor": _function(np.floor, "floor"),
-    "ceil": _function(np.ceil, "ceil"),
+    **{name: _function(name) for name in FUNCTIONS.split()},
     "gt": _infix(np.greater, ">", True),
     "ge": _infix(np.greater_equal, ">=", True),
     "lt": _infix(np.less, "<", True),

@@ -152,11 +152,7 @@ def _axis(name: str, autopilot: Autopilot) -> Axis:
 
 
 def _range(own: Mapping[Axis, AtRest]) -> tuple[float, float]:
-    """The temperatures that all axes of a sensor were calibrated at.
-
-    Raises:
-        InputError: there are none.
-    """
+    """The temperatures that all axes of a sensor were calibrated at."""
     low, high = max(r.low for r in own.values()), min(r.high for r in own.values())
     if not low < high:
         ranges = ", ".join(f"{a} {r.low:.4g} to {r.high:.4g} °C" for a, r in own.items())
@@ -170,11 +166,7 @@ def _range(own: Mapping[Axis, AtRest]) -> tuple[float, float]:
 def _devices(
     chosen: Mapping[Axis, Compensator], said: Mapping[str, int]
 ) -> dict[tuple[str, int], int]:
-    """device_id of each sensor: what is said, else what its log named.
-
-    Raises:
-        InputError: one is said for no sensor, or the axes of a sensor are of different devices.
-    """
+    """device_id of each sensor: what is said, else what its log named."""
     found: dict[tuple[str, int], int] = {}
     for a, c in chosen.items():
         readings = c.calibration.readings if c.calibration else None

@@ -38,6 +38,14 @@ def live(function, *arguments: Any) -> list[bool]:
     return [id(v) in wanted for v in jaxpr.invars]
 
 
+class AtPoint(NamedTuple):
+    """The equation at one operating point: expected output, its slope by the stimulus, its gradient by θ."""
+
+    expected: float
+    slope: float
+    gradient: np.ndarray
+
+
 @dataclass(frozen=True)
 class Inverse:
     """The inverse of an equation in use.
@@ -71,6 +79,21 @@ class Inverse:
         """θ by key, and the inputs by name, to trace the equation with."""
         theta = {u.key: jnp.ones(()) for u in self.equation.unknowns()}
         return theta, {n: jnp.ones(()) for n in self.names}
+
+    def at_point(self, mean: np.ndarray, point: Mapping[str, float]) -> AtPoint:
+        """The equation with its derivatives at θ = `mean` and one operating point: stimulus and inputs by name.
+
+        Inputs that are not in `point` are zero, since the equation makes no use of them.
+        """
+        stimulus, zeros = self.equation.use.stimulus, dict.fromkeys(self.names, jnp.zeros(()))
+        inputs = zeros | {n: jnp.asarray(v) for n, v in point.items() if n != stimulus}
+
+        def expected(theta, s):
+            return self._at(_named(self.equation, theta), inputs)(s)
+
+        at = jnp.asarray(mean), jnp.asarray(float(point[stimulus]))
+        value, (gradient, slope) = jax.value_and_grad(expected, argnums=(0, 1))(*at)
+        return AtPoint(float(value), float(slope), np.asarray(gradient))
 
     def _at(self, theta: Scalars, inputs: Scalars):
         return lambda s: self.equation.point(theta, s, inputs, self.reference)
@@ -261,37 +284,3 @@ def _seen_by_noise(calibration: Calibration) -> Frame:
         step=one,
         record={},
     )
-
-
-class AtPoint(NamedTuple):
-    """The equation at one operating point: expected output, its slope by the stimulus, its gradient by θ."""
-
-    expected: float
-    slope: float
-    gradient: np.ndarray
-
-
-def at_point(
-    equation: OperatingEquation,
-    reference: Scalars,
-    mean: np.ndarray,
-    point: Mapping[str, float],
-    names: tuple[str, ...],
-) -> AtPoint:
-    """The equation in use, with its derivatives, at one operating point.
-
-    Args:
-        equation, reference, mean: the equation, its constants, θ.
-        point: stimulus and inputs by name.
-        names: of all inputs; those not in `point` are zero, since the equation makes no use of them.
-    """
-    stimulus = equation.use.stimulus
-    inputs = {n: jnp.asarray(v) for n, v in point.items() if n != stimulus}
-    inputs = {**dict.fromkeys(names, jnp.zeros(())), **inputs}
-
-    def expected(theta, s):
-        return equation.point(_named(equation, theta), s, inputs, reference)
-
-    theta, s = jnp.asarray(mean), jnp.asarray(float(point[stimulus]))
-    value, (gradient, slope) = jax.value_and_grad(expected, argnums=(0, 1))(theta, s)
-    return AtPoint(float(value), float(slope), np.asarray(gradient))

@@ -14,7 +14,7 @@ from scipy import stats
 import bayescal as bc
 from bayescal import effects
 from bayescal._use.conformity import GlobalRisks
-from bayescal._use.inversion import at_point, errors_over_draws
+from bayescal._use.inversion import errors_over_draws
 from bayescal._use.limit import LimitedRange, StatedLimit, stated_limit
 from bayescal._use.recalibration import DAY, first_below
 from tests.support.made_up import bent_sensor
@@ -154,13 +154,7 @@ def test_an_output_that_bends_is_inverted_as_the_export_inverts_it() -> None:
     found, inclination = errors_over_draws(
         *(chosen.equation, inverse.reference, some, moments.mean, np.array([acceleration]), inputs)
     )
-    readings = [
-        at_point(
-            *(chosen.equation, inverse.reference, draw),
-            *({**point, "acceleration": acceleration}, inverse.names),
-        )
-        for draw in some
-    ]
+    readings = [inverse.at_point(draw, {**point, "acceleration": acceleration}) for draw in some]
     output = np.array([r.expected for r in readings])
     columns: dict[str, Any] = {**point}
     by_export = chosen(output=output, method="first order", noise=False, **columns)
