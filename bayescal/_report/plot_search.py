@@ -31,11 +31,8 @@ from bayescal._search.search_path import SearchPath
 
 MOST = 12  # candidates
 BELOW = 0.45  # inch, from an axis to its legend: its numbers and its label stand between
-ON_GROUND = {
-    "facecolor": "white",
-    "edgecolor": "none",
-    "pad": 0.5,
-}  # no line runs through the words
+# No line runs through the words.
+ON_GROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
 KINDS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
 
 
@@ -49,9 +46,8 @@ def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
     steps = [s.errors() for s in found.steps] if isinstance(found, SearchPath) else found["steps"]
     left_out, last = [s["leave_one_group_out"] or {} for s in steps], steps[-1]
     ax = axes_of(ax, 5.6, 0.75 + 1.0 * len(steps))
-    runs = any(
-        s["rmse"] > 1.001 * s["rmse_fitted"] for s in steps
-    )  # no effect of a run, no second bar
+    # Without an effect of a run there is no second bar.
+    runs = any(s["rmse"] > 1.001 * s["rmse_fitted"] for s in steps)
     series = [
         ("as fitted", [s["rmse_fitted"] for s in steps], BLUE),
         ("new run", [s["rmse"] if runs else None for s in steps], PALE),

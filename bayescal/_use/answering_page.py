@@ -63,9 +63,8 @@ def effects_of(program: CompensationProgram) -> list[ShownEffect]:
     found: dict[str, tuple[list[int], list[int]]] = {n: ([], []) for n, _ in program.about.effects}
     for i, unknown in enumerate(program.unknowns):
         name = next((n for n in known if unknown.name.startswith(n)), "other")
-        rest = unknown.name.removeprefix(
-            name
-        )  # "", "[part]" or "(new run)" of a coefficient, ".tau" of a shape
+        # Then follows "", "[part]" or "(new run)" of a coefficient, ".tau" of a shape.
+        rest = unknown.name.removeprefix(name)
         found.setdefault(name, ([], []))[rest.startswith(".")].append(i)
     equations = dict(program.about.effects)
     return [

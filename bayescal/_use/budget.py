@@ -32,6 +32,7 @@ from bayescal._data.unit_conversion import (
     unit_label,
 )
 from bayescal._use.compensator import Compensator, compensator
+from bayescal._use.inputs import PAST
 from bayescal._use.inversion import AtPoint
 from bayescal._use.operating_equation import OperatingEquation
 from bayescal._use.provenance import bias_only
@@ -339,16 +340,12 @@ def notes_on(chosen: Compensator, point: Mapping[str, float]) -> tuple[str, ...]
         chosen: whose budget it is.
         point: the operating point, fixed units.
     """
-    ranges = {
-        i.name: (i.low, i.high, i.unit) for i in chosen.inputs if i.kind in ("column", "elapsed")
-    }
-    if chosen.stimulus_range is not None:
-        ranges[chosen.stimulus] = (*chosen.stimulus_range, chosen.unit)
+    past = {i.name for i in chosen.inputs if i.kind in PAST}
     notes = [
         f"{name} = {point[name]:.6g} is outside its calibrated range, {low:.6g} to {high:.6g} {unit}: an "
         "extrapolation, whose uncertainty does not say by how much the equation itself may fail."
-        for name, (low, high, unit) in ranges.items()
-        if not low <= point[name] <= high
+        for name, (low, high, unit) in chosen.calibrated.items()
+        if name not in past and not low <= point[name] <= high
     ]
     assert chosen.calibration is not None and chosen.equation is not None
     learned = _learned_group_sds(chosen.equation)

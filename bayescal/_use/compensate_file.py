@@ -161,12 +161,10 @@ def compensate_file(
         )
     wanted = ".csv" if suffix in AS_CSV else suffix
     if out.suffix.lower() != wanted and not (suffix in TEXT and out.suffix.lower() in TEXT):
-        kept = "it is written as CSV" if suffix in AS_CSV else "every column is kept as it is"
-        raise InputError(
-            f"{out.name!r}: {kept}, so the file to write must be {wanted} like {path.name!r}"
-            if suffix not in AS_CSV
-            else f"{out.name!r}: {path.name!r} can only be written as text: name a file .csv"
-        )
+        why = f"every column is kept as it is, so the file to write must be {wanted} like {path.name!r}"
+        if suffix in AS_CSV:
+            why = f"{path.name!r} can only be written as text: name a file .csv"
+        raise InputError(f"{out.name!r}: {why}")
     expected = _expected(compensator)
     how.pop("ignore", None)  # nothing is left out of the file
     given = {name: value for name, value in how.items() if value is not None}

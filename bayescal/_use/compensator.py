@@ -29,7 +29,6 @@ from bayescal._use.inputs import (
     inputs_at_fit,
     limits,
     outside,
-    ranges_in_words,
     warn_outside,
 )
 from bayescal._use.operating_equation import (
@@ -125,8 +124,7 @@ class Compensator:
             variance = variance + inclination * spread
         masks = outside(self._ranges, {**given, self.stimulus: value})
         if warn and masks:
-            told = ranges_in_words(self.inputs, self.stimulus, self.unit, self.stimulus_range)
-            warn_outside(masks, told, len(value))
+            warn_outside(masks, self.calibrated)
         return Compensated(value, np.sqrt(variance), self.unit, masks)
 
     @property
@@ -168,6 +166,14 @@ class Compensator:
             for name in self._inverse.inputs
             if name in values
         )
+
+    @property
+    def calibrated(self) -> dict[str, tuple[float, float, str]]:
+        """Lowest and highest value and unit of each input, and of the stimulus where it was varied."""
+        ranges = {i.name: (i.low, i.high, i.unit) for i in self.inputs}
+        if self.stimulus_range is not None:
+            ranges[self.stimulus] = (*self.stimulus_range, self.unit)
+        return ranges
 
     @property
     def middle(self) -> dict[str, float]:

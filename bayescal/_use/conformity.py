@@ -83,9 +83,8 @@ def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Lim
         false_accept: α.
     """
     reach = FAR * drawn.scatter
-    first = (
-        limits.low - float(drawn.low.max()) - reach
-    )  # below it p_c is zero: no draw is above T_L
+    # Below the first shift p_c is zero, as no draw is above T_L; so it is above the last.
+    first = limits.low - float(drawn.low.max()) - reach
     last = limits.high - float(drawn.high.min()) + reach
     best = _most_favourable(drawn, limits, first, last)
     wanted = 1.0 - false_accept

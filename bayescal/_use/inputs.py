@@ -202,27 +202,18 @@ def outside(
     return {name: mask for name, mask in found.items() if mask.any()}
 
 
-def ranges_in_words(
-    inputs: Sequence[Input], stimulus: str, unit: str, span: tuple[float, float] | None
-) -> dict[str, str]:
-    """Calibrated range of each input, and of the stimulus where it was varied."""
-    ranges = {i.name: f"{i.low:.6g} to {i.high:.6g} {i.unit}" for i in inputs}
-    if span is not None:
-        ranges[stimulus] = f"{span[0]:.6g} to {span[1]:.6g} {unit}"
-    return ranges
-
-
-def warn_outside(masks: Mapping[str, np.ndarray], ranges: Mapping[str, str], rows: int) -> None:
+def warn_outside(
+    masks: Mapping[str, np.ndarray], calibrated: Mapping[str, tuple[float, float, str]]
+) -> None:
     """Warn the caller's caller of readings outside their range.
 
     Args:
         masks: where they are outside, of `outside`.
-        ranges: in words, for those that have one.
-        rows: readings in all.
+        calibrated: lowest and highest value and unit, for those that have a range of their own.
     """
     parts = [
-        f"{name} in {int(mask.sum())} of {rows} readings"
-        + (f" (calibrated: {ranges[name]})" if name in ranges else "")
+        f"{name} in {int(mask.sum())} of {len(mask)} readings"
+        + (_calibrated(*calibrated[name]) if name in calibrated else "")
         for name, mask in masks.items()
     ]
     warnings.warn(
@@ -231,3 +222,7 @@ def warn_outside(masks: Mapping[str, np.ndarray], ranges: Mapping[str, str], row
         OutsideCalibration,
         stacklevel=3,
     )
+
+
+def _calibrated(low: float, high: float, unit: str) -> str:
+    return f" (calibrated: {low:.6g} to {high:.6g} {unit})"

@@ -19,7 +19,9 @@ class Language:
 
     Attributes:
         name: its form in the table of operations.
-        number: a constant.
+        cast: before a constant.
+        nan, infinity: constants of these.
+        truths: what is false, and what is true.
         statement: of a name and an expression; the same of one that is true or false.
         input: an input as it is written, of its field.
         template: file beside this one that writes the program, if it is one by itself.
@@ -27,50 +29,41 @@ class Language:
     """
 
     name: Literal["c", "python", "javascript"]
-    number: Callable[[float | bool], str]
+    cast: str
+    nan: str
+    infinity: str
+    truths: tuple[str, str]
     statement: str
     statement_boolean: str
     input: str = "{}"
     template: str = ""
     words: Callable[[Any], str] = str
 
-
-def _python_number(value: float | bool) -> str:
-    if isinstance(value, bool) or math.isfinite(value):
-        return repr(value) if value >= 0 else f"({value!r})"
-    return "math.nan" if math.isnan(value) else "math.inf" if value > 0 else "-math.inf"
-
-
-def _c_number(value: float | bool) -> str:
-    if isinstance(value, bool):
-        return "1" if value else "0"
-    if not math.isfinite(value):
-        return "(BAYESCAL_REAL)" + (
-            "NAN" if math.isnan(value) else "INFINITY" if value > 0 else "-INFINITY"
-        )
-    return f"(BAYESCAL_REAL){value!r}" if value >= 0 else f"(BAYESCAL_REAL)({value!r})"
-
-
-def _javascript_number(value: float | bool) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if not math.isfinite(value):
-        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "(-Infinity)"
-    return repr(value) if math.copysign(1.0, value) > 0 else f"({value!r})"
+    def number(self, value: float | bool) -> str:
+        """A constant, as an operand."""
+        if isinstance(value, bool):
+            return self.truths[value]
+        if math.isnan(value):
+            return self.cast + self.nan
+        text = repr(abs(value)) if math.isfinite(value) else self.infinity
+        return self.cast + (text if math.copysign(1.0, value) > 0 else f"(-{text})")
 
 
 PYTHON = Language(
-    *("python", _python_number, "{} = {}", "{} = {}"),
+    *("python", "", "math.nan", "math.inf", ("False", "True"), "{} = {}", "{} = {}"),
     template="compensator.py.jinja",
     words=python_words,
 )
 C = Language(
-    *("c", _c_number, "const BAYESCAL_REAL {} = {};", "const int {} = {};"),
+    *("c", "(BAYESCAL_REAL)", "NAN", "INFINITY", ("0", "1")),
+    *("const BAYESCAL_REAL {} = {};", "const int {} = {};"),
     input="in->{}",
     template="compensator.h.jinja",
     words=c_comment,
 )
-JAVASCRIPT = Language("javascript", _javascript_number, "const {} = {};", "const {} = {};")
+JAVASCRIPT = Language(
+    *("javascript", "", "NaN", "Infinity", ("false", "true"), "const {} = {};", "const {} = {};")
+)
 LANGUAGES = {"c": C, "python": PYTHON}
 
 

@@ -11,13 +11,12 @@ from bayescal._data.unit_conversion import check_unit
 from bayescal._data.unit_parsing import normalised
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_SYMMETRIC = re.compile(rf"(?P<centre>{_NUMBER})?\s*±\s*(?P<half>{_NUMBER})(?P<unit>.*)")
-_AT_MOST = re.compile(rf"≤\s*(?P<high>{_NUMBER})(?P<unit>.*)")
-_AT_LEAST = re.compile(rf"≥\s*(?P<low>{_NUMBER})(?P<unit>.*)")
-_BETWEEN = re.compile(rf"(?P<low>{_NUMBER})\s*(?:\.\.|…|to\b)\s*(?P<high>{_NUMBER})(?P<unit>.*)")
-_OVER = re.compile(
-    rf"(?P<name>.*?)\s*(?P<low>{_NUMBER})\s*(?:\.\.|…|to\b)\s*(?P<high>{_NUMBER})(?P<unit>.*)"
+_RANGE = rf"(?P<low>{_NUMBER})\s*(?:\.\.|…|to\b)\s*(?P<high>{_NUMBER})"
+_TOLERANCE = re.compile(
+    rf"(?:(?P<centre>{_NUMBER})?\s*±\s*(?P<half>{_NUMBER})|≤\s*(?P<most>{_NUMBER})|≥\s*(?P<least>{_NUMBER})|{_RANGE})"
+    r"(?P<unit>.*)"
 )
+_OVER = re.compile(rf"(?P<name>.*?)\s*{_RANGE}(?P<unit>.*)")
 _AT = re.compile(rf"(?P<name>.+?)\s*=\s*(?P<value>{_NUMBER})(?P<unit>.*)")
 _WRITTEN = {"+/-": "±", "+-": "±", "<=": "≤", ">=": "≥", "−": "-", "–": "-"}
 FORM = (
@@ -82,16 +81,15 @@ def stated_limit(text: str) -> StatedLimit:
 
 
 def _tolerance(said: str, text: str) -> tuple[float, float, str]:
-    if found := _SYMMETRIC.fullmatch(said):
+    found = _TOLERANCE.fullmatch(said)
+    if found is None:
+        raise InputError(f"limit {text!r}: {said!r} are no limits: {FORM}")
+    unit = _unit(found["unit"], text)
+    if found["half"]:
         centre, half = float(found["centre"] or 0.0), float(found["half"])
-        return centre - half, centre + half, _unit(found["unit"], text)
-    if found := _AT_MOST.fullmatch(said):
-        return -math.inf, float(found["high"]), _unit(found["unit"], text)
-    if found := _AT_LEAST.fullmatch(said):
-        return float(found["low"]), math.inf, _unit(found["unit"], text)
-    if found := _BETWEEN.fullmatch(said):
-        return float(found["low"]), float(found["high"]), _unit(found["unit"], text)
-    raise InputError(f"limit {text!r}: {said!r} are no limits: {FORM}")
+        return centre - half, centre + half, unit
+    low, high = found["low"] or found["least"], found["high"] or found["most"]
+    return float(low or -math.inf), float(high or math.inf), unit
 
 
 def _span(kind: str, place: str, text: str) -> LimitedRange:

@@ -397,13 +397,10 @@ def _resolved(
 def _beyond(chosen: Compensator, name: str, low: float, high: float) -> list[str]:
     """What of a range was not calibrated, in words."""
     readings = chosen._calibration.readings
-    known = {i.name: (i.low, i.high, i.unit) for i in chosen.inputs}
-    if name == chosen.stimulus:
-        if chosen.stimulus_range is None:
-            return [f"{name} was not varied in the calibration"] if high > low else []
-        span = (*chosen.stimulus_range, chosen.unit)
-    elif name in known:
-        span = known[name]
+    if name in chosen.calibrated:
+        span = chosen.calibrated[name]
+    elif name == chosen.stimulus:
+        return [f"{name} was not varied in the calibration"] if high > low else []
     else:
         values, unit = readings[name], readings.unit(name) or "1"
         span = (float(values.min()), float(values.max()), unit)

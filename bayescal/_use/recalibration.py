@@ -25,9 +25,8 @@ from bayescal._use.limited_quantity import LimitedQuantity
 
 DAY = 86400.0
 YEAR = 365.25 * DAY
-HORIZON = (
-    10 * YEAR
-)  # where the search ends: a horizon and no claim; beyond it only "not within 10 years" is said
+# Where the search ends: a horizon and no claim; beyond it only "not within 10 years" is said.
+HORIZON = 10 * YEAR
 FIRST = 60.0  # s, the first time looked at, shorter than any interval between calibrations
 TIMES = 160  # looked at, evenly in the logarithm: each is 1.13 times the one before
 STEPS = 50  # of bisection between two of them

@@ -197,9 +197,8 @@ def test_decisions_on_simulated_devices_are_wrong_as_often_as_stated() -> None:
         assert stated.consumer == pytest.approx((taken & ~good).mean(), abs=0.002)
         assert stated.producer == pytest.approx((good & ~taken).mean(), abs=0.002)
         assert stated.accepted == pytest.approx(taken.mean(), abs=0.002 + 3 * 0.5 / count**0.5)
-    worst = (guarded & (p < 0.976)).nonzero()[
-        0
-    ]  # just inside the acceptance limit the risk is what is allowed
+    # Just inside the acceptance limit the risk is what is allowed.
+    worst = np.flatnonzero(guarded & (p < 0.976))
     assert (~good[worst]).mean() == pytest.approx(
         0.025, abs=4 * (0.025 * 0.975 / len(worst)) ** 0.5
     )

@@ -141,9 +141,8 @@ def test_one_range_holds_for_all_axes_of_a_sensor_and_ends_the_correction(axes) 
     ends = px4(values, "A0", 0, np.array([-40.0, 22.0001, 90.0]))
     assert ends[0] == pytest.approx(ends[1], abs=1e-6) and np.isfinite(ends).all()
     shared = loaded(bc.firmware_parameters(axes, "ardupilot-params").text())
-    assert shared["INS_TCAL1_TMIN"] == pytest.approx(
-        22.0, abs=1e-3
-    )  # of gyroscope and accelerometer
+    # Of gyroscope and accelerometer together.
+    assert shared["INS_TCAL1_TMIN"] == pytest.approx(22.0, abs=1e-3)
     time, hot = warming(low=90.0, high=139.0)
     noise = 1e-4 * np.random.default_rng(8).standard_normal(len(time))
     apart = fitted("m/s^2", bias(hot) + noise, hot, time)

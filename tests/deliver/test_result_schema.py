@@ -133,7 +133,7 @@ def values(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
             below = f"{path}.{key}" if path else key
             starred = f"{path}.*"
             yield from [(starred, inner)] if starred in DOCUMENTED else values(inner, below)
-    elif isinstance(value, list) and f"{path}[]" != path:
+    elif isinstance(value, list):
         for inner in value:
             yield from values(inner, f"{path}[]")
 
@@ -163,17 +163,12 @@ def test_every_documented_key_is_found_in_one_result_or_the_other(
     rare = {
         *("flags[]", "settings.*", "steps[].verdict.reasons[]", "steps[].dropped[]"),
         *("missing[].candidates[].shape.*", "missing[].candidates[].indistinguishable_from[]"),
-        *(
-            "pairs[].step",
-            "pairs[].against[]",
-            "pairs[].log_bayes_factor",
-        ),  # the table has one covariate
+        # The table has one covariate,
+        *("pairs[].step", "pairs[].against[]", "pairs[].log_bayes_factor"),
         *(f"other_path.{key}" for key in KEYS["other_path"].split()),
         "other_path.added[]",
-        *(path for path in DOCUMENTED if path.startswith("allan[]")),  # the table has no times
-        *(
-            path for path in DOCUMENTED if path.startswith("missing[].noise_laws")
-        ),  # too few readings
+        # no times, and too few readings.
+        *(p for p in DOCUMENTED if p.startswith(("allan[]", "missing[].noise_laws"))),
         *(f"missing[].departures[].{key}" for key in KEYS["missing[].departures[]"].split()),
     }
     assert set(DOCUMENTED) - found <= rare
