@@ -49,8 +49,10 @@ def page(program: CompensationProgram) -> str:
         ticks=TICKS,
         band=BAND,
         effects=effects_of(program),
-        expected=_script(statements(program, (program.expected, program.slope), names, JAVASCRIPT)),
-        gradient=_script(statements(program, program.gradient, names, JAVASCRIPT)),
+        expected=_script(
+            statements(program.graph, (program.expected, program.slope), names, JAVASCRIPT)
+        ),
+        gradient=_script(statements(program.graph, program.gradient, names, JAVASCRIPT)),
         factor=[number_text(factor[i, j]) for i in range(len(factor)) for j in range(i + 1)],
         steps=1 if program.affine else STEPS,
         limits=program.stimulus_limits,

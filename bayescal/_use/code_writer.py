@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +80,8 @@ def _from_template(program: CompensationProgram, language: Language) -> str:
         fields[i.name] = f"{name}_" if re.fullmatch(r"t\d+", name) else name
     names = {**{k: language.input.format(v) for k, v in fields.items()}, STIMULUS: "stimulus"}
     factor = program.factor
+    outputs = (program.expected, program.slope), program.gradient
+    used = [program.graph.inputs(one) for one in outputs]
     record = _record(program, fields)
     words = language.words
     return template(language.template, {"comment": words, "quoted": python_string}).render(
@@ -88,18 +90,12 @@ def _from_template(program: CompensationProgram, language: Language) -> str:
         name=identifier(program.about.instrument),
         fields=fields,
         record=record,
-        expected=statements(program, (program.expected, program.slope), names, language),
-        gradient=statements(program, program.gradient, names, language),
+        expected=statements(program.graph, outputs[0], names, language),
+        gradient=statements(program.graph, outputs[1], names, language),
         factor=[number_text(factor[i, j]) for i in range(len(factor)) for j in range(i + 1)],
         steps=1 if program.affine else STEPS,
-        uses_stimulus=[
-            _uses(program, (program.expected, program.slope)),
-            _uses(program, program.gradient),
-        ],
-        uses_inputs=[
-            _uses_inputs(program, (program.expected, program.slope)),
-            _uses_inputs(program, program.gradient),
-        ],
+        uses_stimulus=[STIMULUS in one for one in used],
+        uses_inputs=[bool(one - {STIMULUS}) for one in used],
     )
 
 
@@ -131,12 +127,3 @@ def _record(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str
         "window": window * (1 + 1e-9),  # as the rate of a record has it
         "silence": recording().silence * window,
     }
-
-
-def _uses(program: CompensationProgram, outputs: Sequence[int]) -> bool:
-    return any(program.graph.nodes[n].value == STIMULUS for n in program.graph.needed(outputs))
-
-
-def _uses_inputs(program: CompensationProgram, outputs: Sequence[int]) -> bool:
-    nodes = (program.graph.nodes[n] for n in program.graph.needed(outputs))
-    return any(n.op == "input" and n.value != STIMULUS for n in nodes)

@@ -229,7 +229,7 @@ def _refuse_torn(program: CompensationProgram) -> None:
     names = [i.name for i in program.inputs]
     if len(set(names)) < len(names):
         raise ValueError("two of its inputs have one name")
-    used = {str(n.value) for n in program.graph.nodes if n.op == "input"}
+    used = program.graph.inputs(range(len(program.graph.nodes)))
     if strange := used - {*names, STIMULUS}:
         raise ValueError(f"its equation needs {sorted(strange)[0]!r}, which is none of its inputs")
     for i in program.inputs:

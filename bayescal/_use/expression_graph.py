@@ -180,6 +180,11 @@ class Graph:
                 waiting += self.nodes[place].args
         return sorted(found)
 
+    def inputs(self, outputs: Sequence[int]) -> set[str]:
+        """Names of the inputs that these are made of."""
+        nodes = (self.nodes[place] for place in self.needed(outputs))
+        return {str(n.value) for n in nodes if n.op == "input"}
+
     def evaluate(
         self, outputs: Sequence[int], inputs: Mapping[str, Any], kind: Any = np.float64
     ) -> list[Any]:

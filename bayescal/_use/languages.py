@@ -9,8 +9,7 @@ from typing import Any, Literal
 
 from bayescal._core import templates
 from bayescal._core.quoting import c_comment, number_text, python_words
-from bayescal._use.compensation_program import CompensationProgram
-from bayescal._use.expression_graph import OPERATIONS
+from bayescal._use.expression_graph import OPERATIONS, Graph
 
 
 @dataclass(frozen=True)
@@ -68,19 +67,16 @@ LANGUAGES = {"c": C, "python": PYTHON}
 
 
 def statements(
-    program: CompensationProgram,
-    outputs: Sequence[int],
-    names: Mapping[str, str],
-    language: Language,
+    graph: Graph, outputs: Sequence[int], names: Mapping[str, str], language: Language
 ) -> tuple[list[str], list[str]]:
     """Statements, one for each operation, and the expressions of the outputs.
 
     Args:
-        program, outputs: what is written.
+        graph, outputs: what is written.
         names: of the inputs, as the language writes them.
         language: to write.
     """
-    graph, text, written = program.graph, dict[int, str](), list[str]()
+    text, written = dict[int, str](), list[str]()
     for place in graph.needed(outputs):
         node = graph.nodes[place]
         if node.op == "const":

@@ -134,21 +134,12 @@ def test_each_operation_is_the_same_in_javascript(name) -> None:
     result = graph.apply(name, *places)
     if graph.boolean(result):
         result = graph.apply("real", result)
-    lines, (said,) = _written(graph, result, {"a": "row[0]", "b": "row[1]"})
+    lines, (said,) = statements(graph, [result], {"a": "row[0]", "b": "row[1]"}, JAVASCRIPT)
     body = "".join(lines)
     found = in_node("", f"(() => {{ {body} return {said}; }})()", np.array(given))
     columns = np.array(given).T
     (want,) = graph.evaluate([result], dict(zip("ab", columns, strict=False)))
     np.testing.assert_allclose(found, want, rtol=1e-14, atol=1e-16)
-
-
-def _written(graph: Graph, result: int, names: dict[str, str]) -> tuple[list[str], list[str]]:
-    class Holder:
-        pass
-
-    holder: Any = Holder()
-    holder.graph = graph
-    return statements(holder, [result], names, JAVASCRIPT)
 
 
 @needs_node
@@ -159,7 +150,7 @@ def test_what_is_true_or_false_is_the_same_in_javascript(a, b) -> None:
     up, down = graph.apply("gt", x, zero), graph.apply("lt", y, zero)
     both, either = graph.apply("and", up, down), graph.apply("or", up, graph.apply("not", down))
     chosen = graph.apply("select", both, x, graph.apply("real", either))
-    lines, (said,) = _written(graph, chosen, {"a": "row[0]", "b": "row[1]"})
+    lines, (said,) = statements(graph, [chosen], {"a": "row[0]", "b": "row[1]"}, JAVASCRIPT)
     (found,) = in_node("", f"(() => {{ {''.join(lines)} return {said}; }})()", np.array([[a, b]]))
     (want,) = graph.evaluate([chosen], {"a": np.array([a]), "b": np.array([b])})
     assert found == want[0]
