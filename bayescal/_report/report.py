@@ -29,6 +29,8 @@ from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
 from bayescal._use.decision import Decisions, decision_cells
 
+# What the layout meets where a result.json is not as it was written, beside errors of its template.
+OF_DAMAGE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
 MANY = 60  # rows of a table of candidates or coefficients that are shown
 
 
@@ -80,14 +82,7 @@ def report(
     found = chapters(taken(given), effects)
     try:
         text = page(found, title, stated, decisions, output_unit)
-    except (
-        TemplateError,
-        LookupError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        ArithmeticError,
-    ) as e:
+    except (TemplateError, *OF_DAMAGE) as e:
         folders = [str(c.folder) for c in found if c.folder is not None]
         if not folders:
             raise

@@ -22,6 +22,7 @@ GAUSSIAN = 0.9545  # what k = 2 covers of a Gaussian
 SUMMARY = 14  # coefficients on the page that is signed
 UNUSED = "recorded; the model does not use it"
 READ = "what was read"
+FOLLOWS = "follows from the above"
 
 
 def measured(value: float, unit: str, digits: int = 4) -> str:
@@ -58,20 +59,11 @@ def ranges(calibration: Calibration) -> list[dict[str, Any]]:
     for name, values in calibration.frame.rates.items():
         rate = np.asarray(values) * 60
         if np.ptp(rate) > 0:
-            found.append(
-                _range(
-                    f"{name} rate",
-                    "speed of the change",
-                    rate,
-                    "degC/min",
-                    "follows from the above",
-                )
-            )
+            what = f"{name} rate", "speed of the change"
+            found.append(_range(*what, rate, "degC/min", FOLLOWS))
     if readings.has("time"):
         span = np.asarray(calibration.frame.columns["elapsed"])
-        found.append(
-            _range("elapsed", "time since the start of a run", span, "s", "follows from the above")
-        )
+        found.append(_range("elapsed", "time since the start of a run", span, "s", FOLLOWS))
     return found
 
 

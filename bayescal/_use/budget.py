@@ -289,10 +289,8 @@ def _by_source(
     unlikely = [name for name, share in inclusion(chosen._calibration).items() if share <= 0.5]
     parts, total = dict[tuple[str, str], float](), variance
     if unlikely:
-        assert chosen.equation is not None
-        chosen = compensator(
-            without(chosen._calibration, unlikely), members=dict(chosen.equation.members)
-        )
+        members = dict(chosen._equation.members)
+        chosen = compensator(without(chosen._calibration, unlikely), members=members)
         _, gradient = _slopes(chosen, point)
         total = float(gradient @ chosen._moments.covariance @ gradient)
     slopes, learned = dict[str, float](), _learned_group_sds(chosen._equation)
@@ -347,17 +345,16 @@ def notes_on(chosen: Compensator, point: Mapping[str, float]) -> tuple[str, ...]
         for name, (low, high, unit) in chosen.calibrated.items()
         if name not in past and not low <= point[name] <= high
     ]
-    assert chosen.calibration is not None and chosen.equation is not None
-    learned = _learned_group_sds(chosen.equation)
-    for block in chosen.equation.blocks:
+    learned = _learned_group_sds(chosen._equation)
+    for block in chosen._equation.blocks:
         per = block.coefficient.per
         if per is not None and block.name in learned:
-            count = len(chosen.calibration.levels.get(per, ()))
+            count = len(chosen._calibration.levels.get(per, ()))
             if count < FEW:
                 notes.append(
                     f"{block.name} of a new {per} is known from {count} of them: an expanded uncertainty covers less "
                     "than that of a normal distribution."
                 )
-    if not chosen.equation.slope_calibrated(chosen.calibration):
+    if not chosen._equation.slope_calibrated(chosen._calibration):
         notes.append(bias_only(chosen.stimulus))
     return (*dict.fromkeys(notes), SHARED)

@@ -192,16 +192,15 @@ class Compensator:
         needed = dict.fromkeys(i.column for i in self.inputs)
         if self.history:
             needed["time"] = None
-        found = [Column("output", self.output_unit, "reading"), Column("run", None, required=False)]
-        if self.loaded:
-            units = {i.column: i.unit for i in self.inputs if i.kind == "column"}
-            past = {i.column: "degC" for i in self.inputs if i.kind in PAST}
-            return (*found, *(Column(n, {"time": "s", **past, **units}[n]) for n in needed))
-        own = {c.name: c for c in self._calibration.model.instrument.columns}
-        for name in needed:
-            unit = self._calibration.readings.unit(name)
-            found.append(replace(own[name], required=True) if name in own else Column(name, unit))
-        return tuple(found)
+        units = {"time": "s", **{i.column: "degC" for i in self.inputs if i.kind in PAST}}
+        units |= {i.column: i.unit for i in self.inputs if i.kind == "column"}
+        own = () if self.loaded else self._calibration.model.instrument.columns
+        said = {c.name: replace(c, required=True) for c in own}
+        return (
+            Column("output", self.output_unit, "reading"),
+            Column("run", None, required=False),
+            *(said[name] if name in said else Column(name, units[name]) for name in needed),
+        )
 
     @cached_property
     def program(self) -> CompensationProgram:
