@@ -57,15 +57,12 @@ def damaged(whole: bytes, kind: int, random: np.random.Generator) -> bytes:
 
 def test_a_thousand_damaged_calibrations_are_refused(saved: Path, tmp_path: Path) -> None:
     random, whole, path = np.random.default_rng(20261122), saved.read_bytes(), tmp_path / "d.nc"
-    refused = 0
     for i in range(DAMAGED):
         spoilt = damaged(whole, i % 8, random)
         assert spoilt != whole
         path.write_bytes(spoilt)
         with pytest.raises(bc.InputError, match=WORDS):
             bc.load(path)
-        refused += 1
-    assert refused == DAMAGED
     path.write_bytes(whole)
     bc.load(path)
 
