@@ -75,6 +75,7 @@ def test_an_end_that_is_missing_doubled_or_of_another_file_is_refused(
     for spoilt, words in (
         (b"", "has no checksum"),
         (content, "has no checksum"),
+        (whole[: len(whole) // 2], "has no checksum at its end: it is cut short"),
         (end, "is damaged|has no checksum"),
         (whole + end, "is damaged"),
         (whole[:-1], "is damaged: bytes are missing or added at its end"),

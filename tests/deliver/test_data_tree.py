@@ -1,5 +1,6 @@
 """A calibration is an ArviZ DataTree: its groups, units and members are there, and ArviZ can work with it."""
 
+# pyright: reportPrivateImportUsage=false
 from __future__ import annotations
 
 from functools import partialmethod
@@ -8,18 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from arviz_plots import (
-    plot_dist,  # pyright: ignore[reportPrivateImportUsage]
-    plot_forest,  # pyright: ignore[reportPrivateImportUsage]
-    plot_loo_pit,  # pyright: ignore[reportPrivateImportUsage]
-    plot_ppc_dist,  # pyright: ignore[reportPrivateImportUsage]
-    plot_trace,  # pyright: ignore[reportPrivateImportUsage]
-    plot_trace_dist,  # pyright: ignore[reportPrivateImportUsage]
+    plot_dist,
+    plot_forest,
+    plot_loo_pit,
+    plot_ppc_dist,
+    plot_trace,
+    plot_trace_dist,
 )
-from arviz_stats import (
-    loo,  # pyright: ignore[reportPrivateImportUsage]
-    psense_summary,  # pyright: ignore[reportPrivateImportUsage]
-    summary,  # pyright: ignore[reportPrivateImportUsage]
-)
+from arviz_stats import loo, psense_summary, summary
 from scipy import stats
 
 import bayescal as bc
@@ -28,13 +25,8 @@ from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
 from bayescal_models.mems_gyro.effects import THERMOMETER
 
 GROUPS = {
-    "posterior",
-    "prior",
-    "posterior_predictive",
-    "log_prior",
-    "sample_stats",
-    "observed_data",
-    "constant_data",
+    *("posterior", "prior", "posterior_predictive", "log_prior"),
+    *("sample_stats", "observed_data", "constant_data"),
 }
 MODEL = INSTRUMENT.baseline() + "bias.run"
 

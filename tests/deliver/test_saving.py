@@ -240,14 +240,6 @@ def test_another_instrument_is_refused_by_name(line, tmp_path) -> None:
         bc.load(tmp_path / "sundial.nc")
 
 
-def test_a_file_cut_short_is_refused(line, tmp_path) -> None:
-    path = line.save(tmp_path / "line.nc")
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(bc.InputError, match=r"line.nc has no checksum at its end: it is cut short"):
-        bc.load(path)
-
-
 def test_a_name_that_is_none_is_refused_and_a_folder_made(line, tmp_path) -> None:
     with pytest.raises(bc.InputError, match=r"name the file …nc, not 'line.csv'"):
         line.save(tmp_path / "line.csv")
