@@ -64,7 +64,7 @@ def _found(chapter: Chapter) -> str:
         likely = _probability(chapter, effect)
         how = "" if likely is None or likely >= searching().found else f"probably ({likely:.2f}) "
         by_subject.setdefault(_subject(effect), []).append(how + _does(c, effect))
-    sentences = (f"{subject} {_and(does)}." for subject, does in by_subject.items())
+    sentences = (f"{subject} {listed(does)}." for subject, does in by_subject.items())
     return " ".join(s[0].upper() + s[1:] for s in sentences)
 
 
@@ -195,16 +195,12 @@ def _error(chapter: Chapter) -> str:
 
 def _left(chapter: Chapter) -> str:
     """What the residuals look like."""
-    c, step, unit = (
-        chapter.calibration,
-        chapter.data["steps"][-1],
-        unit_label(chapter.calibration.unit),
-    )
+    c, step = chapter.calibration, chapter.data["steps"][-1]
     depends = [e.against for e in chapter.check.entries if e.log_bayes_factor > searching().strong]
     if depends:
-        return f"The residuals still depend on {_and(depends[:3])}."
+        return f"The residuals still depend on {listed(depends[:3])}."
     law = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
-    noise = f"{number(step['rmse_fitted'], 2)} {unit}"
+    noise = f"{number(step['rmse_fitted'], 2)} {unit_label(c.unit)}"
     gate = chapter.data["gate"]
     if gate["reason"].startswith("Noise model inadequate"):
         return f"What is left, {noise} rms, is not the noise that the model takes it for."
@@ -220,13 +216,18 @@ def _not_looked_at(chapter: Chapter) -> Iterator[str]:
     if names:
         yield f"Not looked at: {', '.join(names)}."
     last = chapter.data["missing"][-1]["candidates"] if chapter.data["missing"] else []
-    by_reason: dict[str, list[str]] = {}
-    for candidate in last:
-        if candidate["kind"] == "not testable":
-            by_reason.setdefault(candidate["reason"], []).append(candidate["effect"])
-    if by_reason:
-        told = "; ".join(f"{_and(names)} ({reason})" for reason, names in by_reason.items())
+    if by_reason := not_tested(last):
+        told = "; ".join(f"{listed(names)} ({reason})" for reason, names in by_reason.items())
         yield f"Not tested: {told}."
+
+
+def not_tested(candidates: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """Reason → the effects that it kept from being tested."""
+    found: dict[str, list[str]] = {}
+    for c in candidates:
+        if c["kind"] == "not testable":
+            found.setdefault(c["reason"], []).append(c["effect"])
+    return found
 
 
 def _not_decided(chapter: Chapter) -> Iterator[str]:
@@ -248,5 +249,6 @@ def _not_decided(chapter: Chapter) -> Iterator[str]:
         yield f"Undecided: {rival[0].lower()}{rival[1:]}."
 
 
-def _and(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+def listed(words: list[str], last: str = "and") -> str:
+    """As words of a sentence: "a, b and c"."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"

@@ -19,7 +19,7 @@ from bayescal._core.templates import template
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
-from bayescal._report import figures, sentences, tables
+from bayescal._report import conclusion, figures, sentences, tables
 from bayescal._report.certificate import Certificate, read_certificate
 from bayescal._report.in_output_unit import rows_in_output_unit
 from bayescal._report.plot_search import is_quiet
@@ -199,7 +199,7 @@ def _discovery(
         "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
         "rows": [c for c in tested if not is_quiet(c)][:MANY],
         "alike": sorted(", ".join(sorted(g)) for g in groups),
-        "not_testable": sentences.not_tested(found["candidates"]),
+        "not_testable": conclusion.not_tested(found["candidates"]),
         "picture": pictures.missing(found, title),
     }
 

@@ -8,7 +8,7 @@ from typing import Any
 from bayescal._calibration.settings import searching
 from bayescal._core.formatting import probability
 from bayescal._data.unit_conversion import unit_label
-from bayescal._report.conclusion import conclusion
+from bayescal._report.conclusion import conclusion, listed, not_tested
 from bayescal._report.plot_search import is_quiet
 from bayescal._report.section import Chapter
 from bayescal._report.tables import READ, UNUSED, measured, ranges
@@ -63,11 +63,13 @@ def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
     candidates = last["candidates"] if last else []
     blind = [c["effect"] for c in candidates if c["kind"] == "not visible" and not is_quiet(c)]
     not_for += [
-        f"Where {_or(names)} matters: it was not tested ({reason})."
+        f"Where {listed(names, 'or')} matters: it was not tested ({reason})."
         for reason, names in not_tested(candidates).items()
     ]
     if blind:
-        not_for.append(f"Where {_or(blind)} matters: it is not detectable in this experiment.")
+        not_for.append(
+            f"Where {listed(blind, 'or')} matters: it is not detectable in this experiment."
+        )
     new = [r["name"] for r in chapter.data["hyperparameters"] if r["name"].endswith(".group_sd")]
     if new:
         not_for.append(
@@ -75,19 +77,6 @@ def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
             f"({', '.join(new)}). The uncertainty budget and compensated readings contain it."
         )
     return not_for
-
-
-def not_tested(candidates: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Reason → the effects that it kept from being tested."""
-    found: dict[str, list[str]] = {}
-    for c in candidates:
-        if c["kind"] == "not testable":
-            found.setdefault(c["reason"], []).append(c["effect"])
-    return found
-
-
-def _or(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def last_discovery(chapter: Chapter) -> dict[str, Any] | None:
@@ -139,7 +128,7 @@ def unexplained(chapter: Chapter) -> list[str]:
         for kind in ("finding", "lead"):
             names = [c["effect"] for c in last["candidates"] if c["kind"] == kind]
             if names:
-                said.append(f"{kind.capitalize()}, not in the model: {_or(names)}.")
+                said.append(f"{kind.capitalize()}, not in the model: {listed(names, 'or')}.")
     if chapter.check.outliers:
         said.append(
             f"{len(chapter.check.outliers)} outlying readings (more than 4 standard deviations)."
