@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -117,8 +118,6 @@ def test_what_is_missing_is_refused_by_name(bent, gyro) -> None:
 
 
 def test_an_instrument_that_does_not_say_what_it_measures_is_refused() -> None:
-    from dataclasses import replace
-
     silent = replace(mems_gyro.INSTRUMENT, use=None)
     fit = replace(bent_sensor.gyro(), model=replace(bent_sensor.gyro().model, instrument=silent))
     with pytest.raises(bc.ModelError, match="does not say which quantity it measures"):
@@ -134,7 +133,6 @@ def test_campaigns_drawn_from_the_priors_are_compensated_as_well_as_by_the_truth
     trial = campaigns.trial(name)
     found = campaigns.summary(trial, collect(trial, 100))
     assert found["fails"] == []
-    assert (
-        0.98 < found["ratio"]["median"] < campaigns.CLOSE
-    )  # of the error, noise of the reading included
+    # Of the error, noise of the reading included.
+    assert 0.98 < found["ratio"]["median"] < campaigns.CLOSE
     assert found["not_trusted"] <= 3

@@ -23,6 +23,7 @@ TEXT = (
     b"\xef\xbb\xbf# logged by hand\r\nnote;when;board [degC];gyro x [deg/s]\r\n"
     b'"a;b";1;40.5;25.25\r\n\r\nsecond;2;1.0e2;-7.5\r\nthird;3;55;0'
 )
+OWN = ("--instrument", f"{Path(mems_gyro.__file__).parent / 'model.py'}:INSTRUMENT")
 RENAMED = {"output": "gyro x", "temperature": "board"}
 
 
@@ -130,11 +131,10 @@ def test_a_refused_file_leaves_the_old_one_whole(gyro, tmp_path, monkeypatch) ->
 
 def test_the_commands_compensate_export_and_budget(saved, tmp_path) -> None:
     bent_sensor.gyro().readings.write(tmp_path / "in.csv")
-    own = ("--instrument", f"{Path(mems_gyro.__file__).parent / 'model.py'}:INSTRUMENT")
-    ran = run("compensate", saved, tmp_path / "in.csv", "-o", tmp_path / "out.csv", *own, "--json")
+    ran = run("compensate", saved, tmp_path / "in.csv", "-o", tmp_path / "out.csv", *OWN, "--json")
     assert ran.status == 0, ran.err
     assert ran.data["rows"] == len(bent_sensor.gyro().readings)
-    ran = run("export", saved, "--format", "json", "--out", tmp_path / "gyro.json", *own)
+    ran = run("export", saved, "--format", "json", "--out", tmp_path / "gyro.json", *OWN)
     assert ran.status == 0, ran.err
     ran = run("compensate", tmp_path / "gyro.json", tmp_path / "in.csv", "-o", tmp_path / "two.csv")
     assert ran.status == 0, ran.err
@@ -142,11 +142,11 @@ def test_the_commands_compensate_export_and_budget(saved, tmp_path) -> None:
         pd.read_csv(tmp_path / n)["output_compensated [deg/s]"] for n in ("out.csv", "two.csv")
     )
     np.testing.assert_allclose(one, two, atol=0.01)
-    assert run("export", saved, "--format", "c", *own).out.startswith(
+    assert run("export", saved, "--format", "c", *OWN).out.startswith(
         "/*\n * Compensation of mems_gyro"
     )
     ran = run(
-        "budget", saved, "--at", "temperature=60", "--at", "rate_input=50", "-k", 3, "--json", *own
+        "budget", saved, "--at", "temperature=60", "--at", "rate_input=50", "-k", 3, "--json", *OWN
     )
     assert ran.status == 0, ran.err
     assert ran.data["k"] == 3 and ran.data["at"] == {"rate_input": 50.0, "temperature": 60.0}
@@ -154,15 +154,14 @@ def test_the_commands_compensate_export_and_budget(saved, tmp_path) -> None:
 
 
 def test_the_commands_refuse_in_one_sentence(saved, tmp_path) -> None:
-    own = ("--instrument", f"{Path(mems_gyro.__file__).parent / 'model.py'}:INSTRUMENT")
     for arguments, said in (
-        (("export", saved, *own), "say which format"),
-        (("export", saved, "--format", "pascal", *own), "is not one of json, c, python"),
-        (("export", saved, "--out", tmp_path / "x.txt", *own), "choose json, c, python or html"),
-        (("budget", saved, "--at", "pressure=1", *own), "'pressure' plays no part"),
-        (("budget", saved, "-k", "-1", *own), "a coverage factor is a positive number"),
+        (("export", saved, *OWN), "say which format"),
+        (("export", saved, "--format", "pascal", *OWN), "is not one of json, c, python"),
+        (("export", saved, "--out", tmp_path / "x.txt", *OWN), "choose json, c, python or html"),
+        (("budget", saved, "--at", "pressure=1", *OWN), "'pressure' plays no part"),
+        (("budget", saved, "-k", "-1", *OWN), "a coverage factor is a positive number"),
         (
-            ("compensate", saved, tmp_path / "no.csv", "-o", tmp_path / "o.csv", *own),
+            ("compensate", saved, tmp_path / "no.csv", "-o", tmp_path / "o.csv", *OWN),
             "cannot be read: No such file",
         ),
     ):
@@ -173,10 +172,9 @@ def test_the_commands_refuse_in_one_sentence(saved, tmp_path) -> None:
 
 def test_a_folder_of_results_stands_for_its_calibration(saved, tmp_path) -> None:
     shutil.copy(saved, tmp_path / "calibration.nc")
-    own = ("--instrument", f"{Path(mems_gyro.__file__).parent / 'model.py'}:INSTRUMENT")
-    assert run("budget", tmp_path, *own).out == run("budget", saved, *own).out
+    assert run("budget", tmp_path, *OWN).out == run("budget", saved, *OWN).out
     (tmp_path / "channels.json").write_text('{"channels": {"x": {"folder": "gyro_x"}}}')
-    ran = run("budget", tmp_path, *own)
+    ran = run("budget", tmp_path, *OWN)
     assert ran.status == 2 and "gyro_x" in ran.err
 
 
