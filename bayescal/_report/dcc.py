@@ -44,8 +44,8 @@ class Real(NamedTuple):
 
     value: str
     unit: str
-    form: str = ""
-    spread: dict[str, str] = {}  # noqa: RUF012
+    form: str
+    spread: dict[str, str]
 
 
 def dcc_text(
@@ -156,7 +156,7 @@ def real(
     """
     factor, text = d_si(unit, gravity)
     value, sd = float(value) * factor, float(sd) * factor
-    number = Real(_rounded(value, K * sd), text)
+    number = Real(_rounded(value, K * sd), text, "", {})
     if not sd > 0:
         return number
     if ends is not None:
