@@ -135,7 +135,10 @@ def _together(
     last: Calibration, model: Model, parts: Sequence[_Values], shares: Sequence[StructureShare]
 ) -> Calibration:
     """The draws of all structures as those of one model, in a random order."""
-    layout, n = Layout(model, last.layout.counts), len(last.readings)
+    # Groups of labels that the last model knows nothing of, but another structure.
+    further = {g: last.readings.groups(g)[0] for g in model.groups if g not in last.levels}
+    members = tuple((group, len(names)) for group, names in further.items())
+    layout, n = Layout(model, (*last.layout.counts, *members)), len(last.readings)
     counts = [len(next(iter(part.values()))) for part in parts]
     total = sum(counts)
     # Zeros are the point: an effect that a structure lacks has the coefficient zero in its draws, not its prior's
@@ -163,6 +166,7 @@ def _together(
         verdict=replace(last.verdict, notes=(*last.verdict.notes, said)),
         method=f"{last.method}, averaged",
         layout=layout,
+        levels={**last.levels, **further},
         mode=_mode(last, layout, x, rows, v),
     )
 

@@ -26,11 +26,11 @@ EACH_ITS_OWN = replace(
 )
 
 
-def at_stations() -> bc.Measurements:
+def at_stations(share: float = 1.0) -> bc.Measurements:
     stations = np.repeat([*BIASES], 30)
     temperature = np.linspace(20.0, 60.0, 90)
     noise = np.random.default_rng(1).standard_normal(90)
-    output = 0.02 * (temperature - 40) + [BIASES[s] for s in stations] + 0.01 * noise
+    output = 0.02 * (temperature - 40) + [share * BIASES[s] for s in stations] + 0.01 * noise
     columns = {"temperature": temperature, "station": stations, "output": output}
     return bc.Measurements.from_arrays(AT_STATIONS, **columns)
 
@@ -65,3 +65,15 @@ def test_readings_without_the_labels_cannot_test_it() -> None:
     found = bc.discover(line, widen_noise=False)
     reasons = {c.effect: c.reason for c in found.candidates if c.kind == "not testable"}
     assert reasons["bias.station"] == "needs the column station"
+
+
+def test_the_average_holds_labels_that_only_other_structures_know() -> None:
+    """Nothing is hidden at the stations: the last model has no coefficient for them, some of the average has."""
+    with bc.use_settings(bc.SearchSettings(averaged=1e-6)):
+        path = bc.calibrate(
+            AT_STATIONS.baseline(), at_stations(0.0), method=bc.LeastSquares(draws=100)
+        )
+    assert "bias.station" not in path.final.calibration.model.names
+    assert path.average is not None and "bias.station" in path.average.model.names
+    assert path.average.posterior["bias.station"].sizes["station"] == len(BIASES)
+    assert bc.predict(path.average, at_stations(0.0)).rmse < 0.02
