@@ -126,11 +126,7 @@ def _each(
     instrument: InstrumentLike,
     one: Callable[[ReadOptions], Measurements],
 ) -> dict[str, Measurements]:
-    """Readings of several outputs, each as `one` reads it; what is wrong with any is said at once.
-
-    Raises:
-        InputError: one is named twice or is an input, or something cannot be used.
-    """
+    """Readings of several outputs, each as `one` reads it; what is wrong with any is said at once."""
     if not outputs or len(set(outputs)) < len(outputs):
         raise InputError(f"outputs={list(outputs)}: name each channel once, and one at least")
     problems, found = Problems(), dict[str, "Measurements"]()
@@ -157,11 +153,7 @@ def _measurements(
     allow_one_temperature: bool,
     max_bytes: int,
 ) -> Measurements:
-    """Readings of one output.
-
-    Raises:
-        InputError: something cannot be used.
-    """
+    """Readings of one output."""
     tables, parts = _opened(paths, names, instrument, options, max_bytes)
     output = options.columns.get(output_name(instrument), "")
     sources = tuple(Source(table.file, table.sha256, table.rows, output) for table in tables)
@@ -184,11 +176,7 @@ def _opened(
     options: ReadOptions,
     max_bytes: int,
 ) -> tuple[list[Table], list[ConvertedColumns]]:
-    """The files as tables and as columns.
-
-    Raises:
-        InputError: all that is wrong with any of them.
-    """
+    """The files as tables and as columns."""
     problems, tables, parts = Problems(), list[Table](), list[ConvertedColumns]()
     for path, name in zip(paths, names, strict=True):
         with problems.collecting(name):
@@ -245,11 +233,7 @@ def _label_runs(
 
 
 def _join(tables: Sequence[Table], parts: Sequence[ConvertedColumns]) -> ConvertedColumns:
-    """Files one after the other.
-
-    Raises:
-        InputError: labels in some files only, or one column in two dimensions.
-    """
+    """Files one after the other."""
     joined = ConvertedColumns(flags=[flag for part in parts for flag in part.flags])
     joined.filled = set.intersection(*(part.filled for part in parts))
     joined.beside = set().union(*(part.beside for part in parts))

@@ -174,11 +174,7 @@ def basis_factor(
 
 
 def _ratios(unit: str, slot_unit: str, named: tuple[str, ...], open_: bool) -> float:
-    """Units of ratio columns (%, ppm, ppb, 1) to the powers to which the coefficient is per ratio.
-
-    Raises:
-        InputError: ratios in several units, and the coefficient does not name them.
-    """
+    """Units of ratio columns (%, ppm, ppb, 1) to the powers to which the coefficient is per ratio."""
     ratios = {parse(u).factor for u in named if not parse(u).powers} | ({1.0} if open_ else set())
     written = [(parse(n).factor, p) for n, p in factors(unit) if not parse(n).powers]
     if not ratios or not written:
@@ -207,11 +203,7 @@ def _ratios(unit: str, slot_unit: str, named: tuple[str, ...], open_: bool) -> f
 def _product(
     wanted: Mapping[str, float], units: Sequence[str], unit: str, slot_unit: str
 ) -> float | None:
-    """The size, in base units, of the product of these units that has a dimension; None where there is none.
-
-    Raises:
-        InputError: there are several, of different size, and the names in the coefficient's unit do not tell which.
-    """
+    """The size, in base units, of the product of these units that has a dimension; None where there is none."""
     above, below = Counter[str](), Counter[str]()
     for name, power in factors(unit):
         for base, own in parse(name).powers.items():

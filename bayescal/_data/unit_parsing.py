@@ -126,11 +126,7 @@ def _as_python(plain: str) -> str:
 
 
 def _factors(part: ast.expr) -> list[tuple[str, float]]:
-    """The names in a parsed product, quotient or power, each with its power.
-
-    Raises:
-        ValueError: anything else.
-    """
+    """The names in a parsed product, quotient or power, each with its power."""
     match part:
         case ast.Name(id=name) if name in BASE or name in DERIVED:
             return [(name, 1.0)]

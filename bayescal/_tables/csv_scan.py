@@ -194,11 +194,7 @@ def _split_header(scan: CsvScan, row: int, line: str) -> None:
 
 
 def _decode(data: bytes, scan: CsvScan, row: int) -> str:
-    """Text of whole lines, the first of which is `row`.
-
-    Raises:
-        InputError: zero bytes, line ends that are a lone CR, or bytes that are not of the encoding.
-    """
+    """Text of whole lines, the first of which is `row`."""
     file = scan.file
     if (zero := data.find(b"\0")) >= 0:
         row += data.count(b"\n", 0, zero)

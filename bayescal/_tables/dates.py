@@ -54,11 +54,7 @@ def unix_seconds(text: str) -> dict[str, float]:
 
 
 def _date_length(text: str) -> int:
-    """Where the date in a text ends, and its time of day begins.
-
-    Raises:
-        ValueError: it begins with none.
-    """
+    """Where the date in a text ends, and its time of day begins."""
     for form in (_NUMBERS, _WORDS, _MONTH_FIRST):
         if found := form.match(text):
             return found.end()
@@ -67,11 +63,7 @@ def _date_length(text: str) -> int:
 
 @lru_cache(maxsize=4096)  # days repeat
 def _days(text: str) -> dict[str, int]:
-    """Days since 1970 by the order in which a date may be written, "" for one that leaves no choice.
-
-    Raises:
-        ValueError: it is none in any.
-    """
+    """Days since 1970 by the order in which a date may be written, "" for one that leaves no choice."""
     if found := _WORDS.fullmatch(text):
         return {"": _day(int(found[3]), _month(found[2]), int(found[1]))}
     if found := _MONTH_FIRST.fullmatch(text):
@@ -115,11 +107,7 @@ def _day(year: int, month: int, day: int) -> int:
 
 
 def _time_of_day(text: str, longest: int) -> float:
-    """A time of day in s, less its zone; up to so many hours.
-
-    Raises:
-        ValueError: it is none.
-    """
+    """A time of day in s, less its zone; up to so many hours."""
     found = _CLOCK.fullmatch(text.strip())
     if not found:
         raise ValueError(f"{text!r} is no time of day")

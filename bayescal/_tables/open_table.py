@@ -31,11 +31,7 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """What messages call the files: the name, or the whole path where two have the same name.
-
-    Raises:
-        InputError: no file, or one twice.
-    """
+    """What messages call the files: the name, or the whole path where two have the same name."""
     if not paths:
         raise InputError("no file was given to read: give at least one")
     for path, count in Counter(path.resolve() for path in paths).items():
@@ -46,11 +42,7 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 
 def _refuse_large(paths: Sequence[Path], names: Sequence[str], max_bytes: int) -> None:
-    """Look at the sizes before anything is opened.
-
-    Raises:
-        InputError: a file is not there or is no file, or all are too large.
-    """
+    """Look at the sizes before anything is opened."""
     total = 0
     for path, name in zip(paths, names, strict=True):
         try:
@@ -130,11 +122,7 @@ def open_table(
 
 
 def _open_log(path: Path, file: str, asked: Collection[str]) -> Table:
-    """Channels of a log as a table.
-
-    Raises:
-        InputError: it cannot be read, or has none of these channels.
-    """
+    """Channels of a log as a table."""
     found = log_columns(path, file, asked)
     arrays = list(found.columns.values())
     return Table(

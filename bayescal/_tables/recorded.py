@@ -116,11 +116,7 @@ def _step(time: np.ndarray) -> float:
 
 
 def _common(base: Sensor, used: Collection[Sensor], file: str) -> np.ndarray:
-    """Which samples of `base` lie where everything was logged.
-
-    Raises:
-        InputError: none does.
-    """
+    """Which samples of `base` lie where everything was logged."""
     spans = [sensor.time for sensor in used]
     if base.temperature_time is not None:
         spans.append(base.temperature_time)

@@ -53,11 +53,7 @@ def read_bag(path: Path) -> tuple[list[Sensor], list[str]]:
 
 
 def _refuse_views(path: Path) -> None:
-    """Refuse a data base in which something else than a table stands where messages do: a view may never end.
-
-    Raises:
-        InputError: there is one.
-    """
+    """Refuse a data base in which something else than a table stands where messages do: a view may never end."""
     with closing(
         sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
     ) as base:

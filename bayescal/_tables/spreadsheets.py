@@ -62,11 +62,7 @@ class SheetRow(NamedTuple):
 
 
 def _rows_of(sheet: Any, file: str, max_bytes: int) -> list[SheetRow]:
-    """The rows of a sheet that hold something, whatever size it states, in the order of their numbers.
-
-    Raises:
-        InputError: a row stands twice, or there are more cells than may be held.
-    """
+    """The rows of a sheet that hold something, whatever size it states, in the order of their numbers."""
     from openpyxl.worksheet._reader import WorkSheetParser
 
     book, found, alike, cells = sheet.parent, dict[int, SheetRow](), dict[tuple, tuple](), 0

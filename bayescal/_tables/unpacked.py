@@ -167,12 +167,7 @@ def _element(data: bytes, at: int, order: str) -> tuple[int, int, int, int]:
 
 
 def _refuse_deep(data: bytes, order: str, file: str) -> None:
-    """Walk through matrices in each other, without recursion; each must hold what it states, and end where it says.
-
-    Raises:
-        InputError: they are nested deeper than any.
-        ValueError, struct.error: they contradict themselves.
-    """
+    """Walk through matrices in each other, without recursion; each must hold what it states, and end where it says."""
     stack: list[list[int]] = []  # of each matrix around: what it still holds, and where it ends
     at, left = 0, 1
     while left or stack:
