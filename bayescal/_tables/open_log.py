@@ -9,11 +9,12 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import NamedTuple
 
+from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._tables.ardupilot_bin import read_dataflash
 from bayescal._tables.px4_ulog import read_ulog
-from bayescal._tables.raw_table import unreadable
-from bayescal._tables.recorded import LogColumns, Sensor, columns_of
+from bayescal._tables.raw_table import Header, Table, loads, unreadable
+from bayescal._tables.recorded import Sensor, columns_of
 from bayescal._tables.ros_bag import read_bag
 
 
@@ -35,8 +36,8 @@ LOG_FORMATS = {
 }
 
 
-def log_columns(path: Path, file: str, chosen: Collection[str]) -> LogColumns:
-    """The chosen channels of a log as columns.
+def open_log(path: Path, file: str, chosen: Collection[str]) -> Table:
+    """The chosen channels of a log as a table.
 
     Args:
         path: of a file whose suffix is one of `LOG_FORMATS`.
@@ -65,5 +66,14 @@ def log_columns(path: Path, file: str, chosen: Collection[str]) -> LogColumns:
         raise unreadable(file, title, error) from None
     told = [line for line in said.getvalue().splitlines() if "dfindexer" not in line.lower()]
     notes += [f"{package} says: {line[:200]}" for line in told[:1]]
-    found = columns_of(sensors, chosen, file)
-    return LogColumns(found.columns, (*(f"{file}: {note}" for note in notes), *found.notes))
+    columns, more = columns_of(sensors, chosen, file)
+    arrays = list(columns.values())
+    return Table(
+        file=file,
+        headers=tuple(map(Header.parse, columns)),
+        rows=len(arrays[0]),
+        sha256=sha256_of(path),
+        load=loads(arrays.__getitem__),
+        place=lambda index: f"sample {index + 1}",
+        notes=(*(f"{file}: {note}" for note in notes), *more),
+    )

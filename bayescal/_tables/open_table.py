@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
-from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._tables.csv_reader import open_csv
-from bayescal._tables.open_log import LOG_FORMATS, log_columns
-from bayescal._tables.raw_table import Header, Table, bytes_text, loads
+from bayescal._tables.open_log import LOG_FORMATS, open_log
+from bayescal._tables.raw_table import Table, bytes_text
 
 MAX_BYTES = 2_000_000_000
 TEXT = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
@@ -25,48 +25,40 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
     Raises:
         InputError: no file, one twice, one that is not there or is no file, or all are too large.
     """
-    names = _names(paths)
-    _refuse_large(paths, names, max_bytes)
-    return names
-
-
-def _names(paths: Sequence[Path]) -> list[str]:
-    """What messages call the files: the name, or the whole path where two have the same name."""
     if not paths:
         raise InputError("no file was given to read: give at least one")
     for path, count in Counter(path.resolve() for path in paths).items():
         if count > 1:
             raise InputError(f"{path.name!r} was given {count} times: give each file once")
-    shared = Counter(path.name for path in paths)
-    return [one_line(path.name if shared[path.name] == 1 else path) for path in paths]
-
-
-def _refuse_large(paths: Sequence[Path], names: Sequence[str], max_bytes: int) -> None:
-    """Look at the sizes before anything is opened."""
-    total = 0
+    shared, total = Counter(path.name for path in paths), 0
+    names = [one_line(path.name if shared[path.name] == 1 else path) for path in paths]
     for path, name in zip(paths, names, strict=True):
-        try:
+        with _reachable(path):
             size = path.stat().st_size
-        except OSError as error:
-            raise InputError(
-                f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the "
-                "folder"
-            ) from error
         if not path.is_file():
             raise InputError(
                 f"{str(path)!r} is not a file: name a file, or all files of the folder"
             )
         total += size
         if total > max_bytes:
-            held = (
-                f"holds {bytes_text(size)}"
-                if size > max_bytes
-                else f"brings the files to {bytes_text(total)}"
-            )
+            brought = f"brings the files to {bytes_text(total)}"
+            held = f"holds {bytes_text(size)}" if size > max_bytes else brought
             raise InputError(
                 f"{name!r} {held}, the limit is {bytes_text(max_bytes)}, and nothing was loaded. "
                 "Average the readings, read fewer files, or raise max_bytes"
             )
+    return names
+
+
+@contextmanager
+def _reachable(path: Path) -> Iterator[None]:
+    """Refuse a file that the system does not give."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the folder"
+        ) from error
 
 
 def open_table(
@@ -96,7 +88,7 @@ def open_table(
             f"{name!r}: {suffix or 'a file without a suffix'!r} cannot be read. {never}{old}"
             f"Give one of {', '.join(READ)}"
         )
-    try:
+    with _reachable(path):
         if not path.stat().st_size:
             raise InputError(
                 f"{name!r} is empty (0 bytes): a header and rows of readings were expected"
@@ -104,33 +96,12 @@ def open_table(
         if suffix in TEXT:
             return open_csv(path, name, decimal)
         if suffix in LOG_FORMATS:
-            return _open_log(path, name, asked)
+            return open_log(path, name, asked)
         if suffix in (".xlsx", ".mat"):
             from bayescal._tables.spreadsheets import open_excel, open_matlab
 
             return (open_excel if suffix == ".xlsx" else open_matlab)(path, name, max_bytes)
-        from bayescal._tables.parquet_netcdf import (
-            open_netcdf,
-            open_parquet,
-        )  # a second that text does without
+        # a second that text does without
+        from bayescal._tables.parquet_netcdf import open_netcdf, open_parquet
 
         return (open_parquet if suffix == ".parquet" else open_netcdf)(path, name, max_bytes)
-    except OSError as error:
-        raise InputError(
-            f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the folder"
-        ) from error
-
-
-def _open_log(path: Path, file: str, asked: Collection[str]) -> Table:
-    """Channels of a log as a table."""
-    found = log_columns(path, file, asked)
-    arrays = list(found.columns.values())
-    return Table(
-        file=file,
-        headers=tuple(map(Header.parse, found.columns)),
-        rows=len(arrays[0]),
-        sha256=sha256_of(path),
-        load=loads(arrays.__getitem__),
-        place=lambda index: f"sample {index + 1}",
-        notes=found.notes,
-    )
