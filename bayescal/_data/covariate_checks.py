@@ -8,7 +8,7 @@ run: nothing in a fit shows it where profiles repeat.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from itertools import combinations, permutations
 from typing import NamedTuple
 
@@ -16,12 +16,10 @@ import numpy as np
 
 from bayescal._data.record_settings import recording
 from bayescal._data.rounding import rounding_step
-from bayescal._data.stretches import RECORD, members, record_codes, stretches
+from bayescal._data.stretches import RECORD, Columns, members, record_codes, stretches
 
 BESIDE = 3  # changes on either side of one, of which the median is the rate there: one of them may be odd
 MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 of thermometers
-
-Columns = Mapping[str, np.ndarray]
 
 
 class Oddity(NamedTuple):

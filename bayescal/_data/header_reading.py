@@ -29,27 +29,16 @@ _SPELLINGS = {
     "arcsec": ("sec of arc", "asec"),
     "s": ("s.", "sec.", "seconds"),
 }  # fmt: skip
-_WORDS = {
-    "min",
-    "day",
-    "days",
-    "bar",
-    "rev",
-    "count",
-    "counts",
-    "second",
-    "minute",
-    "hour",
-    "degree",
-}  # may be others
+_WORDS = {  # may be others
+    *("min", "day", "days", "bar", "rev", "count", "counts"),
+    *("second", "minute", "hour", "degree"),
+}
 _BRACKETS = [
     re.compile(rf"(.+?)[\s_,:/]*\{a}\s*(.+?)\s*\{b}", re.DOTALL)
     for a, b in ("()", "[]", "{}", "<>")
 ]
 _BEHIND_SLASH = re.compile(r"([^/]*?[^/\s])\s*/\s*(.+)", re.DOTALL)
-_LONGEST = (
-    80  # characters of a header, from its end, in which a unit is looked for: there is none so long
-)
+_LONGEST = 80  # characters of a header, from its end, in which a unit is looked for
 _BEHIND_COMMA = re.compile(r"(.+?)\s*[,:;]\s*(.+)", re.DOTALL)
 
 
@@ -93,16 +82,12 @@ def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
         return text
     if ANY in kinds:
         return None
-    own = {u for u, texts in _SPELLINGS.items() if text in texts}
-    loose = {
-        u
-        for u, texts in _SPELLINGS.items()
-        if len(text) > 1 and text.lower() in map(str.lower, texts)
-    }
-    meant = {u for u in own or loose if _is(u, kinds)}
-    folded = {u for u in (*BASE, *DERIVED) if u.lower() == text.lower() and _is(u, kinds)}
-    lower = text.lower()
-    found = meant or folded or ({lower} if _is(lower, kinds) else set())
+    lower, spellings = text.lower(), _SPELLINGS.items()
+    own = {u for u, texts in spellings if text in texts}
+    loose = {u for u, texts in spellings if len(text) > 1 and lower in map(str.lower, texts)}
+    folded = {u for u in (*BASE, *DERIVED) if u.lower() == lower}
+    tried = ({u for u in some if _is(u, kinds)} for some in (own or loose, folded, {lower}))
+    found = next((some for some in tried if some), set())
     return found.pop() if len(found) == 1 else None
 
 
@@ -151,10 +136,6 @@ def _is(unit: str, kinds: tuple[str, ...]) -> bool:
 
 def plain(name: str) -> str:
     """A name without what people write differently: case, spaces, "temp" for temperature."""
-    words = re.sub(r"[^a-z0-9]+", "_", _parted(name).lower()).strip("_").split("_")
+    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)  # boardTemp as board_Temp
+    words = re.sub(r"[^a-z0-9]+", "_", parted.lower()).strip("_").split("_")
     return "_".join("temperature" if word in ("temp", "tmp") else word for word in words)
-
-
-def _parted(name: str) -> str:
-    """boardTemp as board_Temp."""
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)

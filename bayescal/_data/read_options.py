@@ -93,8 +93,8 @@ class ReadOptions:
         return replace(made, nominal_scale=scale)
 
     def leaves_out(self, header: Header) -> bool:
-        """Whether a column is left out, as the user says."""
-        return any(name in (header.raw, header.name) for name in self.ignore)
+        """Whether a column is left out, as the user says, or as it is another channel's output."""
+        return any(name in (header.raw, header.name) for name in (*self.ignore, *self.others))
 
 
 _NUMBER_AND_UNIT = re.compile(r"([+\-−]?\d*\.?\d+(?:[eE][+-]?\d+)?)\s*([^\d\s.].*)")

@@ -12,8 +12,7 @@ import numpy as np
 
 from bayescal._core.quoting import csv_cell_read
 from bayescal._tables.cells import Cells, numbers_of
-from bayescal._tables.csv_scan import CsvScan, ragged_rows, scan_csv, text_of
-from bayescal._tables.encoding import opened
+from bayescal._tables.csv_scan import CsvScan, opened, ragged_rows, scan_csv
 from bayescal._tables.raw_table import Header, Table, after
 
 _ROWS = 100_000  # rows whose text is held at a time
@@ -152,7 +151,7 @@ def _cells(handle: Iterable[bytes], scan: CsvScan, wanted: Mapping[int, bool]) -
 
 def _fields(lines: Sequence[bytes], scan: CsvScan) -> list[str]:
     """The fields of rows, one row after the other."""
-    text = text_of(b"".join(lines), scan).replace("\r\n", "\n").removesuffix("\n")
+    text = scan.text(b"".join(lines)).replace("\r\n", "\n").removesuffix("\n")
     if '"' in text:
         rows = csv.reader(text.split("\n"), delimiter=scan.separator)
         return [field for row in rows for field in row]

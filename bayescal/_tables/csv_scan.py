@@ -6,8 +6,10 @@ row 1.
 
 from __future__ import annotations
 
+import codecs
 import csv
 import hashlib
+import io
 import math
 import re
 from bisect import bisect_right
@@ -19,12 +21,14 @@ from typing import BinaryIO, NamedTuple
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._tables.cells import MOST_BAD, number_of
-from bayescal._tables.encoding import encoding_of, opened
 from bayescal._tables.header_rows import LOOKED_AT, header_rows
 from bayescal._tables.problems import Problem
 from bayescal._tables.raw_table import refuse_many
 
 _BLOCK = 1 << 24  # bytes looked at together, and the longest line allowed
+_ASCII = bytes(range(128))
+_SIGNS = set("°µ²³·±".encode("latin-1"))  # the same in Latin-1, Latin-9 and Windows-1252
+_MOST_UTF16 = 500_000_000  # bytes: it is held whole
 _SAVE = "Save it as 'CSV UTF-8'"
 _LABVIEW = "***End_of_Header***"
 # A comma that parts no thousands, behind a separator that is none: 20,5 or 0,125 or 1234,567, but not 1,234.
@@ -56,6 +60,22 @@ class CsvScan:
     def blank(self) -> bytes:
         """What a line may hold and count as blank."""
         return b" \r\n" if self.separator == "\t" else b" \t\r\n"
+
+    def text(self, line: bytes) -> str:
+        """A line that was looked through."""
+        return line.decode("latin-1" if self.encoding == "latin-1" else "utf-8")
+
+    def split(self, line: str, row: int, called: str = "", cure: str = "") -> list[str]:
+        """The fields of a line, whose quotation marks must be in pairs."""
+        if '"' not in line:
+            return line.split(self.separator)
+        try:
+            return next(csv.reader([line], delimiter=self.separator, strict=True))
+        except csv.Error as error:
+            raise InputError(
+                f"row {row} of {self.file!r}{called} has a quotation mark without its pair: "
+                f"{line[:80]!r}. Close or remove it{cure}"
+            ) from error
 
     def place(self, index: int) -> str:
         """The row of a reading; blank lines count as rows but hold none."""
@@ -184,13 +204,7 @@ def _split_header(scan: CsvScan, row: int, line: str) -> None:
             f"{scan.file!r} has no header: its first row, row {row}, is numbers. Write one that names the columns, "
             "such as 'time [s],temperature [degC],output [deg/s]'"
         )
-    try:
-        scan.header = next(csv.reader([line], delimiter=scan.separator, strict=True))
-    except csv.Error as error:
-        raise InputError(
-            f"row {row} of {scan.file!r}, the header, has a quotation mark without its pair: "
-            f"{line[:80]!r}. Close or remove it"
-        ) from error
+    scan.header = scan.split(line, row, called=", the header,")
 
 
 def _decode(data: bytes, scan: CsvScan, row: int) -> str:
@@ -209,7 +223,7 @@ def _decode(data: bytes, scan: CsvScan, row: int) -> str:
             f"LF or CR LF. {_SAVE}"
         )
     try:
-        return data.decode(scan.encoding if scan.encoding == "latin-1" else "utf-8")
+        return scan.text(data)
     except UnicodeDecodeError as error:
         start = data.rfind(b"\n", 0, error.start) + 1
         row += data.count(b"\n", 0, error.start)
@@ -231,26 +245,16 @@ def _scan_lines(scan: CsvScan, data: bytes) -> None:
     separator, expected = scan.separator.encode(), len(scan.header)
     for index, line in enumerate(lines):
         if b'"' in line:
-            fields = _quoted_fields(scan, row + index, line)
+            text, cure = scan.text(line).rstrip("\r"), "; a field cannot run over several lines"
+            fields = len(scan.split(text, row + index, cure=cure))
         elif line.strip(scan.blank):
             fields = line.count(separator) + 1
         else:
             scan.blanks.append(row + index)
             continue
         if fields != expected and len(scan.ragged) < MOST_BAD:
-            scan.ragged.append((row + index, text_of(line, scan).strip()[:80], fields))
+            scan.ragged.append((row + index, scan.text(line).strip()[:80], fields))
     scan.lines += len(lines)
-
-
-def _quoted_fields(scan: CsvScan, row: int, line: bytes) -> int:
-    text = text_of(line, scan).rstrip("\r")
-    try:
-        return len(next(csv.reader([text], delimiter=scan.separator, strict=True)))
-    except csv.Error as error:
-        raise InputError(
-            f"row {row} of {scan.file!r} has a quotation mark without its pair: {text[:80]!r}. "
-            "Close or remove it; a field cannot run over several lines"
-        ) from error
 
 
 def ragged_rows(scan: CsvScan) -> tuple[Problem, ...]:
@@ -269,6 +273,38 @@ def ragged_rows(scan: CsvScan) -> tuple[Problem, ...]:
     return (Problem(scan.file, came, cure=cure, places=places),)
 
 
-def text_of(line: bytes, scan: CsvScan) -> str:
-    """A line that `_decode` let pass."""
-    return line.decode("latin-1" if scan.encoding == "latin-1" else "utf-8")
+def encoding_of(path: Path) -> str:
+    """By its mark "utf-16"; "latin-1" where the only bytes beyond ASCII are signs such as ° and µ; else "utf-8".
+
+    None of these signs begins a character in UTF-8, so the two cannot be taken for each other.
+    """
+    beyond = set[int]()
+    with path.open("rb") as handle:
+        if handle.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+            return "utf-16"
+        handle.seek(0)
+        while block := handle.read(_BLOCK):
+            beyond.update(block.translate(None, _ASCII))
+            if not beyond <= _SIGNS:
+                return "utf-8"
+    return "latin-1" if beyond else "utf-8"
+
+
+def opened(path: Path, encoding: str) -> BinaryIO:
+    """A file's bytes; those of UTF-16 as UTF-8.
+
+    Raises:
+        InputError: UTF-16 that is too large to be held, or broken.
+    """
+    if encoding != "utf-16":
+        return path.open("rb")
+    if path.stat().st_size > _MOST_UTF16:
+        raise InputError(
+            f"{path.name!r} is UTF-16 text of more than 500 MB: save it as 'CSV UTF-8'"
+        )
+    try:
+        return io.BytesIO(path.read_bytes().decode("utf-16").encode())
+    except UnicodeError as error:
+        raise InputError(
+            f"{path.name!r} is UTF-16 text that breaks off: save it as 'CSV UTF-8'"
+        ) from error

@@ -20,9 +20,7 @@ from bayescal._tables.problems import Problem
 ROW = "reading"  # the one dimension of readings
 FORMATS = (".csv", ".parquet", ".nc")  # that are written
 MOST_COLUMNS = 100_000
-LONGEST_NAME = (
-    1_000  # characters; a longer one is a row or a text, in which looking for a unit takes minutes
-)
+LONGEST_NAME = 1_000  # characters; looking for a unit in a longer one takes minutes
 
 
 def bytes_text(size: float) -> str:

@@ -54,18 +54,17 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
 
 
 class SheetRow(NamedTuple):
-    """The cells of a row that are not empty: its number, and their columns and values."""
+    """A row of a sheet: its number, and by their columns the cells that are not empty."""
 
     number: int
-    columns: tuple[int, ...]
-    values: tuple[Any, ...]
+    cells: dict[int, Any]
 
 
 def _rows_of(sheet: Any, file: str, max_bytes: int) -> list[SheetRow]:
     """The rows of a sheet that hold something, whatever size it states, in the order of their numbers."""
     from openpyxl.worksheet._reader import WorkSheetParser
 
-    book, found, alike, cells = sheet.parent, dict[int, SheetRow](), dict[tuple, tuple](), 0
+    book, found, cells = sheet.parent, dict[int, SheetRow](), 0
     with sheet._get_source() as source:
         parser = WorkSheetParser(
             source,
@@ -76,32 +75,25 @@ def _rows_of(sheet: Any, file: str, max_bytes: int) -> list[SheetRow]:
             timedelta_formats=book._timedelta_formats,
         )
         for number, given in parser.parse():
-            filled = [(c["column"], c["value"]) for c in given if _there(c["value"])]
+            filled = [(c["column"], c["value"]) for c in given if _text(c["value"]).strip()]
             if not filled:
                 continue
-            there = dict(filled)
-            if number in found or len(there) < len(filled):
+            own = dict(filled)
+            if number in found or len(own) < len(filled):
                 raise InputError(
                     f"{file!r}, sheet {sheet.title!r}: row {number}, or a cell in it, stands there twice, and which is "
                     "meant cannot be told. Open it and save it again"
                 )
-            columns = tuple(there)
-            columns = alike.setdefault(columns, columns)
-            found[number] = SheetRow(number, columns, tuple(there.values()))
-            cells += len(columns)
+            found[number] = SheetRow(number, own)
+            cells += len(own)
             refuse_large(file, cells, 1, max_bytes)
     return [found[number] for number in sorted(found)]
 
 
 def _of_rows(path: Path, file: str, rows: Sequence[SheetRow], notes: tuple[str, ...]) -> Table:
     """A table of rows of cells: the first that is as wide as the readings names the columns."""
-    width = max(max(row.columns) for row in rows)
-
-    def said(row: SheetRow) -> list[str]:
-        own = dict(zip(row.columns, row.values, strict=True))
-        return [_said(own.get(position + 1)) for position in range(width)]
-
-    told = [said(row) for row in rows[:LOOKED_AT]]
+    width = max(max(row.cells) for row in rows)
+    told = [[_text(row.cells.get(i + 1)) for i in range(width)] for row in rows[:LOOKED_AT]]
     found = next((h for i in range(len(told)) if (h := header_rows(told, i))), None)
     first, last, names = found or (0, 0, told[0])
     data = rows[last + 1 :]
@@ -111,41 +103,30 @@ def _of_rows(path: Path, file: str, rows: Sequence[SheetRow], notes: tuple[str, 
     if last > first:
         notes = (*notes, f"{file}: its units are taken from row {rows[last].number}")
     names = [*names, *[""] * (width - len(names))]
-    places: dict[tuple[int, ...], dict[int, int]] = {}
-    for row in data:
-        if row.columns not in places:
-            places[row.columns] = {column: at for at, column in enumerate(row.columns)}
 
-    def column(position: int) -> list[Any]:
-        at = ((row, places[row.columns].get(position + 1)) for row in data)
-        return [None if i is None else row.values[i] for row, i in at]
+    def column(position: int) -> np.ndarray:
+        values = np.empty(len(data), dtype=object)
+        for i, row in enumerate(data):
+            value = row.cells.get(position + 1)
+            values[i] = _text(value) if hasattr(value, "isoformat") else value
+        return values
 
     return Table(
         file=file,
         headers=tuple(map(Header.parse, names)),
         rows=len(data),
-        load=loads(lambda position: _objects(column(position))),
+        load=loads(column),
         sha256=sha256_of(path),
         place=lambda index: f"row {data[index].number}",
         notes=notes,
     )
 
 
-def _said(value: Any) -> str:
+def _text(value: Any) -> str:
+    """A cell as text; dates and times as in any other file."""
     if value is None:
         return ""
     return value.isoformat() if hasattr(value, "isoformat") else str(value)
-
-
-def _there(value: Any) -> bool:
-    return value is not None and str(value).strip() != ""
-
-
-def _objects(values: Sequence[Any]) -> np.ndarray:
-    """Cells of whatever kind; dates and times as text, which is read as in any other file."""
-    found = np.empty(len(values), dtype=object)
-    found[:] = [v.isoformat() if hasattr(v, "isoformat") else v for v in values]
-    return found
 
 
 def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
@@ -162,16 +143,14 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
         with path.open("rb") as handle:
             old = b"MATLAB 7.3" not in handle.read(128)
         found = _variables(path, file) if old else _variables_of_hdf5(path, file)
-    columns = {
-        name: vector for key, value in found.items() for name, vector in _vectors(key, value)
-    }
+    columns = dict(pair for key, value in found.items() for pair in _vectors(key, value))
     lengths = {len(vector) for vector in columns.values()} - {1}
     if len(lengths) != 1:
         sizes = ", ".join(f"{name} ({len(vector)})" for name, vector in columns.items()) or "none"
         raise InputError(
             f"{file!r} holds vectors of {len(lengths) or 'no'} lengths, and which are its readings cannot be told: "
-            f"{sizes}. "
-            "Save those of one length, as numbers or text (tables and timetables by table2struct(T, ToScalar=true))"
+            f"{sizes}. Save those of one length, as numbers or text (tables and timetables by table2struct(T, "
+            "ToScalar=true))"
         )
     rows = lengths.pop()
     kept = {name: vector for name, vector in columns.items() if len(vector) == rows}
