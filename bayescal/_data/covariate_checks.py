@@ -15,8 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal._data.record_settings import recording
-from bayescal._data.rounding import rounding_step
-from bayescal._data.stretches import RECORD, Columns, members, record_codes, stretches
+from bayescal._data.stretches import (
+    RECORD,
+    Columns,
+    members,
+    record_codes,
+    rounding_step,
+    stretches,
+)
 
 BESIDE = 3  # changes on either side of one, of which the median is the rate there: one of them may be odd
 MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 of thermometers

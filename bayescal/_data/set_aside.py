@@ -15,8 +15,7 @@ from bayescal._data.covariate_checks import held_rows, leaps, pieces
 from bayescal._data.dataset_checks import clip_levels, repeated_rows, stuck_rows
 from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
-from bayescal._data.rounding import rounding_step
-from bayescal._data.stretches import record_codes, stretches
+from bayescal._data.stretches import record_codes, rounding_step, stretches
 
 
 def set_aside(readings: Measurements, keep_spikes: bool = False) -> Measurements:

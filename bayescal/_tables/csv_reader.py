@@ -1,20 +1,45 @@
-"""CSV as a table: what the first pass let pass is read in a second, a stretch of rows at a time."""
+"""CSV as a table, in two passes.
+
+The first finds what is wrong and on which line, and keeps nothing but counts: so a file is refused before it takes
+memory. The second reads what the first let pass, a stretch of rows at a time. Line numbers in messages are those an
+editor shows, the first line being row 1.
+"""
 
 from __future__ import annotations
 
+import codecs
 import csv
+import hashlib
+import io
+import math
+import re
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
+from bayescal._core.atomic_file import sha256_of
+from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_cell_read
-from bayescal._tables.cells import Cells, numbers_of
-from bayescal._tables.csv_scan import CsvScan, opened, ragged_rows, scan_csv
-from bayescal._tables.raw_table import Header, Table, after
+from bayescal._tables.cells import MOST_BAD, Cells, number_of, numbers_of
+from bayescal._tables.header_rows import LOOKED_AT, header_rows
+from bayescal._tables.problems import Problem
+from bayescal._tables.raw_table import Header, Table, after, refuse_many
 
+_BLOCK = 1 << 24  # bytes looked at together, and the longest line allowed
+_ASCII = bytes(range(128))
+_SIGNS = set("°µ²³·±".encode("latin-1"))  # the same in Latin-1, Latin-9 and Windows-1252
+_MOST_UTF16 = 500_000_000  # bytes: it is held whole
+_SAVE = "Save it as 'CSV UTF-8'"
+_LABVIEW = "***End_of_Header***"
+# A comma that parts no thousands, behind a separator that is none: 20,5 or 0,125 or 1234,567, but not 1,234.
+_DECIMAL_COMMA = re.compile(
+    rb"(?:^|[;\t\n])[ +-]*(?:0?,\d+|\d{4,},\d+|\d{1,3},(?:\d\d?|\d{4,}))(?:[eE][+-]?\d+)?[ \r]*(?=[;\t\n]|$)"
+)
 _ROWS = 100_000  # rows whose text is held at a time
 
 
@@ -156,3 +181,276 @@ def _fields(lines: Sequence[bytes], scan: CsvScan) -> list[str]:
         rows = csv.reader(text.split("\n"), delimiter=scan.separator)
         return [field for row in rows for field in row]
     return text.replace("\n", scan.separator).split(scan.separator) if lines else []
+
+
+@dataclass
+class CsvScan:
+    """What the first pass found; rows are line numbers."""
+
+    file: str
+    header: list[str] = field(default_factory=list)
+    separator: str = ","
+    encoding: str = "utf-8"
+    decimal: str = ""  # a point or a comma; empty until a number shows it
+    named: int = 0  # row of the header
+    above: bool = False  # whether lines that tell of the test stand above it
+    first: int = 0  # row of the first line after the header
+    offset: int = 0  # its byte
+    lines: int = 0  # after the header
+    blanks: list[int] = field(default_factory=list)
+    ragged: list[tuple[int, str, int]] = field(default_factory=list)  # row, text, number of fields
+    passed_over: frozenset[int] = frozenset()  # ragged rows, where there are others to look at
+    sha256: str = ""
+
+    @property
+    def blank(self) -> bytes:
+        """What a line may hold and count as blank."""
+        return b" \r\n" if self.separator == "\t" else b" \t\r\n"
+
+    def text(self, line: bytes) -> str:
+        """A line that was looked through."""
+        return line.decode("latin-1" if self.encoding == "latin-1" else "utf-8")
+
+    def split(self, line: str, row: int, called: str = "", cure: str = "") -> list[str]:
+        """The fields of a line, whose quotation marks must be in pairs."""
+        if '"' not in line:
+            return line.split(self.separator)
+        try:
+            return next(csv.reader([line], delimiter=self.separator, strict=True))
+        except csv.Error as error:
+            raise InputError(
+                f"row {row} of {self.file!r}{called} has a quotation mark without its pair: "
+                f"{line[:80]!r}. Close or remove it{cure}"
+            ) from error
+
+    def place(self, index: int) -> str:
+        """The row of a reading; blank lines count as rows but hold none."""
+        row = self.first + index
+        passed = 0
+        while (blanks := bisect_right(self.blanks, row)) > passed:
+            row += blanks - passed
+            passed = blanks
+        return f"row {row}"
+
+
+def scan_csv(path: Path, file: str, decimal: str) -> CsvScan:
+    scan = CsvScan(file, encoding=encoding_of(path), decimal=decimal)
+    with opened(path, scan.encoding) as handle:
+        _look_through(handle, scan)
+    odd = [row for row, _, _ in scan.ragged]
+    if len(odd) < min(MOST_BAD, scan.lines - len(scan.blanks)):
+        scan.passed_over = frozenset(odd)
+        scan.blanks = sorted([*scan.blanks, *odd])
+    if scan.encoding == "utf-16":  # what was looked through are not the bytes of the file
+        scan.sha256 = sha256_of(path)
+    return scan
+
+
+def _look_through(handle: BinaryIO, scan: CsvScan) -> None:
+    above = _read_header(handle, scan)
+    digest = hashlib.sha256(above)
+    rest = b""
+    while block := handle.read(_BLOCK):
+        digest.update(block)
+        block = rest + block
+        end = block.rfind(b"\n") + 1
+        if not end and len(block) > _BLOCK:
+            raise InputError(
+                f"row {scan.first + scan.lines} of {scan.file!r} is longer than {_BLOCK} bytes: is it a "
+                "CSV file?"
+            )
+        rest = block[end:]
+        _scan_lines(scan, block[:end])
+    if rest:
+        _scan_lines(scan, rest + b"\n")
+    scan.sha256 = digest.hexdigest()
+
+
+class _Line(NamedTuple):
+    """A line of the file's start: its row, its text, and the byte behind it."""
+
+    row: int
+    text: str
+    end: int
+
+
+def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
+    """Find the header, and leave the file where the readings begin; the bytes above them.
+
+    It is the first line that is neither blank nor a '#' comment, unless that tells of the test, and names of columns
+    stand further down.
+    """
+    lines = list(_first_lines(handle, "latin-1" if scan.encoding == "latin-1" else "utf-8"))
+    there = [line for line in lines if line.text.strip() and not line.text.startswith("#")]
+    if not there:
+        handle.seek(0)
+        _decode(handle.read(), scan, 1)
+        raise InputError(
+            f"{scan.file!r} is empty: a header 'name [unit], …' and rows of readings were expected"
+        )
+    found, units = None, list[str]()
+    after = [i for i, line in enumerate(there) if line.text.startswith(_LABVIEW)]
+    for i in range(after[-1] + 1 if after else 0, len(there)):
+        separator = _separator_of(there[i].text)
+        rows = [_fields_of(line.text, separator) for line in there]
+        if found := header_rows(rows, i):
+            units = _labview_units(rows[:i])
+            break
+    first, last = (there[found.first], there[found.last]) if found else (there[0], there[0])
+    handle.seek(0)
+    above = handle.read(last.end)
+    _decode(above.removeprefix(b"\xef\xbb\xbf"), scan, 1)
+    _split_header(scan, first.row, first.text)
+    if found and (found.last > found.first or len(found.names) != len(scan.header)):
+        scan.header = found.names
+    if units:
+        padded = [*units, *[""] * len(scan.header)]
+        named = zip(scan.header, padded, strict=False)
+        scan.header = [f"{name} [{unit}]" if name and unit else name for name, unit in named]
+    scan.first, scan.offset, scan.named = last.row + 1, last.end, first.row
+    scan.above = first.row > there[0].row
+    return above
+
+
+def _fields_of(line: str, separator: str) -> list[str]:
+    if '"' not in line:
+        return line.split(separator)
+    return next(csv.reader([line], delimiter=separator), [])
+
+
+def _first_lines(handle: BinaryIO, encoding: str) -> Iterator[_Line]:
+    """The first lines of a file, so many that say something; what is not of the encoding is said later."""
+    said, row = 0, 0
+    while said < LOOKED_AT and (line := handle.readline(_BLOCK)):
+        row += 1
+        text = line.removeprefix(b"\xef\xbb\xbf" if row == 1 else b"").decode(encoding, "replace")
+        said += bool(text.strip())
+        yield _Line(row, text.rstrip("\r\n"), handle.tell())
+
+
+def _labview_units(above: Sequence[Sequence[str]]) -> list[str]:
+    """Units of the columns that the head of a LabVIEW measurement file (.lvm) states; none elsewhere."""
+    stated = {row[0].strip(): [text.strip() for text in row[1:]] for row in above}
+    if _LABVIEW not in stated or "Y_Unit_Label" not in stated:
+        return []
+    return ["s" if "Time" in stated.get("X_Dimension", ()) else "", *stated["Y_Unit_Label"]]
+
+
+def _separator_of(line: str) -> str:
+    counts = {separator: line.count(separator) for separator in (";", "\t", "|", ",")}
+    most = max(counts, key=lambda separator: counts[separator])
+    return most if counts[most] else ","
+
+
+def _split_header(scan: CsvScan, row: int, line: str) -> None:
+    scan.separator = _separator_of(line)
+    refuse_many(scan.file, 1 + line.count(scan.separator))
+    if not any(map(math.isnan, map(number_of, line.split(scan.separator)))):
+        raise InputError(
+            f"{scan.file!r} has no header: its first row, row {row}, is numbers. Write one that names the columns, "
+            "such as 'time [s],temperature [degC],output [deg/s]'"
+        )
+    scan.header = scan.split(line, row, called=", the header,")
+
+
+def _decode(data: bytes, scan: CsvScan, row: int) -> str:
+    """Text of whole lines, the first of which is `row`."""
+    file = scan.file
+    if (zero := data.find(b"\0")) >= 0:
+        row += data.count(b"\n", 0, zero)
+        raise InputError(
+            f"row {row} of {file!r} holds a zero byte: it is UTF-16 text or no text at all. {_SAVE}"
+        )
+    unix = data.replace(b"\r\n", b"\n")
+    if (lone := unix.find(b"\r")) >= 0:
+        row += unix.count(b"\n", 0, lone)
+        raise InputError(
+            f"row {row} of {file!r} holds a carriage return that ends no line: lines must end in "
+            f"LF or CR LF. {_SAVE}"
+        )
+    try:
+        return scan.text(data)
+    except UnicodeDecodeError as error:
+        start = data.rfind(b"\n", 0, error.start) + 1
+        row += data.count(b"\n", 0, error.start)
+        raise InputError(
+            f"row {row} of {file!r} is not UTF-8: byte {error.start - start + 1} of the row is "
+            f"0x{data[error.start]:02x}, after "
+            f"{data[start : error.start][-20:].decode('utf-8', 'replace')!r}. {_SAVE}; do not join "
+            "files of different encodings"
+        ) from error
+
+
+def _scan_lines(scan: CsvScan, data: bytes) -> None:
+    """Check whole lines: their encoding, and that each has as many fields as the header."""
+    row = scan.first + scan.lines
+    _decode(data, scan, row)
+    if not scan.decimal and scan.separator != "," and _DECIMAL_COMMA.search(data):
+        scan.decimal = ","
+    lines = data.split(b"\n")[:-1]
+    separator, expected = scan.separator.encode(), len(scan.header)
+    for index, line in enumerate(lines):
+        if b'"' in line:
+            text, cure = scan.text(line).rstrip("\r"), "; a field cannot run over several lines"
+            fields = len(scan.split(text, row + index, cure=cure))
+        elif line.strip(scan.blank):
+            fields = line.count(separator) + 1
+        else:
+            scan.blanks.append(row + index)
+            continue
+        if fields != expected and len(scan.ragged) < MOST_BAD:
+            scan.ragged.append((row + index, scan.text(line).strip()[:80], fields))
+    scan.lines += len(lines)
+
+
+def ragged_rows(scan: CsvScan) -> tuple[Problem, ...]:
+    """The rows that have not one field for each column, as one problem."""
+    if not scan.ragged:
+        return ()
+    _, text, fields = scan.ragged[0]
+    expected = len(scan.header)
+    comma = scan.separator == "," and fields > expected
+    hint = "If its numbers have decimal commas, export them with decimal points. " if comma else ""
+    longer = any(expected < n for _, _, n in scan.ragged)
+    above = "If the first lines only tell of the test, begin each with #. " if longer else ""
+    cure = f"{hint}{above}Give every row one field for each column"
+    came = f"{fields} field{'s' * (fields != 1)}, {text!r}, its header has {expected}"
+    places = tuple(f"row {row}" for row, _, _ in scan.ragged)
+    return (Problem(scan.file, came, cure=cure, places=places),)
+
+
+def encoding_of(path: Path) -> str:
+    """By its mark "utf-16"; "latin-1" where the only bytes beyond ASCII are signs such as ° and µ; else "utf-8".
+
+    None of these signs begins a character in UTF-8, so the two cannot be taken for each other.
+    """
+    beyond = set[int]()
+    with path.open("rb") as handle:
+        if handle.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+            return "utf-16"
+        handle.seek(0)
+        while block := handle.read(_BLOCK):
+            beyond.update(block.translate(None, _ASCII))
+            if not beyond <= _SIGNS:
+                return "utf-8"
+    return "latin-1" if beyond else "utf-8"
+
+
+def opened(path: Path, encoding: str) -> BinaryIO:
+    """A file's bytes; those of UTF-16 as UTF-8.
+
+    Raises:
+        InputError: UTF-16 that is too large to be held, or broken.
+    """
+    if encoding != "utf-16":
+        return path.open("rb")
+    if path.stat().st_size > _MOST_UTF16:
+        raise InputError(
+            f"{path.name!r} is UTF-16 text of more than 500 MB: save it as 'CSV UTF-8'"
+        )
+    try:
+        return io.BytesIO(path.read_bytes().decode("utf-16").encode())
+    except UnicodeError as error:
+        raise InputError(
+            f"{path.name!r} is UTF-16 text that breaks off: save it as 'CSV UTF-8'"
+        ) from error

@@ -116,7 +116,7 @@ def test_an_optional_column_without_content_is_left_out(put):
 
 
 def test_many_rows_are_checked_in_stretches(put, monkeypatch):
-    monkeypatch.setattr("bayescal._tables.csv_scan._BLOCK", 64)
+    monkeypatch.setattr("bayescal._tables.csv_reader._BLOCK", 64)
     monkeypatch.setattr("bayescal._tables.csv_reader._ROWS", 7)
     rows = [f"a,{i},{20 + i % 5},{i / 8}" for i in range(100)]
     m = read(put(HEAD + "\n".join(rows)), GYRO)
