@@ -16,9 +16,10 @@ import re
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from bayescal._tables.problems import Problem
 from bayescal._tables.raw_table import Header, Table, after, refuse_many
 
 _BLOCK = 1 << 24  # bytes looked at together, and the longest line allowed
+_MARK = b"\xef\xbb\xbf"  # of UTF-8
 _ASCII = bytes(range(128))
 _SIGNS = set("°µ²³·±".encode("latin-1"))  # the same in Latin-1, Latin-9 and Windows-1252
 _MOST_UTF16 = 500_000_000  # bytes: it is held whole
@@ -60,33 +62,29 @@ def open_csv(path: Path, file: str, decimal: str = "") -> Table:
             the message names the row.
     """
     scan = scan_csv(path, file, decimal)
+
+    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+        with opened(path, scan.encoding) as handle:
+            handle.seek(scan.offset)
+            return scan.cells(handle, wanted)
+
+    notes = {
+        f"read as {scan.encoding}": scan.encoding != "utf-8",
+        "its numbers have decimal commas": scan.decimal == ",",
+        f"its columns are named in row {scan.named}; what stands above it is left out": scan.above,
+        f"its units are taken from row {scan.named + 1}": scan.first - scan.named > 1,
+    }
     return Table(
         file=file,
-        headers=tuple(Header.parse(csv_cell_read(text)) for text in scan.header),
+        headers=scan.headers,
         rows=scan.lines - len(scan.blanks),
         sha256=scan.sha256,
-        load=lambda wanted: _load(path, scan, wanted),
+        load=load,
         place=scan.place,
-        notes=_notes(scan),
+        notes=tuple(f"{file}: {note}" for note, holds in notes.items() if holds),
         problems=ragged_rows(scan),
         readable=len(scan.passed_over) == len(scan.ragged),
     )
-
-
-def _notes(scan: CsvScan) -> tuple[str, ...]:
-    """How a file was read that is not UTF-8 with decimal points."""
-    notes = []
-    if scan.encoding != "utf-8":
-        notes.append(f"{scan.file}: read as {scan.encoding}")
-    if scan.decimal == ",":
-        notes.append(f"{scan.file}: its numbers have decimal commas")
-    if scan.above:
-        notes.append(
-            f"{scan.file}: its columns are named in row {scan.named}; what stands above it is left out"
-        )
-    if scan.first - scan.named > 1:
-        notes.append(f"{scan.file}: its units are taken from row {scan.named + 1}")
-    return tuple(notes)
 
 
 @dataclass(frozen=True)
@@ -120,7 +118,6 @@ def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[C
         decimal: as `open_csv` takes it.
     """
     scan = scan_csv(path, file, decimal)
-    headers = tuple(Header.parse(csv_cell_read(text)) for text in scan.header)
     done = 0
     with opened(path, scan.encoding) as handle:
         above: list[bytes] = []
@@ -134,53 +131,10 @@ def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[C
                 lines.append(more)  # a stretch of blank lines is no table
             count = sum(bool(line.strip()) for line in lines)
             if count:
-
-                def load(wanted: Mapping[int, bool], lines=lines) -> dict[int, Cells]:
-                    return _cells(lines, scan, wanted)
-
-                table = Table(
-                    file=file,
-                    headers=headers,
-                    rows=count,
-                    sha256=scan.sha256,
-                    load=load,
-                    place=after(done, scan.place),
-                )
+                load, place = partial(scan.cells, lines), after(done, scan.place)
+                table = Table(file, scan.headers, count, load, scan.sha256, place)
                 yield CsvLines(lines, table, scan.separator, scan.decimal or ".")
             done += count
-
-
-def _load(path: Path, scan: CsvScan, wanted: Mapping[int, bool]) -> dict[int, Cells]:
-    with opened(path, scan.encoding) as handle:
-        handle.seek(scan.offset)
-        return _cells(handle, scan, wanted)
-
-
-def _cells(handle: Iterable[bytes], scan: CsvScan, wanted: Mapping[int, bool]) -> dict[int, Cells]:
-    """The wanted columns, a stretch of rows at a time, so that only one stretch is held as text."""
-    parts: dict[int, list[Cells]] = {position: [] for position in wanted}
-    lines = iter(handle)
-    if scan.passed_over:
-        numbered = enumerate(lines, scan.first)
-        lines = (line for row, line in numbered if row not in scan.passed_over)
-    while stretch := list(islice(lines, _ROWS)):
-        fields = _fields([line for line in stretch if line.strip(scan.blank)], scan)
-        for position, number in wanted.items():
-            texts = fields[position :: len(scan.header)]
-            labels = [] if number else [csv_cell_read(text.strip()) for text in texts]
-            parts[position].append(
-                numbers_of(texts, scan.decimal) if number else Cells(np.array(labels, dtype=object))
-            )
-    return {position: Cells.joined(found) for position, found in parts.items()}
-
-
-def _fields(lines: Sequence[bytes], scan: CsvScan) -> list[str]:
-    """The fields of rows, one row after the other."""
-    text = scan.text(b"".join(lines)).replace("\r\n", "\n").removesuffix("\n")
-    if '"' in text:
-        rows = csv.reader(text.split("\n"), delimiter=scan.separator)
-        return [field for row in rows for field in row]
-    return text.replace("\n", scan.separator).split(scan.separator) if lines else []
 
 
 @dataclass
@@ -211,6 +165,36 @@ class CsvScan:
         """A line that was looked through."""
         return line.decode("latin-1" if self.encoding == "latin-1" else "utf-8")
 
+    @property
+    def headers(self) -> tuple[Header, ...]:
+        return tuple(Header.parse(csv_cell_read(text)) for text in self.header)
+
+    def cells(self, lines: Iterable[bytes], wanted: Mapping[int, bool]) -> dict[int, Cells]:
+        """The wanted columns of lines below the header; only one stretch of rows is held as text at a time."""
+        parts: dict[int, list[Cells]] = {position: [] for position in wanted}
+        if self.passed_over:
+            numbered = enumerate(lines, self.first)
+            lines = (line for row, line in numbered if row not in self.passed_over)
+        there = (line for line in lines if line.strip(self.blank))
+        while stretch := list(islice(there, _ROWS)):
+            fields = self._fields(stretch)
+            for position, number in wanted.items():
+                texts = fields[position :: len(self.header)]
+                if number:
+                    own = numbers_of(texts, self.decimal)
+                else:
+                    own = Cells(np.array([csv_cell_read(t.strip()) for t in texts], dtype=object))
+                parts[position].append(own)
+        return {position: Cells.joined(found) for position, found in parts.items()}
+
+    def _fields(self, lines: Sequence[bytes]) -> list[str]:
+        """The fields of rows, one row after the other."""
+        text = self.text(b"".join(lines)).replace("\r\n", "\n").removesuffix("\n")
+        if '"' in text:
+            rows = csv.reader(text.split("\n"), delimiter=self.separator)
+            return [field for row in rows for field in row]
+        return text.replace("\n", self.separator).split(self.separator)
+
     def split(self, line: str, row: int, called: str = "", cure: str = "") -> list[str]:
         """The fields of a line, whose quotation marks must be in pairs."""
         if '"' not in line:
@@ -234,44 +218,29 @@ class CsvScan:
 
 
 def scan_csv(path: Path, file: str, decimal: str) -> CsvScan:
+    """The first pass."""
     scan = CsvScan(file, encoding=encoding_of(path), decimal=decimal)
     with opened(path, scan.encoding) as handle:
-        _look_through(handle, scan)
+        digest, rest = hashlib.sha256(_read_header(handle, scan)), b""
+        while block := handle.read(_BLOCK):
+            digest.update(block)
+            block = rest + block
+            end = block.rfind(b"\n") + 1
+            if not end and len(block) > _BLOCK:
+                raise InputError(
+                    f"row {scan.first + scan.lines} of {file!r} is longer than {_BLOCK} bytes: is it a CSV file?"
+                )
+            rest = block[end:]
+            _scan_lines(scan, block[:end])
+        if rest:
+            _scan_lines(scan, rest + b"\n")
+    # of UTF-16, what was looked through are not the bytes of the file
+    scan.sha256 = sha256_of(path) if scan.encoding == "utf-16" else digest.hexdigest()
     odd = [row for row, _, _ in scan.ragged]
     if len(odd) < min(MOST_BAD, scan.lines - len(scan.blanks)):
         scan.passed_over = frozenset(odd)
         scan.blanks = sorted([*scan.blanks, *odd])
-    if scan.encoding == "utf-16":  # what was looked through are not the bytes of the file
-        scan.sha256 = sha256_of(path)
     return scan
-
-
-def _look_through(handle: BinaryIO, scan: CsvScan) -> None:
-    above = _read_header(handle, scan)
-    digest = hashlib.sha256(above)
-    rest = b""
-    while block := handle.read(_BLOCK):
-        digest.update(block)
-        block = rest + block
-        end = block.rfind(b"\n") + 1
-        if not end and len(block) > _BLOCK:
-            raise InputError(
-                f"row {scan.first + scan.lines} of {scan.file!r} is longer than {_BLOCK} bytes: is it a "
-                "CSV file?"
-            )
-        rest = block[end:]
-        _scan_lines(scan, block[:end])
-    if rest:
-        _scan_lines(scan, rest + b"\n")
-    scan.sha256 = digest.hexdigest()
-
-
-class _Line(NamedTuple):
-    """A line of the file's start: its row, its text, and the byte behind it."""
-
-    row: int
-    text: str
-    end: int
 
 
 def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
@@ -280,8 +249,13 @@ def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
     It is the first line that is neither blank nor a '#' comment, unless that tells of the test, and names of columns
     stand further down.
     """
-    lines = list(_first_lines(handle, "latin-1" if scan.encoding == "latin-1" else "utf-8"))
-    there = [line for line in lines if line.text.strip() and not line.text.startswith("#")]
+    encoding = "latin-1" if scan.encoding == "latin-1" else "utf-8"
+    there, row = list[tuple[int, str, int]](), 0  # a line's row, its text, and the byte behind it
+    while len(there) < LOOKED_AT and (line := handle.readline(_BLOCK)):
+        row += 1
+        text = line.removeprefix(_MARK if row == 1 else b"").decode(encoding, "replace")
+        if text.strip() and not text.startswith("#"):
+            there.append((row, text.rstrip("\r\n"), handle.tell()))
     if not there:
         handle.seek(0)
         _decode(handle.read(), scan, 1)
@@ -289,26 +263,28 @@ def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
             f"{scan.file!r} is empty: a header 'name [unit], …' and rows of readings were expected"
         )
     found, units = None, list[str]()
-    after = [i for i, line in enumerate(there) if line.text.startswith(_LABVIEW)]
+    texts = [text for _, text, _ in there]
+    after = [i for i, text in enumerate(texts) if text.startswith(_LABVIEW)]
     for i in range(after[-1] + 1 if after else 0, len(there)):
-        separator = _separator_of(there[i].text)
-        rows = [_fields_of(line.text, separator) for line in there]
+        separator = _separator_of(texts[i])
+        rows = [_fields_of(text, separator) for text in texts]
         if found := header_rows(rows, i):
             units = _labview_units(rows[:i])
             break
-    first, last = (there[found.first], there[found.last]) if found else (there[0], there[0])
+    row, text, end = there[found.first if found else 0]
+    last, _, end = there[found.last] if found else (row, text, end)
     handle.seek(0)
-    above = handle.read(last.end)
-    _decode(above.removeprefix(b"\xef\xbb\xbf"), scan, 1)
-    _split_header(scan, first.row, first.text)
+    above = handle.read(end)
+    _decode(above.removeprefix(_MARK), scan, 1)
+    _split_header(scan, row, text)
     if found and (found.last > found.first or len(found.names) != len(scan.header)):
         scan.header = found.names
     if units:
         padded = [*units, *[""] * len(scan.header)]
         named = zip(scan.header, padded, strict=False)
         scan.header = [f"{name} [{unit}]" if name and unit else name for name, unit in named]
-    scan.first, scan.offset, scan.named = last.row + 1, last.end, first.row
-    scan.above = first.row > there[0].row
+    scan.first, scan.offset, scan.named = last + 1, end, row
+    scan.above = row > there[0][0]
     return above
 
 
@@ -316,16 +292,6 @@ def _fields_of(line: str, separator: str) -> list[str]:
     if '"' not in line:
         return line.split(separator)
     return next(csv.reader([line], delimiter=separator), [])
-
-
-def _first_lines(handle: BinaryIO, encoding: str) -> Iterator[_Line]:
-    """The first lines of a file, so many that say something; what is not of the encoding is said later."""
-    said, row = 0, 0
-    while said < LOOKED_AT and (line := handle.readline(_BLOCK)):
-        row += 1
-        text = line.removeprefix(b"\xef\xbb\xbf" if row == 1 else b"").decode(encoding, "replace")
-        said += bool(text.strip())
-        yield _Line(row, text.rstrip("\r\n"), handle.tell())
 
 
 def _labview_units(above: Sequence[Sequence[str]]) -> list[str]:

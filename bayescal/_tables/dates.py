@@ -64,10 +64,10 @@ def _days(text: str) -> dict[str, int]:
     """Days since 1970 by the order in which a date may be written, "" for one that leaves no choice."""
     days = dict[str, int]()
     for form, orders in _FORMS.items():
-        found = form.fullmatch(text)
-        for order, parts in orders.items() if found else ():
-            with suppress(ValueError):
-                days[order] = _day(*(found[part] for part in parts))
+        if found := form.fullmatch(text):
+            for order, parts in orders.items():
+                with suppress(ValueError):
+                    days[order] = _day(*(found[part] for part in parts))
     if not days:
         raise ValueError(f"{text!r} is not a date")
     return days

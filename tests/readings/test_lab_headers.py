@@ -1,66 +1,19 @@
-"""Headers as eight laboratories write them for one test of a gyroscope: the same numbers, at most one option each."""
+"""What follows from files as laboratories write them: the same calibration, and gaps where rows are dropped."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-import pytest
 
 import bayescal as bc
 from bayescal._data.read import read
 from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import mems_gyro
-from tests.support.lab_files import RATE, TEMPERATURE, TIME, counted, spaced, text, when, with_cell
-
-MILLI = [f"{1e3 * t:g}" for t in TIME]
-LABORATORIES: dict[str, tuple[str | bytes, dict[str, Any]]] = {
-    "by the book": (text(), {}),
-    "underscores": (
-        text(("t_s", "Temp_C", "gyro_z_dps")),
-        {"columns": {"output": "gyro_z_dps"}},
-    ),
-    "round brackets": (
-        text(("Time (s)", "Temp (°C)", "gz (deg/s)")),
-        {"columns": {"output": "gz (deg/s)"}},
-    ),
-    "quantities over units": (
-        text(("t/ms", "T/°C", "ω/(°/s)"), (MILLI, TEMPERATURE, RATE)),
-        {"columns": {"output": "ω/(°/s)"}},
-    ),
-    "Windows, decimal commas": (
-        text(("Time [s]", "Temperature [°C]", "Rate [°/s]"), separator=";", decimal=",").encode(
-            "cp1252"
-        ),
-        {"columns": {"output": "Rate"}},
-    ),
-    "dates": (
-        text(("Timestamp", "Temp (C)", "Output (°/s)"), (when(spaced), TEMPERATURE, RATE)),
-        {},
-    ),
-    "microseconds since 1970": (
-        counted(1_000_000, "timestamp").replace("temperature [degC]", "temp_degC"),
-        {},
-    ),
-    "hours and radians": (
-        text(("time [s]", "T [K]", "Output (rad/s)"), (TIME, TEMPERATURE + 273.15, np.radians(RATE))),
-        {},
-    ),
-}  # fmt: skip
+from tests.support.lab_files import RATE, TEMPERATURE, TIME, spaced, text, when, with_cell
 
 
-@pytest.mark.parametrize("name", LABORATORIES)
-def test_the_readings_are_the_same(put, name):
-    content, options = LABORATORIES[name]
-    assert sum(map(len, options.values())) <= 1
-    m = read(put(content), mems_gyro.INSTRUMENT, **options)
-    assert m.columns == ("time", "temperature", "output")
-    np.testing.assert_array_equal(m["time"], TIME)
-    np.testing.assert_allclose(m["temperature"], TEMPERATURE, rtol=1e-14)
-    np.testing.assert_allclose(m["output"], RATE, rtol=1e-14)
-
-
-def test_and_so_is_the_calibration(put):
+def test_a_calibration_does_not_depend_on_how_its_file_is_written(put):
     noisy = RATE + 0.01 * np.sin(7 * TIME)
     head = ("t_s", "Temp_C", "gyro_z_dps")
     found = []
