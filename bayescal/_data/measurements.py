@@ -38,7 +38,7 @@ from bayescal._data.unit_parsing import ANY, STANDARD_GRAVITY, parse
 from bayescal._tables.cells import equally_long
 from bayescal._tables.dates import date_text
 from bayescal._tables.problems import Problems
-from bayescal._tables.raw_table import ROW, Header, Table, loads
+from bayescal._tables.raw_table import ROW, Table
 from bayescal._tables.write import write
 
 SINCE = "since"  # attribute of the time: seconds since 1970 at its zero, where the file has dates
@@ -117,14 +117,7 @@ class Measurements(Printed):
             for name in (c.name, *c.also)
         }
         own.setdefault("output_uncertainty", own.get(output_name(instrument)))
-        headers = tuple(Header.parse(name, own.get(name)) for name in columns)
-        arrays = equally_long(columns)
-        table = Table(
-            file=ARRAYS,
-            headers=headers,
-            rows=len(arrays[0]) if arrays else 0,
-            load=loads(arrays.__getitem__),
-        )
+        table = Table.of_columns(ARRAYS, equally_long(columns), own)
         options = ReadOptions.of(
             instrument,
             units=units or {},

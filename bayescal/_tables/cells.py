@@ -190,7 +190,7 @@ def cells_of(values: object, number: bool) -> Cells:
     return Cells(np.full(len(array), np.nan), bad)
 
 
-def equally_long(columns: Mapping[str, object]) -> list[np.ndarray]:
+def equally_long(columns: Mapping[str, object]) -> dict[str, np.ndarray]:
     """The columns as vectors; a single value counts for every reading.
 
     Raises:
@@ -202,7 +202,7 @@ def equally_long(columns: Mapping[str, object]) -> list[np.ndarray]:
         shapes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
         raise InputError(f"columns must be vectors of one length, these are: {shapes}")
     rows = lengths.pop() if lengths else 1
-    return [np.broadcast_to(array, (rows,)) for array in arrays.values()]
+    return {name: np.broadcast_to(array, (rows,)) for name, array in arrays.items()}
 
 
 def _text(value: object, missing: object) -> str:

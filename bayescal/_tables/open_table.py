@@ -16,7 +16,7 @@ from bayescal._core.quoting import one_line
 from bayescal._tables.ardupilot_bin import read_dataflash
 from bayescal._tables.csv_reader import open_csv
 from bayescal._tables.px4_ulog import read_ulog
-from bayescal._tables.raw_table import Header, Table, bytes_text, loads, unreadable
+from bayescal._tables.raw_table import Table, bytes_text, unreadable
 from bayescal._tables.recorded import Sensor, columns_of
 from bayescal._tables.ros_bag import read_bag
 
@@ -163,13 +163,10 @@ def open_log(path: Path, file: str, chosen: Collection[str]) -> Table:
     told = [line for line in said.getvalue().splitlines() if "dfindexer" not in line.lower()]
     notes += [f"{package} says: {line[:200]}" for line in told[:1]]
     columns, more = columns_of(sensors, chosen, file)
-    arrays = list(columns.values())
-    return Table(
-        file=file,
-        headers=tuple(map(Header.parse, columns)),
-        rows=len(arrays[0]),
+    return Table.of_columns(
+        file,
+        columns,
         sha256=sha256_of(path),
-        load=loads(arrays.__getitem__),
         place=lambda index: f"sample {index + 1}",
         notes=(*(f"{file}: {note}" for note in notes), *more),
     )

@@ -11,14 +11,7 @@ import numpy as np
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._tables.header_rows import LOOKED_AT, header_rows
-from bayescal._tables.raw_table import (
-    Header,
-    Table,
-    as_format,
-    loads,
-    refuse_large,
-    refuse_many,
-)
+from bayescal._tables.raw_table import Header, Table, as_format, loads, refuse_large
 from bayescal._tables.unpacked import refuse_hdf5, refuse_matlab, refuse_zip
 
 
@@ -154,10 +147,8 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
         )
     rows = lengths.pop()
     kept = {name: vector for name, vector in columns.items() if len(vector) == rows}
-    refuse_many(file, len(kept))
     refuse_large(file, rows, len(kept), max_bytes)
-    load = loads(list(kept.values()).__getitem__)
-    return Table(file, tuple(map(Header.parse, kept)), rows, load, sha256=sha256_of(path))
+    return Table.of_columns(file, kept, sha256=sha256_of(path))
 
 
 def _variables(path: Path, file: str) -> dict[str, Any]:
