@@ -181,9 +181,8 @@ class ColumnReader:
         self._note_not_finite(raw, values, unit, {*cells.bad, *held.tolist(), *codes.tolist()})
         if unit is not None:
             self._note_implausible(raw, values, unit)
-        if len(self.file.problems) == before or (
-            unit is None and not cells.bad
-        ):  # the order can be looked at
+        # without a unit, the order of times can be looked at all the same
+        if len(self.file.problems) == before or (unit is None and not cells.bad):
             if self._is_time:
                 values, self.converted.origin = from_first(values)
             self.converted.values[self.column.name] = values
@@ -343,9 +342,7 @@ class ColumnReader:
         if same_dimension(unit, target):
             if needs_gravity(unit, target):
                 self._flag(f"turned into local g by {gravity:g} m/s²")
-            with self.file.problems.collecting(
-                self.file.table.file
-            ):  # a difference of temperatures, say
+            with self.file.problems.collecting(self.file.table.file):  # a difference, say
                 return convert(values, unit, target, local_gravity=gravity, difference=difference)
             return None
         raw_output = self.column.name == output_name(self.file.instrument) or difference
@@ -368,11 +365,9 @@ class ColumnReader:
         how = option("--nominal-scale", f"250 {unit}/{per}")
         hint = f" Or say how many {unit} one {target} is, such as {how}" * raw_output
         cure = f"Correct the header, or give the unit that is meant.{hint}"
-        expected, given = (
-            f"one that converts to {target}{also}",
-            option("--unit", f"{self.header.raw}=UNIT"),
-        )
-        self.file.problem(self.header.raw, f"its unit is [{unit}]", expected, cure, option=given)
+        came, expected = f"its unit is [{unit}]", f"one that converts to {target}{also}"
+        asked = option("--unit", f"{self.header.raw}=UNIT")
+        self.file.problem(self.header.raw, came, expected, cure, asked)
         return None
 
     def _not_finite(self, values: np.ndarray) -> np.ndarray:

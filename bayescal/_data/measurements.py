@@ -344,9 +344,8 @@ def assemble(
     repeated = repeated_rows(converted.values)
     flags = [*converted.flags, *flags_of(converted, output, names, repeated)]
     values = converted.values
-    if "time" in values and len(
-        repeated
-    ):  # with the time among the columns, none can be a reading of its own
+    # with the time among the columns, none can be a reading of its own
+    if "time" in values and len(repeated):
         values = {n: np.delete(v, repeated) for n, v in values.items()}
     if outputs := getattr(instrument, "outputs", ()):
         values, units = scalar_readings(outputs, values, units, names)

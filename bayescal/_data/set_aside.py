@@ -151,9 +151,8 @@ def _standing_out(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     before, after = np.arange(count) - 1, np.arange(count) + 1
 
     def height(i: int) -> float:
-        i = (
-            after[i] if before[i] < 0 else before[i] if after[i] >= count else i
-        )  # an end as its neighbour
+        # an end as its neighbour
+        i = after[i] if before[i] < 0 else before[i] if after[i] >= count else i
         return float(abs(y[i] - 0.5 * (y[before[i]] + y[after[i]])))
 
     inner = np.abs(y[1:-1] - 0.5 * (y[:-2] + y[2:]))

@@ -72,9 +72,8 @@ def _fields(log: Any, kind: int) -> dict[str, np.ndarray]:
     layout = log.formats[kind]
     places = np.asarray(log.offsets[kind], np.int64)
     places = places[places + layout.len <= log.data_len]  # the last may be cut short
-    codes = re.findall(
-        r"\d*[a-zA-Z]", layout.msg_struct
-    )  # of a `struct` layout, "<QB64s" as Q, B, 64s
+    # of a `struct` layout: "<QB64s" as Q, B, 64s
+    codes = re.findall(r"\d*[a-zA-Z]", layout.msg_struct)
     kinds = [f"V{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
     row = np.dtype(list(zip(layout.columns, kinds, strict=True)))
     content = np.frombuffer(log.data_map, np.uint8)

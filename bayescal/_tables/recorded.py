@@ -96,7 +96,8 @@ def columns_of(
         notes.append(f"{file}: {lost} samples left out: not all that was asked for was logged then")
     for name in wanted:
         sensor = holder[name]
-        at = kept if sensor is base else _nearest(sensor.time, time)
+        halfway = 0.5 * (sensor.time[1:] + sensor.time[:-1])  # from one sample to the next
+        at = kept if sensor is base else np.searchsorted(halfway, time)
         values, unit = sensor.channels[name]
         columns[f"{name} [{unit}]"] = values[at]
     if len(used) > 1:
@@ -128,11 +129,3 @@ def _common(base: Sensor, used: Collection[Sensor], file: str) -> np.ndarray:
             "choose others, or log them together"
         )
     return kept
-
-
-def _nearest(time: np.ndarray, asked: np.ndarray) -> np.ndarray:
-    """Index of the sample nearest to each time asked for."""
-    right = np.clip(np.searchsorted(time, asked), 1, max(len(time) - 1, 1))
-    left = right - 1
-    right = np.minimum(right, len(time) - 1)
-    return np.where(asked - time[left] <= time[right] - asked, left, right)
