@@ -17,7 +17,6 @@ import numpy as np
 from bayescal._core.errors import InputError
 from bayescal._data.column import TAKEN, UNCERTAINTY, Column
 from bayescal._data.header_reading import (
-    Reading,
     like_a_unit,
     plain,
     readings_of,
@@ -88,10 +87,9 @@ class MatchedFile:
         headers, notes = list(self.table.headers), list(self.table.notes)
         positions = self.positions
 
-        def take(position: int, reading: Reading, say: str) -> None:
-            old = headers[position]
-            headers[position] = Header(old.raw, reading.name, reading.unit)
-            if (reading.unit, reading.name) != (old.unit, old.name):
+        def take(position: int, reading: Header, say: str) -> None:
+            old, headers[position] = headers[position], reading
+            if reading != old:
                 unit = f" in {pretty(reading.unit)}" if reading.unit else ""
                 notes.append(f"{self.table.file}: read {old.raw!r} as {say}{unit}")
 
@@ -110,24 +108,24 @@ class MatchedFile:
                 header = headers[position]
                 found = _fitting(header, self._kinds(ours), self.options.units)
                 name = header.name if asked in (header.name, header.raw) else asked
-                take(position, Reading(name, found.unit if found else header.unit), ours)
+                take(position, replace(found or header, name=name), ours)
         said = set(positions)
         free = set(range(len(headers))) - set(positions.values())
         exact, named = {headers[i].name: i for i in free}, _by_name(headers)
         for name, column in self.expected.items():
             if name in self.options.columns:
                 continue
-            found = dict[int, Reading]()
+            found = dict[int, Header]()
             if name in exact:
-                own = headers[exact[name]].unit
-                unit = own and unit_in(own, self._kinds(name))
-                found = {exact[name]: Reading(name, unit or own)}
+                own = headers[exact[name]]
+                unit = own.unit and unit_in(own.unit, self._kinds(name))
+                found = {exact[name]: replace(own, unit=unit or own.unit)}
             elif exact.keys().isdisjoint(column.also):
                 found = self._candidates(column, headers, named, free)
             if len(found) == 1:
                 positions[name], reading = found.popitem()
                 free.discard(positions[name])
-                take(positions[name], Reading(name, reading.unit), name)
+                take(positions[name], replace(reading, name=name), name)
         for i in sorted(free):
             reading = unit_behind(headers[i])
             if reading and reading.name not in self.expected:
@@ -190,7 +188,7 @@ class MatchedFile:
         headers: Sequence[Header],
         named: Mapping[str, list[int]],
         free: Collection[int],
-    ) -> dict[int, Reading]:
+    ) -> dict[int, Header]:
         """The free headers that can be read as a column: under its own name, else under other names that it has."""
         kinds, own = self._kinds(column.name), {plain(n) for n in (column.name, *column.also)}
         for names in (own, *map(set, _SYNONYMS.get(column.name, ()))):
@@ -227,9 +225,8 @@ class MatchedFile:
             self._note_lack(column, found, one)
             if one:
                 raw = ("V", "Hz", "A", "count") if column.name == output else ()
-                reading = _fitting(found[0], (column.unit or "1", *raw), {})
-                named = found[0] if reading is None else replace(found[0], unit=reading.unit)
-                offered[column.name] = (place[named.raw], named)
+                reading = _fitting(found[0], (column.unit or "1", *raw), {}) or found[0]
+                offered[column.name] = place[reading.raw], replace(reading, name=found[0].name)
         return offered, {place[h.raw] for found in alike.values() for h in found}
 
     def _note_lack(self, column: Column, alike: Sequence[Header], one: bool) -> None:
@@ -395,7 +392,7 @@ def _by_name(headers: Sequence[Header]) -> dict[str, list[int]]:
     return found
 
 
-def _compared(reading: Reading) -> str:
+def _compared(reading: Header) -> str:
     """The name of a reading as names are compared; a single letter is a symbol, whose case matters."""
     name = reading.name.strip()
     return name if len(name) == 1 else plain(name)
@@ -403,7 +400,7 @@ def _compared(reading: Reading) -> str:
 
 def _meant(
     header: Header, names: set[str], kinds: tuple[str, ...], given: Mapping[str, str]
-) -> Reading | None:
+) -> Header | None:
     """The reading of a header as a column of one of these names, in a unit of its kind or in none."""
     for reading in sorted(readings_of(header), key=lambda r: r.unit is None):  # "T (°)" has one
         if _compared(reading) not in names:
@@ -411,17 +408,17 @@ def _meant(
         if reading.unit is None:
             return reading
         if unit := unit_in(reading.unit, kinds):
-            return reading._replace(unit=unit)
+            return replace(reading, unit=unit)
         if header.raw in given or reading.name in given:
             unit = given.get(reading.name, "")
-            return reading._replace(unit=unit if unit_in(unit, (ANY,)) else None)
+            return replace(reading, unit=unit if unit_in(unit, (ANY,)) else None)
     return None
 
 
-def _fitting(header: Header, kinds: tuple[str, ...], given: Mapping[str, str]) -> Reading | None:
+def _fitting(header: Header, kinds: tuple[str, ...], given: Mapping[str, str]) -> Header | None:
     """The reading of a header with a unit of its kind, if it has just one."""
     found = {
-        unit: reading._replace(unit=unit)
+        unit: replace(reading, unit=unit)
         for reading in readings_of(header)
         if reading.unit
         and (unit := unit_in(reading.unit, kinds))

@@ -7,10 +7,8 @@ So "Temp_C" is a temperature in °C, since nothing else that is written C is a t
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from difflib import get_close_matches
 from functools import lru_cache
-from typing import NamedTuple
 
 from bayescal._data.unit_conversion import alike
 from bayescal._data.unit_parsing import ANY, BASE, DERIVED, SPELLINGS
@@ -42,33 +40,23 @@ _LONGEST = 80  # characters of a header, from its end, in which a unit is looked
 _BEHIND_COMMA = re.compile(r"(.+?)\s*[,:;]\s*(.+)", re.DOTALL)
 
 
-class Reading(NamedTuple):
-    """A header as a name and, if it has one, the text of a unit."""
-
-    name: str
-    unit: str | None
-
-
 @lru_cache(maxsize=4096)  # each is asked for by many columns
-def readings_of(header: Header) -> tuple[Reading, ...]:
-    """Every way to part a header into a name and a unit, the plainest first."""
-    return tuple(_readings_of(header))
-
-
-def _readings_of(header: Header) -> Iterator[Reading]:
-    yield Reading(header.name, header.unit)
+def readings_of(header: Header) -> tuple[Header, ...]:
+    """Every way to part a header into a name and, if it has one, the text of a unit; the plainest first."""
     if header.unit:
-        return
+        return (header,)
+    found = [header]
     before, end = header.raw[:-_LONGEST], header.raw[-_LONGEST:]
     for pattern in (*_BRACKETS, _BEHIND_SLASH, _BEHIND_COMMA):
-        if found := pattern.fullmatch(end):
-            unit = found[2].strip()
+        if parts := pattern.fullmatch(end):
+            unit = parts[2].strip()
             unit = unit[1:-1] if unit[:1] + unit[-1:] == "()" else unit
-            yield Reading((before + found[1]).strip(), unit)
+            found.append(Header(header.raw, (before + parts[1]).strip(), unit))
     for gap in re.finditer(r"[_\s.]+", end):
         name, unit = before + end[: gap.start()], end[gap.end() :]
         if name and unit and unit[0] not in "([{<":
-            yield Reading(name, unit)
+            found.append(Header(header.raw, name, unit))
+    return tuple(found)
 
 
 def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
@@ -91,7 +79,7 @@ def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
     return found.pop() if len(found) == 1 else None
 
 
-def unit_behind(header: Header) -> Reading | None:
+def unit_behind(header: Header) -> Header | None:
     """The reading of a header that ends in a unit, whatever its quantity: in brackets, or of two letters behind _."""
     if header.unit:
         return None

@@ -27,7 +27,7 @@ from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_cell_read
 from bayescal._tables.cells import MOST_BAD, Cells, number_of, numbers_of
-from bayescal._tables.header_rows import LOOKED_AT, header_rows
+from bayescal._tables.header_rows import LOOKED_AT, header_rows, with_units
 from bayescal._tables.problems import Problem
 from bayescal._tables.raw_table import Header, Table, after, refuse_many
 
@@ -279,10 +279,7 @@ def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
     _split_header(scan, row, text)
     if found and (found.last > found.first or len(found.names) != len(scan.header)):
         scan.header = found.names
-    if units:
-        padded = [*units, *[""] * len(scan.header)]
-        named = zip(scan.header, padded, strict=False)
-        scan.header = [f"{name} [{unit}]" if name and unit else name for name, unit in named]
+    scan.header = with_units(scan.header, units)
     scan.first, scan.offset, scan.named = last + 1, end, row
     scan.above = row > there[0][0]
     return above
