@@ -7,6 +7,7 @@ import io
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from bayescal._core.quoting import one_line
 from bayescal._tables.ardupilot_bin import read_dataflash
 from bayescal._tables.csv_reader import open_csv
 from bayescal._tables.px4_ulog import read_ulog
-from bayescal._tables.raw_table import Table, bytes_text, unreadable
+from bayescal._tables.raw_table import Table, as_format, bytes_text
 from bayescal._tables.recorded import Sensor, columns_of
 from bayescal._tables.ros_bag import read_bag
 
@@ -121,15 +122,16 @@ def open_table(
         if suffix in TEXT:
             return open_csv(path, name, decimal)
         if suffix in LOG_FORMATS:
-            return open_log(path, name, asked)
-        if suffix in (".xlsx", ".mat"):
+            found = open_log(path, name, asked)
+        elif suffix in (".xlsx", ".mat"):
             from bayescal._tables.spreadsheets import open_excel, open_matlab
 
-            return (open_excel if suffix == ".xlsx" else open_matlab)(path, name, max_bytes)
-        # a second that text does without
-        from bayescal._tables.parquet_netcdf import open_netcdf, open_parquet
+            found = (open_excel if suffix == ".xlsx" else open_matlab)(path, name, max_bytes)
+        else:  # a second that text does without
+            from bayescal._tables.parquet_netcdf import open_netcdf, open_parquet
 
-        return (open_parquet if suffix == ".parquet" else open_netcdf)(path, name, max_bytes)
+            found = (open_parquet if suffix == ".parquet" else open_netcdf)(path, name, max_bytes)
+        return replace(found, sha256=sha256_of(path))
 
 
 def open_log(path: Path, file: str, chosen: Collection[str]) -> Table:
@@ -153,20 +155,14 @@ def open_log(path: Path, file: str, chosen: Collection[str]) -> Table:
             "pip install 'bayescal[logs]'"
         ) from None
     said = io.StringIO()  # libraries print; standard output is the command's own
-    try:
-        with redirect_stdout(said), redirect_stderr(said):
-            sensors, notes = read(path)
-    except OSError:
-        raise
-    except Exception as error:
-        raise unreadable(file, title, error) from None
+    with as_format(file, title), redirect_stdout(said), redirect_stderr(said):
+        sensors, notes = read(path)
     told = [line for line in said.getvalue().splitlines() if "dfindexer" not in line.lower()]
     notes += [f"{package} says: {line[:200]}" for line in told[:1]]
     columns, more = columns_of(sensors, chosen, file)
     return Table.of_columns(
         file,
         columns,
-        sha256=sha256_of(path),
         place=lambda index: f"sample {index + 1}",
         notes=(*(f"{file}: {note}" for note in notes), *more),
     )

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import xarray as xr
 
-from bayescal._core.atomic_file import named_back, sha256_of
+from bayescal._core.atomic_file import named_back
 from bayescal._core.errors import InputError
 from bayescal._tables.cells import Cells, cells_of
 from bayescal._tables.raw_table import (
@@ -47,7 +47,7 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
         pa.default_memory_pool().release_unused()  # what it unpacked, as much again as the numbers
         return found
 
-    return Table(file, arrow_headers(schema), rows, load, sha256=sha256_of(path))
+    return Table(file, arrow_headers(schema), rows, load)
 
 
 def parquet_parts(path: Path, file: str, rows: int) -> Iterator[tuple[pa.RecordBatch, Table]]:
@@ -118,7 +118,7 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
         with as_format(file, "NetCDF-4"), _dataset(path) as dataset:
             return {p: cells_of(dataset[names[p]].values, number) for p, number in wanted.items()}
 
-    return Table(file, headers, rows, load, sha256=sha256_of(path))
+    return Table(file, headers, rows, load)
 
 
 def _dataset(path: Path) -> xr.Dataset:

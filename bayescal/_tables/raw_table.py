@@ -206,12 +206,7 @@ def as_format(file: str, name: str) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        raise unreadable(file, name, error) from error
-
-
-def unreadable(file: str, name: str, error: Exception) -> InputError:
-    """The refusal of a file that made the library of its format raise this."""
-    first = (str(error).strip().splitlines() or [type(error).__name__])[0][:200].rstrip(".")
-    return InputError(
-        f"{file!r} cannot be read as {name}: {first}. Is it what its suffix says, and whole?"
-    )
+        first = (str(error).strip().splitlines() or [type(error).__name__])[0][:200].rstrip(".")
+        raise InputError(
+            f"{file!r} cannot be read as {name}: {first}. Is it what its suffix says, and whole?"
+        ) from error

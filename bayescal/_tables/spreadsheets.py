@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._tables.header_rows import LOOKED_AT, header_rows
 from bayescal._tables.raw_table import Header, Table, as_format, loads, refuse_large
@@ -43,7 +42,7 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
             book.close()
     others = f", the first of {len(sheets)}" if len(sheets) > 1 else ""
     notes = (f"{file}: read from the sheet {sheet.title!r}{others}",) if others else ()
-    return _of_rows(path, file, rows, notes)
+    return _of_rows(file, rows, notes)
 
 
 class SheetRow(NamedTuple):
@@ -83,7 +82,7 @@ def _rows_of(sheet: Any, file: str, max_bytes: int) -> list[SheetRow]:
     return [found[number] for number in sorted(found)]
 
 
-def _of_rows(path: Path, file: str, rows: Sequence[SheetRow], notes: tuple[str, ...]) -> Table:
+def _of_rows(file: str, rows: Sequence[SheetRow], notes: tuple[str, ...]) -> Table:
     """A table of rows of cells: the first that is as wide as the readings names the columns."""
     width = max(max(row.cells) for row in rows)
     told = [[_text(row.cells.get(i + 1)) for i in range(width)] for row in rows[:LOOKED_AT]]
@@ -109,7 +108,6 @@ def _of_rows(path: Path, file: str, rows: Sequence[SheetRow], notes: tuple[str, 
         headers=tuple(map(Header.parse, names)),
         rows=len(data),
         load=loads(column),
-        sha256=sha256_of(path),
         place=lambda index: f"row {data[index].number}",
         notes=notes,
     )
@@ -148,7 +146,7 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
     rows = lengths.pop()
     kept = {name: vector for name, vector in columns.items() if len(vector) == rows}
     refuse_large(file, rows, len(kept), max_bytes)
-    return Table.of_columns(file, kept, sha256=sha256_of(path))
+    return Table.of_columns(file, kept)
 
 
 def _variables(path: Path, file: str) -> dict[str, Any]:
