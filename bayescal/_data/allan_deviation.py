@@ -14,8 +14,7 @@ from jaxtyping import Float
 
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, table
-from bayescal._data.allan_fit import Curve, terms_of
-from bayescal._data.allan_terms import AllanTerm
+from bayescal._data.allan_terms import AllanTerm, Curve, terms_of
 from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
 from bayescal._data.time_in_runs import run_codes

@@ -107,11 +107,7 @@ def average(
 def _refuse_useless(
     time: np.ndarray, same: np.ndarray, counts: np.ndarray, seconds: float, names: str
 ) -> None:
-    """Refuse a time that averages nothing, or everything.
-
-    Raises:
-        InputError: it does.
-    """
+    """Refuse a time that averages nothing, or everything."""
     if counts.size == 1:
         raise InputError(
             f"{names}: a mean over {seconds:g} s is one of all {time.size} readings: give a shorter time"

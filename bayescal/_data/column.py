@@ -13,8 +13,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, table
 from bayescal._data.record_settings import recording
 from bayescal._data.unit_parsing import ANY
-from bayescal._tables.problems import Problem
-from bayescal._tables.raw_table import ROW
+from bayescal._tables.raw_table import ROW, Table
 
 UNCERTAINTY = "output_uncertainty"  # known standard uncertainty of each reading
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
@@ -144,25 +143,27 @@ class Source:
 
 @dataclass
 class ConvertedColumns:
-    """One file's columns as ours.
+    """Columns of one file, or of several one after the other, as ours.
 
     Attributes:
+        tables: the files, with the rows that were kept.
         values: name → one entry per reading.
         units: name → unit; None for labels.
         flags: what was odd.
         filled: names of columns that hold a default.
-        missing: name → readings that are missing there, and what stands in their place.
+        missing: name → indices of the readings that are missing there.
         origin: seconds since 1970 at time zero; None where the time counts from no date.
-        kept: indices of the rows that were kept; None for all.
+        kept: indices of the rows of the file that were kept; None for all.
         unread: names of columns that are in the file, and could not be read.
         beside: names of columns that are other channels of the unit whose output this is.
     """
 
+    tables: tuple[Table, ...] = ()
     values: dict[str, np.ndarray] = field(default_factory=dict)
     units: dict[str, str | None] = field(default_factory=dict)
     flags: list[str] = field(default_factory=list)
     filled: set[str] = field(default_factory=set)
-    missing: dict[str, tuple[np.ndarray, Problem]] = field(default_factory=dict)
+    missing: dict[str, np.ndarray] = field(default_factory=dict)
     origin: float | None = None
     kept: np.ndarray | None = None
     unread: set[str] = field(default_factory=set)
@@ -178,12 +179,8 @@ def file_names(files: Sequence[str]) -> str:
 
 _SIZES = (999.0, 9999.0, 99999.0, 999.25, 9999.25, 999.9, 9999.9)  # that loggers write for nothing
 PLACEHOLDERS = (*(-size for size in _SIZES), *_SIZES)
-
-
-OVERLOAD, NO_NUMBER = (
-    9.9e37,
-    9.91e37,
-)  # of SCPI instruments (SCPI-1999, volume 1, 7.2.1.4 and 7.2.1.5)
+# of SCPI instruments (SCPI-1999, volume 1, 7.2.1.4 and 7.2.1.5)
+OVERLOAD, NO_NUMBER = 9.9e37, 9.91e37
 
 
 def overloads(values: np.ndarray) -> np.ndarray:
@@ -204,32 +201,6 @@ def placeholders(values: np.ndarray) -> np.ndarray:
         if max(low - value, value - high) > recording().placeholder * (high - low):
             found |= there
     return np.flatnonzero(found)
-
-
-def cells(
-    runs: Sequence[str], run: np.ndarray, point: ArrayLike | None
-) -> tuple[tuple[str, ...], np.ndarray]:
-    """Run × temperature point, in order of appearance, and each reading's index among them, −1 without a point.
-
-    Args:
-        runs: names of the runs.
-        run: each reading's index among them.
-        point: temperature points, °C, NaN for none; None where there is no such column.
-    """
-    codes = np.full(len(run), -1, dtype=np.int64)
-    if point is None:
-        return (), codes
-    point = np.asarray(point)
-    soaked = np.flatnonzero(~np.isnan(point))
-    points, index = np.unique(point[soaked], return_inverse=True)
-    keys = run[soaked] * max(1, len(points)) + index
-    found, first, which = np.unique(keys, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    codes[soaked] = np.argsort(order)[which]
-    names = (
-        f"run {runs[k // len(points)]}, {points[k % len(points)]:.10g} °C" for k in found[order]
-    )
-    return tuple(names), codes
 
 
 def readings_text(file: str, columns: Mapping[str, tuple[np.ndarray, str | None]]) -> str:

@@ -8,20 +8,24 @@ run: nothing in a fit shows it where profiles repeat.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from itertools import combinations, permutations
 from typing import NamedTuple
 
 import numpy as np
 
 from bayescal._data.record_settings import recording
-from bayescal._data.rounding import rounding_step
-from bayescal._data.stretches import RECORD, members, record_codes, stretches
+from bayescal._data.stretches import (
+    RECORD,
+    Columns,
+    members,
+    record_codes,
+    rounding_step,
+    stretches,
+)
 
 BESIDE = 3  # changes on either side of one, of which the median is the rate there: one of them may be odd
 MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 of thermometers
-
-Columns = Mapping[str, np.ndarray]
 
 
 class Oddity(NamedTuple):
@@ -48,8 +52,10 @@ def oddities(
     with np.errstate(all="ignore"):  # of numbers that no temperature is
         own = pieces(columns)
         for name in names:
-            for check in (_spikes, _held, _at_an_end):
-                found += check(name, columns[name], own)
+            for find, said in _RECORDED.items():
+                if len(rows := find(columns[name], own)):
+                    found.append(Oddity(name, said.format(len(rows)), rows))
+            found += _at_an_end(name, columns[name], own)
             found += _jumps(name, columns, {*thermometers, output}, own)
         return [*found, *_unlike(columns, names)]
 
@@ -109,14 +115,6 @@ def _runs(columns: Columns) -> dict[str, np.ndarray]:
     }
 
 
-def _spikes(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
-    rows = leaps(values, own)
-    if not len(rows):
-        return []
-    said = f"leaps faster than a body can follow at {len(rows)} reading(s)"
-    return [Oddity(name, said, rows)]
-
-
 def held_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
     """Rows of stretches in which values are repeated until the next leap, again and again: they were asked seldom.
 
@@ -139,10 +137,10 @@ def held_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
     return np.concatenate(held) if pairs >= given.held_times else held[0]
 
 
-def _held(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
-    rows = held_rows(values, own)
-    said = "repeats a value until the next leap: it was held, or asked seldom"
-    return [Oddity(name, said, rows)] if len(rows) else []
+_RECORDED = {
+    leaps: "leaps faster than a body can follow at {} reading(s)",
+    held_rows: "repeats a value until the next leap: it was held, or asked seldom",
+}
 
 
 def _jumps(
@@ -152,13 +150,7 @@ def _jumps(
 
     Where the output, or another thermometer, goes on from another level too, it was the body, and readings are far
     apart; unless an input was set anew there. Values that stand still before and after are set-points, written down as
-    they were set.
-
-    Args:
-        name: of the column.
-        columns: readings by name.
-        follow: columns that follow a body, this one among them.
-        own: rows of each stretch without a pause, by `pieces`.
+    they were set. `follow` are the columns that follow a body, this one among them.
     """
     given, values = recording(), columns[name]
     own = [piece for piece in own if len(piece) > 2 * BESIDE + 1]
@@ -169,9 +161,8 @@ def _jumps(
     flat = [np.pad(change == 0, 1, constant_values=True) for change in changes]
     still = np.concatenate([one[:-2] & one[2:] for one in flat])
     jump = _unexplained(values, time, own)
-    usual = float(
-        np.quantile(np.abs(np.concatenate(changes)), given.most)
-    )  # a rounded corner leaves less
+    # a rounded corner leaves less
+    usual = float(np.quantile(np.abs(np.concatenate(changes)), given.most))
     parts = np.split(jump, np.cumsum([len(change) for change in changes])[:-1])
     noise = np.concatenate([np.full(len(part), _usual(part)) for part in parts])  # of each stretch
     least = max(given.unlike_least, given.held_step * rounding_step(values), _usual(jump), usual)
@@ -301,9 +292,7 @@ def _same_moments(time: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.nd
     """Rows of two runs at the same time since their first readings, within half a usual step."""
     a, b = (rows[np.argsort(time[rows], kind="stable")] for rows in (a, b))
     of_a, of_b = time[a] - time[a[0]], time[b] - time[b[0]]
-    nearest = np.clip(np.searchsorted(of_b, of_a), 1, max(len(b) - 1, 1)) - 1
-    later = np.minimum(nearest + 1, len(b) - 1)
-    nearest = np.where(np.abs(of_b[later] - of_a) < np.abs(of_b[nearest] - of_a), later, nearest)
+    nearest = np.searchsorted(0.5 * (of_b[1:] + of_b[:-1]), of_a)
     step = float(np.median(np.diff(of_a))) if len(a) > 1 else 0.0
     near = np.abs(of_b[nearest] - of_a) <= 0.5 * step
     return a[near], b[nearest[near]]

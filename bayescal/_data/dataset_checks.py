@@ -12,31 +12,29 @@ from typing import Any
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._data.column import ARRAYS, ConvertedColumns, file_names
+from bayescal._data.column import ARRAYS, MAY_BE_EMPTY, ConvertedColumns, file_names
 from bayescal._data.covariate_checks import oddities
 from bayescal._data.record_settings import recording
-from bayescal._data.stretches import label_codes, record_codes
+from bayescal._data.stretches import Columns, label_codes, record_codes
 from bayescal._data.unit_conversion import base_unit, convert, unit_label
 from bayescal._tables.problems import Problem, Problems
 from bayescal._tables.raw_table import Table
 
-Columns = Mapping[str, np.ndarray]
 Where = Callable[[int], str]  # index of a reading → "row 12 of 'tilt.csv'"
 
 
 def problems_of_whole(
-    tables: Sequence[Table], converted: ConvertedColumns, instrument: Any, one_temperature: bool
+    converted: ConvertedColumns, instrument: Any, one_temperature: bool
 ) -> Problems:
     """What is wrong with readings as a whole: one temperature only, time that runs backwards.
 
     Args:
-        tables: that they came from.
-        converted: their columns, one table after the other.
+        converted: their columns.
         instrument: whose readings they are. Where it says which effects its baseline has, and none of them needs the
             temperature to change, it need not.
         one_temperature: accept one temperature all the same.
     """
-    problems, files = Problems(), [table.file for table in tables]
+    problems, files = Problems(), [table.file for table in converted.tables]
     effects = getattr(instrument, "effects", None)
     needed = effects is None or any("temperature" in effect.varies for effect in effects)
     required = any(c.name == "temperature" and c.required for c in instrument.columns)
@@ -44,7 +42,7 @@ def problems_of_whole(
         with problems.collecting(files[0]):
             refuse_one_temperature(converted.values, file_names([f for f in files if f != ARRAYS]))
     with problems.collecting(files[0]):
-        refuse_backward_time(converted.values, row_namer(tables))
+        refuse_backward_time(converted.values, row_namer(converted.tables))
     return problems
 
 
@@ -115,25 +113,18 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
 
 
 def flags_of(
-    columns: Columns,
-    output: str,
-    where: Where,
-    names: str,
-    repeated: np.ndarray,
-    unchecked: Collection[str] = (),
-    thermometers: Collection[str] = (),
+    converted: ConvertedColumns, output: str, names: str, repeated: np.ndarray
 ) -> list[str]:
     """What is odd in the readings but no reason to refuse them.
 
     Args:
-        columns: readings, numbers and labels.
+        converted: the readings.
         output: name of the output column.
-        where: names a reading's file and row.
         names: the files, for the flags.
         repeated: rows that repeat an earlier one.
-        unchecked: columns that hold a default, hence are constant.
-        thermometers: columns of measured temperatures, which never stand still for half of a record.
     """
+    columns, units, where = converted.values, converted.units, row_namer(converted.tables)
+    thermometers = {name for name, unit in units.items() if unit == "degC"} - {MAY_BE_EMPTY}
     flags = []
     if count := len(repeated):
         first = int(repeated[0])
@@ -156,7 +147,7 @@ def flags_of(
         for one in oddities(columns, thermometers, output)
     ]
     for name, values in columns.items():
-        number = values.dtype.kind == "f" and name not in unchecked
+        number = values.dtype.kind == "f" and name not in converted.filled
         if number and len(values) > 1 and (values == values[0]).all():
             flags.append(f"{names}: column {name!r} is constant ({values[0]:g})")
         elif number and (stuck := stuck_rows(values, name in thermometers)) is not None:
@@ -169,7 +160,7 @@ def flags_of(
                 f"{names}: column {name!r} stands still at {values[stuck[0]]:g} from {first} to {last}{much}: was it "
                 "stuck?"
             )
-    return flags
+    return flags + [f"{names}: {said}" for said in odd_numbers(columns, units, output)]
 
 
 def one_plateau_a_run(columns: Columns, thermometers: Collection[str]) -> list[str]:
@@ -210,13 +201,6 @@ def stuck_rows(values: np.ndarray, thermometer: bool = False) -> tuple[int, int]
     if rounded or length < max(given.stuck, given.stuck_excess * longest):
         return None
     return int(ends[worst]) - length + 1, int(ends[worst])
-
-
-def once(columns: Columns, repeated: np.ndarray) -> slice | np.ndarray:
-    """Rows without exact repeats: with the time among the columns, none can be a reading of its own."""
-    if "time" not in columns or not len(repeated):
-        return slice(None)
-    return np.setdiff1d(np.arange(len(columns["time"])), repeated)
 
 
 def repeated_rows(columns: Columns) -> np.ndarray:

@@ -9,12 +9,21 @@ from __future__ import annotations
 import contextlib
 import difflib
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._data.column import UNCERTAINTY, Column
-from bayescal._data.header_reading import Reading, plain, readings_of, unit_behind, unit_in
+from bayescal._data.column import TAKEN, UNCERTAINTY, Column
+from bayescal._data.header_reading import (
+    like_a_unit,
+    plain,
+    readings_of,
+    spelled,
+    unit_behind,
+    unit_in,
+)
 from bayescal._data.read_options import (
     InstrumentLike,
     ReadOptions,
@@ -22,10 +31,10 @@ from bayescal._data.read_options import (
     output_name,
     unit_of,
 )
-from bayescal._data.unit_conversion import alike, fixed_unit, pretty, same_dimension
+from bayescal._data.unit_conversion import alike, base_unit, fixed_unit, pretty, same_dimension
 from bayescal._data.unit_parsing import ANY
 from bayescal._tables.problems import Problem, Problems, option
-from bayescal._tables.raw_table import Header, Table, in_one_line
+from bayescal._tables.raw_table import Header, Table, in_one_line, load_whole
 
 # Further names of columns that many instruments have, the likeliest first; a single letter counts as it is written.
 _SYNONYMS: dict[str, tuple[tuple[str, ...], ...]] = {
@@ -46,112 +55,319 @@ _LIKELY = {
     "ug": ("acc", "ax", "ay", "az"),
     "rad": ("tilt", "angle", "incl", "roll", "pitch"),
 }
+DAYS = ("date", "datum", "day", "tag")  # a column of these beside one of times of day
 
 
-def matched(
-    table: Table, instrument: InstrumentLike, options: ReadOptions, problems: Problems
-) -> tuple[Table, dict[str, int]]:
-    """The table with its headers understood, and our name of every column → its position in the file.
+@dataclass
+class MatchedFile:
+    """A file whose headers are understood, for an instrument.
 
     A header means a column of the instrument if it has one reading as such, which a note says. A column that the file
     holds under its own name, or that `columns=` names, is not looked for.
 
-    Args:
-        table: the file.
+    Attributes:
+        table: the file, with the name and unit that each header means.
         instrument: whose columns are expected.
-        options: renamings and units.
-        problems: to add to, where `columns=` names what the file lacks, two columns would be one, or a label carries
-            a unit.
+        options: what the user says.
+        problems: to add to: where `columns=` names what the file lacks, two columns would be one, …
+        expected: the columns that are expected, by our names.
+        positions: our name of every column → its position in the file.
     """
-    expected, raw_unit = expected_columns(instrument), _raw_unit(instrument, options)
-    headers, notes = list(table.headers), list(table.notes)
-    positions: dict[str, int] = {}
 
-    def take(position: int, reading: Reading, name: str, say: str) -> None:
-        old = headers[position]
-        headers[position] = Header(old.raw, name, reading.unit)
-        if (reading.unit, name) != (old.unit, old.name):
-            unit = f" in {pretty(reading.unit)}" if reading.unit else ""
-            notes.append(f"{table.file}: read {old.raw!r} as {say}{unit}")
+    table: Table
+    instrument: InstrumentLike
+    options: ReadOptions
+    problems: Problems
+    expected: dict[str, Column] = field(init=False)
+    positions: dict[str, int] = field(init=False, default_factory=dict)
 
-    def problem(came: str, column: str, cure: str) -> None:
-        problems.append(Problem(table.file, came, cure=cure, column=column))
+    def __post_init__(self) -> None:
+        """Read the headers."""
+        self.expected = expected_columns(self.instrument)
+        headers, notes = list(self.table.headers), list(self.table.notes)
+        positions = self.positions
 
-    for ours, theirs in options.columns.items():
-        asked = in_one_line(theirs)
-        position = _named(headers, asked)
-        if position is None:
-            came = f"no such column, but columns={{{ours!r}: {theirs!r}}}"
-            problem(came, theirs, f"It has: {names_in(table)}{near(theirs, table)}")
-        elif position in positions.values():
-            other = next(name for name, taken in positions.items() if taken == position)
-            problem(f"both {other} and {ours} by columns= (--columns)", theirs, "Name one for each")
-        else:
-            positions[ours] = position
-            header = headers[position]
-            found = _fitting(header, _kinds(ours, expected, raw_unit), options.units)
-            name = header.name if asked in (header.name, header.raw) else asked
-            take(position, found or Reading(name, header.unit), name, ours)
-    said = set(positions)
-    free = set(range(len(headers))) - set(positions.values())
-    exact = {headers[i].name: i for i in free}
-    named = _by_name(headers)
-    for name, column in expected.items():
-        if name in options.columns:
-            continue
-        kinds, found = _kinds(name, expected, raw_unit), dict[int, Reading]()
-        if name in exact:
-            header = headers[exact[name]]
-            unit = header.unit and unit_in(header.unit, kinds)
-            found = {exact[name]: Reading(name, unit or header.unit)}
-        elif exact.keys().isdisjoint(column.also):
-            found = _candidates(column, headers, named, free, kinds, options.units)
-        if len(found) == 1:
-            positions[name], reading = found.popitem()
-            free.discard(positions[name])
-            take(positions[name], reading, name, name)
-    for i in sorted(free):
-        reading = unit_behind(headers[i])
-        if reading and reading.name not in expected:
-            take(i, reading, reading.name, reading.name)
-        name = headers[i].name
-        if name in positions:
-            other = f"{name!r} beside {headers[positions[name]].raw!r}"
-            other += ", which columns= names" if name in said else ""
-            cure = f"Rename it, or leave {name!r} out of columns= (--columns)"
-            problem(f"a second {other}", headers[i].raw, cure)
-        elif name:
-            positions[name] = i
-    for name, column in expected.items():
-        for other in (n for n in column.also if n in positions and n not in expected):
-            if name in positions:
-                first, second = (headers[positions[n]].raw for n in (name, other))
-                problem(f"a second {name!r} beside {first!r}", second, "Remove one")
+        def take(position: int, reading: Header, say: str) -> None:
+            old, headers[position] = headers[position], reading
+            if reading != old:
+                unit = f" in {pretty(reading.unit)}" if reading.unit else ""
+                notes.append(f"{self.table.file}: read {old.raw!r} as {say}{unit}")
+
+        for ours, theirs in self.options.columns.items():
+            asked = in_one_line(theirs)
+            position = _named(headers, asked)
+            if position is None:
+                came = f"no such column, but columns={{{ours!r}: {theirs!r}}}"
+                self.problem(theirs, came, cure=_there(self.table, theirs))
+            elif position in positions.values():
+                other = next(name for name, taken in positions.items() if taken == position)
+                came = f"both {other} and {ours} by columns= (--columns)"
+                self.problem(theirs, came, cure="Name one for each")
             else:
-                positions[name] = positions.pop(other)
-        if column.unit is None and name in positions:
-            header = headers[positions[name]]
-            if header.unit not in (None, "", "1", "-"):
-                came, meant = f"carries the unit {header.unit}", f"a label (text) as {name!r}"
-                cure = "Remove the unit, or rename the column"
-                problems.append(Problem(table.file, came, meant, cure, column=header.raw))
-    return replace(table, headers=tuple(headers), notes=tuple(notes)), positions
+                positions[ours] = position
+                header = headers[position]
+                found = _fitting(header, self._kinds(ours), self.options.units)
+                name = header.name if asked in (header.name, header.raw) else asked
+                take(position, replace(found or header, name=name), ours)
+        said = set(positions)
+        free = set(range(len(headers))) - set(positions.values())
+        exact, named = {headers[i].name: i for i in free}, _by_name(headers)
+        for name, column in self.expected.items():
+            if name in self.options.columns:
+                continue
+            found = dict[int, Header]()
+            if name in exact:
+                own = headers[exact[name]]
+                unit = own.unit and unit_in(own.unit, self._kinds(name))
+                found = {exact[name]: replace(own, unit=unit or own.unit)}
+            elif exact.keys().isdisjoint(column.also):
+                found = self._candidates(column, headers, named, free)
+            if len(found) == 1:
+                positions[name], reading = found.popitem()
+                free.discard(positions[name])
+                take(positions[name], replace(reading, name=name), name)
+        for i in sorted(free):
+            reading = unit_behind(headers[i])
+            if reading and reading.name not in self.expected:
+                take(i, reading, reading.name)
+            name = headers[i].name
+            if name in positions:
+                other = f"{name!r} beside {headers[positions[name]].raw!r}"
+                other += ", which columns= names" if name in said else ""
+                cure = f"Rename it, or leave {name!r} out of columns= (--columns)"
+                self.problem(headers[i].raw, f"a second {other}", cure=cure)
+            elif name:
+                positions[name] = i
+        self.table = replace(self.table, headers=tuple(headers), notes=tuple(notes))
+        for name, column in self.expected.items():
+            for other in (n for n in column.also if n in positions and n not in self.expected):
+                if name in positions:
+                    first, second = (self.header(n).raw for n in (name, other))
+                    self.problem(second, f"a second {name!r} beside {first!r}", cure="Remove one")
+                else:
+                    positions[name] = positions.pop(other)
+            if column.unit is None and name in positions:
+                unit = self.header(name).unit
+                if unit not in (None, "", "1", "-"):
+                    came, meant = f"carries the unit {unit}", f"a label (text) as {name!r}"
+                    cure = "Remove the unit, or rename the column"
+                    self.problem(self.header(name).raw, came, meant, cure)
+
+    def header(self, name: str) -> Header:
+        """The header of a column by our name."""
+        return self.table.headers[self.positions[name]]
+
+    def problem(
+        self,
+        column: str,
+        came: str,
+        expected: str = "",
+        cure: str = "",
+        option: str = "",
+        *,
+        sentence: str = "",
+        rows: Sequence[int] | np.ndarray = (),
+    ) -> None:
+        """Note a problem of a column, given by its header; of some of its readings, if `rows` are given."""
+        made = Problem(self.table.file, came, expected, cure, option, column, sentence=sentence)
+        self.problems.append(made.at([int(row) for row in rows], self.table.place))
+
+    def _kinds(self, name: str) -> tuple[str, ...]:
+        """Units of the kinds that a column may be in; "any" for one that no instrument knows; none for a label."""
+        column = self.expected.get(name)
+        if column is not None and column.unit is None:
+            return ()
+        unit = ANY if column is None or column.unit is None else column.unit
+        scale = self.options.nominal_scale or self.instrument.nominal_scale
+        raw = scale and name in (output_name(self.instrument), UNCERTAINTY) and unit != ANY
+        return (unit, scale.unit) if scale and raw else (unit,)
+
+    def _candidates(
+        self,
+        column: Column,
+        headers: Sequence[Header],
+        named: Mapping[str, list[int]],
+        free: Collection[int],
+    ) -> dict[int, Header]:
+        """The free headers that can be read as a column: under its own name, else under other names that it has."""
+        kinds, own = self._kinds(column.name), {plain(n) for n in (column.name, *column.also)}
+        for names in (own, *map(set, _SYNONYMS.get(column.name, ()))):
+            at = sorted({i for name in names for i in named.get(name, ()) if i in free})
+            found = {i: _meant(headers[i], names, kinds, self.options.units) for i in at}
+            if found := {i: reading for i, reading in found.items() if reading}:
+                return found
+        return {}
+
+    def note_missing(self) -> tuple[dict[str, tuple[int, Header]], set[int]]:
+        """Note the columns that the instrument needs and the file has not.
+
+        Columns whose header the user has said are not among them: that the file lacks it is a problem already.
+
+        Returns:
+            Those that one header looks like, and where; and where all headers stand that look like one.
+        """
+        offered: dict[str, tuple[int, Header]] = {}
+        output = output_name(self.instrument)
+        taken = {self.positions[name] for name in self.expected if name in self.positions}
+        free = [h for i, h in enumerate(self.table.headers) if h.name and i not in taken]
+        lacking = [
+            column
+            for name, column in self.expected.items()
+            if _needed(column) and name not in self.positions and name not in self.options.columns
+        ]
+        alike = {c.name: _alike(c, free, c.name == output) for c in lacking}
+        place = {h.raw: i for i, h in reversed([*enumerate(self.table.headers)])}
+        single = [found[0].raw for found in alike.values() if len(found) == 1]
+        for column in lacking:
+            found = alike[column.name]
+            # no column is proposed for two
+            one = len(found) == 1 and single.count(found[0].raw) == 1
+            self._note_lack(column, found, one)
+            if one:
+                raw = ("V", "Hz", "A", "count") if column.name == output else ()
+                reading = _fitting(found[0], (column.unit or "1", *raw), {}) or found[0]
+                offered[column.name] = place[reading.raw], replace(reading, name=found[0].name)
+        return offered, {place[h.raw] for found in alike.values() for h in found}
+
+    def _note_lack(self, column: Column, alike: Sequence[Header], one: bool) -> None:
+        """Note that the file has no such column, with the headers that look like it."""
+        asked = f"{column.name} [{column.example}]" if column.unit else column.name
+        advice, chosen = "", ""
+        if alike:
+            advice = (
+                f"{', '.join(h.raw for h in alike[:4])} look{'s' * (len(alike) == 1)} like it. "
+            )
+            chosen = option("--columns", f"{column.name}={alike[0].raw}")
+            raw = next((r.unit for r in readings_of(alike[0]) if _raw(r.unit or "")), None)
+            converts = column.unit in (None, ANY) or (raw and _fits(raw, (column.unit,)))
+            if raw and self.options.nominal_scale is None and not converts:
+                per = f"({column.unit})" if "/" in str(column.unit) else column.unit
+                chosen += f" {option('--nominal-scale', f'NUMBER {unit_in(raw, (ANY,))}/{per}')}"
+                advice += "The nominal scale says what one unit of output is of it; --nominal-zero what it is at zero. "
+            if len(alike) > 1 and column.name == output_name(self.instrument):
+                channels = option(
+                    "--channels", ",".join(h.name for h in alike if "," not in h.name)
+                )
+                advice += f"Together, as channels of one unit: calibrate {channels}. "
+        meaning = f" ({column.meaning})" if column.meaning else ""
+        mapped = alike[0].raw if alike else "…"
+        sentence = (
+            f"{self.table.file!r} lacks the column {column.name!r}{meaning} that {self.instrument.name!r} needs; it "
+            f"has: {names_in(self.table)}. {advice}Add a column {asked!r}, or say which one it is with "
+            f"columns={{{column.name!r}: {mapped!r}}} ({chosen or f'--columns {column.name}=…'})"
+        )
+        cure, given = f"{advice}Add such a column, or say which it is", chosen if one else ""
+        self.problem(column.name, "no such column", asked, cure, given, sentence=sentence)
+
+    def fix_units(self) -> None:
+        """Give columns a unit in place of "any": the fixed unit of what the file has.
+
+        A known uncertainty follows its output. What has no unit, or one that is none, is refused where
+        the column is converted; a nominal scale for an output that may be anything is a problem here.
+        """
+        for name, column in self.expected.items():
+            if column.unit != ANY or name not in self.positions:
+                continue
+            if self.options.nominal_scale is not None:
+                came = "a nominal scale was given, but it is taken in the unit that it is in"
+                cure = "Leave the scale out, or choose an instrument whose output has a unit"
+                self.problem(name, came, cure=cure)
+            unit = unit_of(self.header(name), name, self.options)
+            if name == UNCERTAINTY:
+                self.expected[name] = replace(column, unit=self.expected["output"].unit)
+            elif unit is not None:
+                with contextlib.suppress(InputError):
+                    self.expected[name] = replace(column, unit=fixed_unit(unit))
+
+    def could_be(self, header: Header) -> str | None:
+        """The column that the instrument could use, which the file lacks and a header names in part; None for none."""
+        for name, column in self.expected.items():
+            if (
+                column.unit is None
+                or name in self.positions
+                or _needed(column)  # which is said of the file
+                or name == UNCERTAINTY
+            ):
+                continue
+            others = (n for names in _SYNONYMS.get(name, ()) for n in names if len(n) > 2)
+            own = {*(plain(n) for n in (name, *column.also)), *others}
+            for reading in readings_of(header):
+                words = plain(reading.name)
+                if words in own or set(plain(name).split("_")) <= set(words.split("_")):
+                    return name
+        return None
+
+    def further_columns(self, passed: Collection[int]) -> tuple[dict[str, Column], list[str]]:
+        """The columns beyond the instrument's that are kept, in base units, and why others are not.
+
+        One that the instrument could use, or that ends in what may be a unit and is none known here, is a problem:
+        what is left out is left out because somebody says so.
+
+        Args:
+            passed: positions of columns that are passed over.
+        """
+        kept, flags, file = dict[str, Column](), list[str](), self.table.file
+        without_unit: list[str] = []
+        for name, position in {} if self.options.only else self.positions.items():
+            header = self.table.headers[position]
+            if name in self.expected or position in passed or self.options.leaves_out(header):
+                continue
+            if plain(header.name) in DAYS and "time" in self.positions:
+                continue  # taken with the time of day
+            if name in TAKEN:
+                flags.append(f"{file}: column {header.raw!r} ignored: the name {name!r} is taken")
+                continue
+            unit, base = unit_of(header, name, self.options), None
+            with contextlib.suppress(InputError):
+                base = base_unit(unit) if unit else None
+            if base is not None:
+                kept[name] = Column(name, base, required=False)
+            elif unit or (unit := like_a_unit(header)) or self.could_be(header):
+                self._note_unclear(position, unit)
+            else:
+                without_unit.append(header.raw)
+        if not self.options.only:
+            nameless = (i for i, h in enumerate(self.table.headers) if not h.name)
+            without_unit += [f"column {i + 1}, without a name" for i in nameless]
+        if without_unit:
+            needs_none = (n for n, c in self.expected.items() if c.unit is None or n == "time")
+            lacking = [n for n in needs_none if n not in self.positions]
+            meant = f"to say that one is {' or '.join(lacking)}: --columns NAME=HEADER; "
+            flags.append(
+                f"{file}: ignored, because they have no unit: {', '.join(without_unit)} "
+                f"({meant if lacking else ''}to keep one beside the instrument's, write 'name [unit]' "
+                "or give units=)"
+            )
+        return kept, flags
+
+    def _note_unclear(self, position: int, unit: str | None) -> None:
+        """Note a column that would be left out and may be of use: how to keep it, and how to leave it out."""
+        header = self.table.headers[position]
+        meant = self.could_be(header)
+        column = self.expected[meant] if meant else None
+        kind = (column and column.unit) or ANY
+        known = unit_in(unit or "", (kind,)) or spelled(unit or "")
+        came = f"ends in [{unit}], no unit known here" if unit else "has no unit"
+        left = option("--ignore", header.raw)
+        shown = known or (column.example if column else "UNIT")
+        keep = option("--unit", f"{header.raw}={shown}")
+        if column:
+            wanted, dates = f"{column.name} [{column.example}]", False
+            if column.name == "time":
+                dates = load_whole(self.table, {position: True})[position].dates
+            keep = option("--columns", f"{column.name}={header.raw}") + f" {keep}" * (not dates)
+            cure = f"It may be {column.name}: say so and in which unit, or leave the column out: {left}"
+            self.problem(header.raw, came, wanted, cure, keep)
+        elif known:
+            cure = f"Say its unit, or leave the column out: {left}"
+            self.problem(header.raw, came, "a unit known here", cure, keep)
+        else:
+            cure = f"Leave the column out, or say its unit: {keep}"
+            self.problem(header.raw, came, "a unit known here", cure, left)
 
 
-def _raw_unit(instrument: InstrumentLike, options: ReadOptions) -> dict[str, str]:
-    """The unit of a raw output, which the nominal scale converts."""
-    scale = options.nominal_scale or instrument.nominal_scale
-    names = (output_name(instrument), "output_uncertainty")
-    return dict.fromkeys(names, scale.unit) if scale else {}
-
-
-def _kinds(name: str, expected: Mapping[str, Column], raw: Mapping[str, str]) -> tuple[str, ...]:
-    """Units of the kinds that a column may be in; "any" for one that no instrument knows; none for a label."""
-    column = expected.get(name)
-    if column is not None and column.unit is None:
-        return ()
-    unit = ANY if column is None or column.unit is None else column.unit
-    return (unit, raw[name]) if name in raw and unit != ANY else (unit,)
+def _needed(column: Column) -> bool:
+    return column.required and column.default is None
 
 
 def _named(headers: list[Header], name: str) -> int | None:
@@ -167,12 +383,6 @@ def _named(headers: list[Header], name: str) -> int | None:
     return None
 
 
-def _names(column: Column) -> Iterator[set[str]]:
-    """The names that a column may have in a file: first its own, then others."""
-    yield {plain(n) for n in (column.name, *column.also)}
-    yield from map(set, _SYNONYMS.get(column.name, ()))
-
-
 def _by_name(headers: Sequence[Header]) -> dict[str, list[int]]:
     """Where the headers are of which one reading has a name, as names are compared."""
     found: dict[str, list[int]] = {}
@@ -182,49 +392,33 @@ def _by_name(headers: Sequence[Header]) -> dict[str, list[int]]:
     return found
 
 
-def _compared(reading: Reading) -> str:
+def _compared(reading: Header) -> str:
     """The name of a reading as names are compared; a single letter is a symbol, whose case matters."""
     name = reading.name.strip()
     return name if len(name) == 1 else plain(name)
 
 
-def _candidates(
-    column: Column,
-    headers: Sequence[Header],
-    named: Mapping[str, list[int]],
-    free: Collection[int],
-    kinds: tuple[str, ...],
-    given: Mapping[str, str],
-) -> dict[int, Reading]:
-    """The free headers that can be read as a column: under its own name, else under other names that it has."""
-    for names in _names(column):
-        at = sorted({i for name in names for i in named.get(name, ()) if i in free})
-        found = {i: r for i in at if (r := next(_meant(headers[i], names, kinds, given), None))}
-        if found:
-            return found
-    return {}
-
-
 def _meant(
     header: Header, names: set[str], kinds: tuple[str, ...], given: Mapping[str, str]
-) -> Iterator[Reading]:
+) -> Header | None:
     """The reading of a header as a column of one of these names, in a unit of its kind or in none."""
     for reading in sorted(readings_of(header), key=lambda r: r.unit is None):  # "T (°)" has one
         if _compared(reading) not in names:
             continue
         if reading.unit is None:
-            yield reading
-        elif unit := unit_in(reading.unit, kinds):
-            yield reading._replace(unit=unit)
-        elif header.raw in given or reading.name in given:
+            return reading
+        if unit := unit_in(reading.unit, kinds):
+            return replace(reading, unit=unit)
+        if header.raw in given or reading.name in given:
             unit = given.get(reading.name, "")
-            yield reading._replace(unit=unit if unit_in(unit, (ANY,)) else None)
+            return replace(reading, unit=unit if unit_in(unit, (ANY,)) else None)
+    return None
 
 
-def _fitting(header: Header, kinds: tuple[str, ...], given: Mapping[str, str]) -> Reading | None:
+def _fitting(header: Header, kinds: tuple[str, ...], given: Mapping[str, str]) -> Header | None:
     """The reading of a header with a unit of its kind, if it has just one."""
     found = {
-        unit: reading._replace(unit=unit)
+        unit: replace(reading, unit=unit)
         for reading in readings_of(header)
         if reading.unit
         and (unit := unit_in(reading.unit, kinds))
@@ -233,67 +427,18 @@ def _fitting(header: Header, kinds: tuple[str, ...], given: Mapping[str, str]) -
     return found.popitem()[1] if len(found) == 1 and header.raw not in given else None
 
 
-def _missing_column(
-    table: Table,
-    column: Column,
-    alike: Sequence[Header],
-    instrument: str,
-    one: bool,
-    options: ReadOptions,
-    output: str,
-) -> Problem:
-    """The problem that a file has no such column, with the headers that look like it."""
-    asked = f"{column.name} [{column.example}]" if column.unit else column.name
-    names = ", ".join(header.raw or "(no name)" for header in table.headers)
-    advice, chosen = "", ""
-    if alike:
-        advice = f"{', '.join(h.raw for h in alike[:4])} look{'s' * (len(alike) == 1)} like it. "
-        chosen = option("--columns", f"{column.name}={alike[0].raw}")
-        raw = next((r.unit for r in readings_of(alike[0]) if _raw(r.unit or "")), None)
-        if (
-            raw
-            and options.nominal_scale is None
-            and column.unit not in (None, ANY)
-            and not _fits(raw, (column.unit,))
-        ):
-            per = f"({column.unit})" if "/" in column.unit else column.unit
-            chosen += f" {option('--nominal-scale', f'NUMBER {unit_in(raw, (ANY,))}/{per}')}"
-            advice += "The nominal scale says what one unit of output is of it; --nominal-zero what it is at zero. "
-        if len(alike) > 1 and column.name == output:
-            together = ",".join(h.name for h in alike if "," not in h.name)
-            advice += (
-                f"Together, as channels of one unit: calibrate {option('--channels', together)}. "
-            )
-    meaning = f" ({column.meaning})" if column.meaning else ""
-    mapped = alike[0].raw if alike else "…"
-    shown = chosen or f"--columns {column.name}=…"
-    sentence = (
-        f"{table.file!r} lacks the column {column.name!r}{meaning} that {instrument!r} needs; it "
-        f"has: {names}. {advice}Add a column {asked!r}, or say which one it is with "
-        f"columns={{{column.name!r}: {mapped!r}}} ({shown})"
-    )
-    return Problem(
-        table.file,
-        "no such column",
-        asked,
-        f"{advice}Add such a column, or say which it is",
-        option=chosen if one else "",
-        column=column.name,
-        sentence=sentence,
-    )
-
-
 def _alike(column: Column, headers: list[Header], raw_output: bool) -> list[Header]:
     """Headers that may mean a column: by a name nearly its own, by what is usual, or by their unit."""
+
+    def with_unit(accepted: Callable[[str], bool]) -> list[Header]:
+        return [h for h in headers if any(accepted(r.unit or "") for r in readings_of(h))]
+
     names = {h.raw: {plain(r.name) for r in readings_of(h)} for h in headers}
     known = [name for own in names.values() for name in own]
     word = plain(column.name)
-    close = {
-        *difflib.get_close_matches(word, known, 1, 0.75),
-        *(n for n in known if word in n.split("_")),
-    }
-    kinds = (column.unit or "",)
-    fitting = [h for h in headers if any(_fits(r.unit or "", kinds) for r in readings_of(h))]
+    close = {*difflib.get_close_matches(word, known, 1, 0.75)}
+    close |= {n for n in known if word in n.split("_")}
+    fitting = with_unit(lambda unit: _fits(unit, (column.unit or "",)))
     fits = {h.raw for h in fitting}
     if near := [h for h in headers if not names[h.raw].isdisjoint(close)]:
         return [h for h in near if h.raw in fits] or near
@@ -301,12 +446,7 @@ def _alike(column: Column, headers: list[Header], raw_output: bool) -> list[Head
         return []
     usual = [w for unit, w in _LIKELY.items() if column.unit == ANY or alike(unit, column.unit)]
     named = [h for h in headers for words in usual if plain(h.name).startswith(words)]
-    raw = (
-        [h for h in headers if any(_raw(r.unit or "") for r in readings_of(h))]
-        if raw_output
-        else []
-    )
-    return [h for h in named if h.raw in fits] or named or fitting or raw
+    return [h for h in named if h.raw in fits] or named or fitting or raw_output * with_unit(_raw)
 
 
 def _raw(unit: str) -> bool:
@@ -317,101 +457,9 @@ def _raw(unit: str) -> bool:
 
 def _fits(unit: str, kinds: tuple[str, ...]) -> bool:
     """Whether a unit is of these kinds; one that is of another kind too (deg) is not."""
-    other = bool(unit_in(unit, (ANY,))) and not any(
-        alike(unit, kind) for kind in kinds if kind != ANY
-    )
+    own = any(alike(unit, kind) for kind in kinds if kind != ANY)
+    other = bool(unit_in(unit, (ANY,))) and not own
     return bool(unit_in(unit, kinds)) and (ANY in kinds or not other)
-
-
-def note_missing(
-    table: Table,
-    expected: Mapping[str, Column],
-    positions: Mapping[str, int],
-    instrument: InstrumentLike,
-    problems: Problems,
-    options: ReadOptions,
-) -> tuple[dict[str, tuple[int, Header]], set[int]]:
-    """Note the columns that the instrument needs and a file has not.
-
-    Columns whose header the user has said are not among them: that the file lacks it is a problem already.
-
-    Returns:
-        Those that one header looks like, and where; and where all headers stand that look like one.
-    """
-    offered: dict[str, tuple[int, Header]] = {}
-    said, output = options.columns, output_name(instrument)
-    taken = {positions[name] for name in expected if name in positions}
-    free = [h for i, h in enumerate(table.headers) if h.name and i not in taken]
-    lacking = [
-        c
-        for name, c in expected.items()
-        if c.required and c.default is None and name not in positions and name not in said
-    ]
-    alike = {c.name: _alike(c, free, c.name == output) for c in lacking}
-    place = {h.raw: i for i, h in reversed([*enumerate(table.headers)])}
-    single = [found[0].raw for found in alike.values() if len(found) == 1]
-    for column in lacking:
-        found = alike[column.name]
-        one = len(found) == 1 and single.count(found[0].raw) == 1  # no column is proposed for two
-        problems.append(
-            _missing_column(table, column, found, instrument.name, one, options, output)
-        )
-        if one:
-            like, kinds = (
-                found[0],
-                (column.unit or "1", *("V", "Hz", "A", "count") * (column.name == output)),
-            )
-            reading = _fitting(like, kinds, {})
-            named = like if reading is None else Header(like.raw, like.name, reading.unit)
-            offered[column.name] = (place[like.raw], named)
-    return offered, {place[h.raw] for found in alike.values() for h in found}
-
-
-def could_be(
-    header: Header, expected: Mapping[str, Column], positions: Mapping[str, int]
-) -> str | None:
-    """The column that the instrument could use, which the file lacks and a header names in part; None for none."""
-    for name, column in expected.items():
-        lacking = column.required and column.default is None  # which is said of the file
-        if column.unit is None or name in positions or lacking or name == UNCERTAINTY:
-            continue
-        own = {plain(n) for n in (name, *column.also)} | {
-            n for ns in _SYNONYMS.get(name, ()) for n in ns if len(n) > 2
-        }
-        for reading in readings_of(header):
-            words = plain(reading.name)
-            if words in own or set(plain(name).split("_")) <= set(words.split("_")):
-                return name
-    return None
-
-
-def with_fixed_units(
-    expected: Mapping[str, Column],
-    table: Table,
-    positions: Mapping[str, int],
-    options: ReadOptions,
-    problems: Problems,
-) -> dict[str, Column]:
-    """The columns with a unit in place of "any": the fixed unit of what the file has.
-
-    A known uncertainty follows its output. What has no unit, or one that is none, is refused where
-    the column is converted; a nominal scale for an output that may be anything is a problem here.
-    """
-    fixed = dict(expected)
-    for name, column in expected.items():
-        if column.unit != ANY or name not in positions:
-            continue
-        if options.nominal_scale is not None:
-            came = "a nominal scale was given, but it is taken in the unit that it is in"
-            cure = "Leave the scale out, or choose an instrument whose output has a unit"
-            problems.append(Problem(table.file, came, cure=cure, column=name))
-        if name == "output_uncertainty":
-            fixed[name] = replace(column, unit=fixed["output"].unit)
-            continue
-        unit = unit_of(table.headers[positions[name]], name, options)
-        with contextlib.suppress(InputError):
-            fixed[name] = column if unit is None else replace(column, unit=fixed_unit(unit))
-    return fixed
 
 
 _AXIS = re.compile(
@@ -468,15 +516,17 @@ def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Prob
         if name not in known:
             came = f"no such column, but {asked}"
             others = "".join(f", nor has {t.file!r}" for t in tables[1:])
-            cure = f"It has: {names_in(tables[0])}{near(name, tables[0])}{others}"
+            cure = _there(tables[0], name) + others
             problems.append(Problem(tables[0].file, came, cure=cure, column=name))
 
 
 def names_in(table: Table) -> str:
+    """The headers of a file, for messages."""
     return ", ".join(header.raw or "(no name)" for header in table.headers)
 
 
-def near(name: str, table: Table) -> str:
+def _there(table: Table, name: str) -> str:
+    """What a file has in place of a column of this name, and which of them may be meant."""
     names = {header.name.lower(): header.raw for header in table.headers if header.name}
     near = difflib.get_close_matches(name.lower(), names, 1)
-    return f" (is {names[near[0]]!r} meant?)" if near else ""
+    return f"It has: {names_in(table)}" + (f" (is {names[near[0]]!r} meant?)" if near else "")

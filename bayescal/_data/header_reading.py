@@ -7,10 +7,8 @@ So "Temp_C" is a temperature in °C, since nothing else that is written C is a t
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from difflib import get_close_matches
 from functools import lru_cache
-from typing import NamedTuple
 
 from bayescal._data.unit_conversion import alike
 from bayescal._data.unit_parsing import ANY, BASE, DERIVED, SPELLINGS
@@ -29,57 +27,36 @@ _SPELLINGS = {
     "arcsec": ("sec of arc", "asec"),
     "s": ("s.", "sec.", "seconds"),
 }  # fmt: skip
-_WORDS = {
-    "min",
-    "day",
-    "days",
-    "bar",
-    "rev",
-    "count",
-    "counts",
-    "second",
-    "minute",
-    "hour",
-    "degree",
-}  # may be others
+_WORDS = {  # may be others
+    *("min", "day", "days", "bar", "rev", "count", "counts"),
+    *("second", "minute", "hour", "degree"),
+}
 _BRACKETS = [
     re.compile(rf"(.+?)[\s_,:/]*\{a}\s*(.+?)\s*\{b}", re.DOTALL)
     for a, b in ("()", "[]", "{}", "<>")
 ]
 _BEHIND_SLASH = re.compile(r"([^/]*?[^/\s])\s*/\s*(.+)", re.DOTALL)
-_LONGEST = (
-    80  # characters of a header, from its end, in which a unit is looked for: there is none so long
-)
+_LONGEST = 80  # characters of a header, from its end, in which a unit is looked for
 _BEHIND_COMMA = re.compile(r"(.+?)\s*[,:;]\s*(.+)", re.DOTALL)
 
 
-class Reading(NamedTuple):
-    """A header as a name and, if it has one, the text of a unit."""
-
-    name: str
-    unit: str | None
-
-
 @lru_cache(maxsize=4096)  # each is asked for by many columns
-def readings_of(header: Header) -> tuple[Reading, ...]:
-    """Every way to part a header into a name and a unit, the plainest first."""
-    return tuple(_readings_of(header))
-
-
-def _readings_of(header: Header) -> Iterator[Reading]:
-    yield Reading(header.name, header.unit)
+def readings_of(header: Header) -> tuple[Header, ...]:
+    """Every way to part a header into a name and, if it has one, the text of a unit; the plainest first."""
     if header.unit:
-        return
+        return (header,)
+    found = [header]
     before, end = header.raw[:-_LONGEST], header.raw[-_LONGEST:]
     for pattern in (*_BRACKETS, _BEHIND_SLASH, _BEHIND_COMMA):
-        if found := pattern.fullmatch(end):
-            unit = found[2].strip()
+        if parts := pattern.fullmatch(end):
+            unit = parts[2].strip()
             unit = unit[1:-1] if unit[:1] + unit[-1:] == "()" else unit
-            yield Reading((before + found[1]).strip(), unit)
+            found.append(Header(header.raw, (before + parts[1]).strip(), unit))
     for gap in re.finditer(r"[_\s.]+", end):
         name, unit = before + end[: gap.start()], end[gap.end() :]
         if name and unit and unit[0] not in "([{<":
-            yield Reading(name, unit)
+            found.append(Header(header.raw, name, unit))
+    return tuple(found)
 
 
 def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
@@ -93,20 +70,16 @@ def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
         return text
     if ANY in kinds:
         return None
-    own = {u for u, texts in _SPELLINGS.items() if text in texts}
-    loose = {
-        u
-        for u, texts in _SPELLINGS.items()
-        if len(text) > 1 and text.lower() in map(str.lower, texts)
-    }
-    meant = {u for u in own or loose if _is(u, kinds)}
-    folded = {u for u in (*BASE, *DERIVED) if u.lower() == text.lower() and _is(u, kinds)}
-    lower = text.lower()
-    found = meant or folded or ({lower} if _is(lower, kinds) else set())
+    lower, spellings = text.lower(), _SPELLINGS.items()
+    own = {u for u, texts in spellings if text in texts}
+    loose = {u for u, texts in spellings if len(text) > 1 and lower in map(str.lower, texts)}
+    folded = {u for u in (*BASE, *DERIVED) if u.lower() == lower}
+    tried = ({u for u in some if _is(u, kinds)} for some in (own or loose, folded, {lower}))
+    found = next((some for some in tried if some), set())
     return found.pop() if len(found) == 1 else None
 
 
-def unit_behind(header: Header) -> Reading | None:
+def unit_behind(header: Header) -> Header | None:
     """The reading of a header that ends in a unit, whatever its quantity: in brackets, or of two letters behind _."""
     if header.unit:
         return None
@@ -151,10 +124,6 @@ def _is(unit: str, kinds: tuple[str, ...]) -> bool:
 
 def plain(name: str) -> str:
     """A name without what people write differently: case, spaces, "temp" for temperature."""
-    words = re.sub(r"[^a-z0-9]+", "_", _parted(name).lower()).strip("_").split("_")
+    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)  # boardTemp as board_Temp
+    words = re.sub(r"[^a-z0-9]+", "_", parted.lower()).strip("_").split("_")
     return "_".join("temperature" if word in ("temp", "tmp") else word for word in words)
-
-
-def _parted(name: str) -> str:
-    """boardTemp as board_Temp."""
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)

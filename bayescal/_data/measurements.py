@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,28 +22,23 @@ from bayescal._data.column import (
     ConvertedColumns,
     NominalScale,
     Source,
-    cells,
     file_names,
     readings_text,
 )
-from bayescal._data.column_conversion import convert_columns, kept_table
+from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import (
     flags_of,
-    odd_numbers,
-    once,
     problems_of_whole,
     repeated_rows,
-    row_namer,
 )
 from bayescal._data.header_matching import unused_options
 from bayescal._data.pose_rows import scalar_readings
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name
-from bayescal._data.unit_conversion import check_unit
-from bayescal._data.unit_parsing import ANY, STANDARD_GRAVITY
+from bayescal._data.unit_parsing import ANY, STANDARD_GRAVITY, parse
 from bayescal._tables.cells import equally_long
 from bayescal._tables.dates import date_text
 from bayescal._tables.problems import Problems
-from bayescal._tables.raw_table import ROW, Header, Table, loads
+from bayescal._tables.raw_table import ROW, Table
 from bayescal._tables.write import write
 
 SINCE = "since"  # attribute of the time: seconds since 1970 at its zero, where the file has dates
@@ -82,9 +77,8 @@ class Measurements(Printed):
                 f"measurements have the one dimension {ROW!r}, these have "
                 f"{', '.join(map(str, self.data.sizes))}"
             )
-        for name in (
-            self.data.data_vars
-        ):  # their arrays made one by one take a time that grows by the square
+        # the arrays of `Dataset.items`, made one by one, take a time that grows by the square
+        for name in self.data.data_vars:
             self.data.variables[name].values.flags.writeable = False
 
     @classmethod
@@ -123,14 +117,7 @@ class Measurements(Printed):
             for name in (c.name, *c.also)
         }
         own.setdefault("output_uncertainty", own.get(output_name(instrument)))
-        headers = tuple(Header.parse(name, own.get(name)) for name in columns)
-        arrays = equally_long(columns)
-        table = Table(
-            file=ARRAYS,
-            headers=headers,
-            rows=len(arrays[0]) if arrays else 0,
-            load=loads(arrays.__getitem__),
-        )
+        table = Table.of_columns(ARRAYS, equally_long(columns), own)
         options = ReadOptions.of(
             instrument,
             units=units or {},
@@ -142,10 +129,9 @@ class Measurements(Printed):
         problems = Problems()
         unused_options([table], options, problems)
         converted = convert_columns(table, instrument, options, problems)
-        tables = [kept_table(table, converted)]
-        problems += problems_of_whole(tables, converted, instrument, allow_one_temperature)
+        problems += problems_of_whole(converted, instrument, allow_one_temperature)
         problems.refuse()
-        return assemble(tables, converted, instrument, scale=options.nominal_scale)
+        return assemble(converted, instrument, scale=options.nominal_scale)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A column, in its fixed unit; labels as text.
@@ -209,9 +195,7 @@ class Measurements(Printed):
     @property
     def no_causes(self) -> frozenset[str]:
         """Names of columns that nothing is taken to depend on: other channels, and what the user leaves out."""
-        held = (
-            self.data.variables
-        )  # each array that `Dataset.items` makes looks through all the others
+        held = self.data.variables  # as in `__post_init__`
         return frozenset(n for n in self.columns if not held[n].attrs.get(CAUSE, 1))
 
     def without_causes(self, names: Collection[str], others: bool = True) -> Measurements:
@@ -267,7 +251,7 @@ class Measurements(Printed):
         if name == "reading":
             return tuple(str(i + 1) for i in range(len(self))), np.arange(len(self))
         if name == "cell":
-            return cells(*self.groups("run"), self.data.get(MAY_BE_EMPTY))
+            return self._cells()
         if not self.has(name) and name in ("run", "device", "axis"):
             return ("1",), np.zeros(len(self), dtype=np.int64)
         if self.unit(name) is not None:
@@ -276,6 +260,15 @@ class Measurements(Printed):
             )
         codes, levels = pd.factorize(self[name].astype(object))
         return tuple(map(str, levels)), codes
+
+    def _cells(self) -> tuple[tuple[str, ...], np.ndarray]:
+        if not self.has(MAY_BE_EMPTY):
+            return (), np.full(len(self), -1, dtype=np.int64)
+        runs, run = self.groups("run")
+        frame = pd.DataFrame({"run": run, "point": self[MAY_BE_EMPTY]})
+        codes = frame.groupby(["run", "point"], sort=False).ngroup().fillna(-1).astype(np.int64)
+        pairs = frame.dropna().drop_duplicates().itertuples(index=False)
+        return tuple(f"run {runs[r]}, {p:.10g} °C" for r, p in pairs), codes.to_numpy()
 
     def select(self, chosen: ArrayLike) -> Measurements:
         """Some of the readings, by a mask or by indices.
@@ -337,7 +330,6 @@ class Measurements(Printed):
 
 
 def assemble(
-    tables: Sequence[Table],
     converted: ConvertedColumns,
     instrument: InstrumentLike,
     sources: tuple[Source, ...] = (),
@@ -345,18 +337,16 @@ def assemble(
 ) -> Measurements:
     """Measurements of checked columns, of one file or of several one after the other."""
     names, output = file_names([source.file for source in sources]), output_name(instrument)
-    if converted.origin is not None:
-        began = date_text(converted.origin)
-        converted.flags.append(f"{names}: time is in s since {began}, the first reading")
-    since = converted.origin
+    since, units = converted.origin, converted.units
+    if since is not None:
+        began = f"{names}: time is in s since {date_text(since)}, the first reading"
+        converted.flags.append(began)
     repeated = repeated_rows(converted.values)
-    values, units = converted.values, converted.units
-    warm = {name for name, unit in units.items() if unit == "degC"} - {MAY_BE_EMPTY}
-    where = row_namer(tables)
-    odd = flags_of(values, output, where, names, repeated, converted.filled, warm)
-    odd += [f"{names}: {said}" for said in odd_numbers(values, units, output)]
-    kept, flags = once(values, repeated), [*converted.flags, *odd]
-    values = {n: v[kept] for n, v in values.items()}
+    flags = [*converted.flags, *flags_of(converted, output, names, repeated)]
+    values = converted.values
+    # with the time among the columns, none can be a reading of its own
+    if "time" in values and len(repeated):
+        values = {n: np.delete(v, repeated) for n, v in values.items()}
     if outputs := getattr(instrument, "outputs", ()):
         values, units = scalar_readings(outputs, values, units, names)
     variables = {n: _variable(v, units[n]) for n, v in values.items()}
@@ -374,5 +364,5 @@ def of_columns(values: Mapping[str, np.ndarray], units: Mapping[str, str | None]
 def _variable(values: np.ndarray, unit: str | None) -> xr.Variable:
     if unit is None:
         return xr.Variable(ROW, values.astype(str))
-    check_unit(unit)
+    parse(unit)
     return xr.Variable(ROW, values.astype(np.float64, copy=False), {"units": unit})

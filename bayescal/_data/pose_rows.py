@@ -81,11 +81,7 @@ def scalar_readings(
 def _lengths(
     vectors: Float[np.ndarray, "n 3"], file: str, names: Sequence[str], none: str
 ) -> Float[np.ndarray, "n"]:
-    """Of vectors in these columns.
-
-    Raises:
-        InputError: one is zero, which is said as `none`.
-    """
+    """Of vectors in these columns."""
     length = np.linalg.norm(vectors, axis=1)
     if not np.all(length > 0):
         row = int(np.argmin(length > 0)) + 1

@@ -13,7 +13,7 @@ import numpy as np
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._data.column import MAY_BE_EMPTY, ConvertedColumns, NominalScale, Source
-from bayescal._data.column_conversion import convert_columns, kept_table
+from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import problems_of_whole
 from bayescal._data.header_matching import unused_options
 from bayescal._data.read_options import (
@@ -115,7 +115,19 @@ def read(  # pyright: ignore[reportInconsistentOverload]
     )
 
     def one(options: ReadOptions) -> Measurements:
-        return _measurements(options, paths, names, instrument, allow_one_temperature, max_bytes)
+        tables, parts = _opened(paths, names, instrument, options, max_bytes)
+        output = options.columns.get(output_name(instrument), "")
+        sources = tuple(Source(table.file, table.sha256, table.rows, output) for table in tables)
+        joined = parts[0]
+        if len(parts) > 1:
+            _label_runs(parts, _runs(paths))
+            joined = _join(parts)
+        joined = replace(joined, flags=[*joined.flags, *_equal_contents(tables)])
+        problems_of_whole(joined, instrument, allow_one_temperature).refuse()
+
+        from bayescal._data.measurements import assemble  # after what is refused: it needs a second
+
+        return assemble(joined, instrument, sources, options.nominal_scale)
 
     return one(options) if outputs is None else _each(outputs, options, instrument, one)
 
@@ -126,11 +138,7 @@ def _each(
     instrument: InstrumentLike,
     one: Callable[[ReadOptions], Measurements],
 ) -> dict[str, Measurements]:
-    """Readings of several outputs, each as `one` reads it; what is wrong with any is said at once.
-
-    Raises:
-        InputError: one is named twice or is an input, or something cannot be used.
-    """
+    """Readings of several outputs, each as `one` reads it; what is wrong with any is said at once."""
     if not outputs or len(set(outputs)) < len(outputs):
         raise InputError(f"outputs={list(outputs)}: name each channel once, and one at least")
     problems, found = Problems(), dict[str, "Measurements"]()
@@ -149,34 +157,6 @@ def _each(
     return found
 
 
-def _measurements(
-    options: ReadOptions,
-    paths: Sequence[Path],
-    names: Sequence[str],
-    instrument: InstrumentLike,
-    allow_one_temperature: bool,
-    max_bytes: int,
-) -> Measurements:
-    """Readings of one output.
-
-    Raises:
-        InputError: something cannot be used.
-    """
-    tables, parts = _opened(paths, names, instrument, options, max_bytes)
-    output = options.columns.get(output_name(instrument), "")
-    sources = tuple(Source(table.file, table.sha256, table.rows, output) for table in tables)
-    tables = [kept_table(table, part) for table, part in zip(tables, parts, strict=True)]
-    if len(tables) > 1:
-        _label_runs(tables, parts, _runs(paths))
-    joined = parts[0] if len(parts) == 1 else _join(tables, parts)
-    joined = replace(joined, flags=[*joined.flags, *_equal_contents(tables)])
-    problems_of_whole(tables, joined, instrument, allow_one_temperature).refuse()
-
-    from bayescal._data.measurements import assemble  # after what is refused: it needs a second
-
-    return assemble(tables, joined, instrument, sources, options.nominal_scale)
-
-
 def _opened(
     paths: Sequence[Path],
     names: Sequence[str],
@@ -184,11 +164,7 @@ def _opened(
     options: ReadOptions,
     max_bytes: int,
 ) -> tuple[list[Table], list[ConvertedColumns]]:
-    """The files as tables and as columns.
-
-    Raises:
-        InputError: all that is wrong with any of them.
-    """
+    """The files as tables and as columns; all that is wrong with any of them is refused at once."""
     problems, tables, parts = Problems(), list[Table](), list[ConvertedColumns]()
     for path, name in zip(paths, names, strict=True):
         with problems.collecting(name):
@@ -202,7 +178,7 @@ def _opened(
             parts.append(part)
             records_known = part.unread.isdisjoint(("run", "device", "axis"))
             if problems and records_known:  # said with the rest
-                problems += problems_of_whole([table], part, instrument, True)
+                problems += problems_of_whole(part, instrument, True)
     problems.refuse()
     return tables, parts
 
@@ -223,48 +199,40 @@ def _runs(paths: Sequence[Path]) -> list[str]:
     return labels
 
 
-def _label_runs(
-    tables: Sequence[Table], parts: Sequence[ConvertedColumns], labels: Sequence[str]
-) -> None:
+def _label_runs(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> None:
     """Give the files without a column `run` a run of their own, and say which runs span files."""
     own = [set(part.values["run"]) if "run" in part.values else set() for part in parts]
     named = set().union(*own)
-    for table, part, label in zip(tables, parts, labels, strict=True):
+    seen: dict[str, str] = {}
+    for part, label, runs in zip(parts, labels, own, strict=True):
+        (table,) = part.tables
         if "run" not in part.values:
             label = f"file {label}" if label in named else label
             part.values["run"] = np.full(table.rows, label, dtype=object)
             part.units["run"] = None
-    seen: dict[str, str] = {}
-    for table, part, runs in zip(tables, parts, own, strict=True):
-        for run in sorted(runs):
-            if run in seen:
-                part.flags.append(
-                    f"run {run!r} of {table.file} is taken as the one of {seen[run]}, continued"
-                )
-            seen.setdefault(run, table.file)
+        part.flags += [
+            f"run {run!r} of {table.file} is taken as the one of {seen[run]}, continued"
+            for run in sorted(runs & seen.keys())
+        ]
+        seen = dict.fromkeys(runs, table.file) | seen
 
 
-def _join(tables: Sequence[Table], parts: Sequence[ConvertedColumns]) -> ConvertedColumns:
-    """Files one after the other.
-
-    Raises:
-        InputError: labels in some files only, or one column in two dimensions.
-    """
-    joined = ConvertedColumns(flags=[flag for part in parts for flag in part.flags])
+def _join(parts: Sequence[ConvertedColumns]) -> ConvertedColumns:
+    """Files one after the other; labels in some files only, or one column in two dimensions, are refused."""
+    tables = [table for part in parts for table in part.tables]
+    joined = ConvertedColumns(tuple(tables), flags=[flag for part in parts for flag in part.flags])
     joined.filled = set.intersection(*(part.filled for part in parts))
     joined.beside = set().union(*(part.beside for part in parts))
-    joined.origin = _on_one_clock(tables, parts)
+    joined.origin = _on_one_clock(parts)
     units = {name: unit for part in parts for name, unit in part.units.items()}
     for name, unit in units.items():
-        have = [name in part.values for part in parts]
-        with_it = tables[have.index(True)].file
-        without = None if all(have) else tables[have.index(False)].file
         for table, part in zip(tables, parts, strict=True):
             if part.units.get(name, unit) != unit:
                 raise InputError(
                     f"column {name!r} is in {part.units[name]} in {table.file!r} and in {unit} in "
                     "another file: give it one kind of unit, or rename one"
                 )
+        with_it, without = _first_files(parts, [name in part.values for part in parts])
         if without and unit is None:
             raise InputError(
                 f"{without!r} lacks the column {name!r} that {with_it!r} has: label every file, or "
@@ -283,36 +251,39 @@ def _join(tables: Sequence[Table], parts: Sequence[ConvertedColumns]) -> Convert
     return joined
 
 
-def _on_one_clock(tables: Sequence[Table], parts: Sequence[ConvertedColumns]) -> float | None:
-    """Shift the times of files that count from dates to the earliest of these, which is returned; None without dates.
+def _first_files(
+    parts: Sequence[ConvertedColumns], have: Sequence[bool]
+) -> tuple[str | None, str | None]:
+    """The first file that has something, and the first that has not."""
+    files = [part.tables[0].file for part in parts]
+    with_it = next((file for file, has in zip(files, have, strict=True) if has), None)
+    return with_it, next((file for file, has in zip(files, have, strict=True) if not has), None)
 
-    Raises:
-        InputError: some files have dates and others have not.
-    """
-    dated = [part.origin is not None for part in parts if "time" in part.values]
-    origins = [part.origin for part in parts if part.origin is not None]
+
+def _on_one_clock(parts: Sequence[ConvertedColumns]) -> float | None:
+    """Shift the times of files that count from dates to the earliest, which is returned; None without dates."""
+    timed = [part for part in parts if "time" in part.values]
+    origins = [part.origin for part in timed if part.origin is not None]
     if not origins:
         return None
-    if not all(dated):
-        with_it, without = tables[dated.index(True)].file, tables[dated.index(False)].file
+    with_it, without = _first_files(timed, [part.origin is not None for part in timed])
+    if without:
         raise InputError(
             f"{with_it!r} has dates in its column 'time', {without!r} has none: give all files the same clock, or "
             "read them one by one"
         )
-    for part in parts:
-        if part.origin is not None:
-            part.values["time"] = np.round(part.values["time"] + (part.origin - min(origins)), 6)
+    for part in timed:
+        assert part.origin is not None
+        part.values["time"] = np.round(part.values["time"] + (part.origin - min(origins)), 6)
     return min(origins)
 
 
 def _equal_contents(tables: Sequence[Table]) -> list[str]:
     first: dict[str, str] = {}
-    found = []
     for table in tables:
-        if table.sha256 in first:
-            found.append(
-                f"{table.file} has the same content as {first[table.sha256]}: the same readings "
-                "twice?"
-            )
         first.setdefault(table.sha256, table.file)
-    return found
+    return [
+        f"{table.file} has the same content as {first[table.sha256]}: the same readings twice?"
+        for table in tables
+        if table.file != first[table.sha256]
+    ]

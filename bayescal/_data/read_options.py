@@ -93,8 +93,8 @@ class ReadOptions:
         return replace(made, nominal_scale=scale)
 
     def leaves_out(self, header: Header) -> bool:
-        """Whether a column is left out, as the user says."""
-        return any(name in (header.raw, header.name) for name in self.ignore)
+        """Whether a column is left out, as the user says, or as it is another channel's output."""
+        return any(name in (header.raw, header.name) for name in (*self.ignore, *self.others))
 
 
 _NUMBER_AND_UNIT = re.compile(r"([+\-−]?\d*\.?\d+(?:[eE][+-]?\d+)?)\s*([^\d\s.].*)")
@@ -106,11 +106,7 @@ def _scale_in_words(
     zero: str | None,
     local_gravity: float,
 ) -> NominalScale | None:
-    """The nominal scale that is said: its gain as "250 V/g" (or "61 ug/count"), its zero as "1.21 V".
-
-    Raises:
-        InputError: one of them is not of this form, or in other units than those of a scale; or a zero without a scale.
-    """
+    """The nominal scale that is said: its gain as "250 V/g" (or "61 ug/count"), its zero as "1.21 V"."""
     if isinstance(scale, str):
         scale = _scale_from(instrument, scale, local_gravity)
     if zero is None:

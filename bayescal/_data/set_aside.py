@@ -12,11 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from bayescal._data.covariate_checks import held_rows, leaps, pieces
-from bayescal._data.dataset_checks import clip_levels, once, repeated_rows, stuck_rows
+from bayescal._data.dataset_checks import clip_levels, repeated_rows, stuck_rows
 from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
-from bayescal._data.rounding import rounding_step
-from bayescal._data.stretches import record_codes, stretches
+from bayescal._data.stretches import record_codes, rounding_step, stretches
 
 
 def set_aside(readings: Measurements, keep_spikes: bool = False) -> Measurements:
@@ -30,15 +29,18 @@ def set_aside(readings: Measurements, keep_spikes: bool = False) -> Measurements
     return readings if keep_spikes else _without_spikes(_without_leaps(readings))
 
 
+def _without(readings: Measurements, rows: np.ndarray, said: str) -> Measurements:
+    kept = np.setdiff1d(np.arange(len(readings)), rows)
+    return replace(readings.select(kept), flags=(*readings.flags, f"{readings.file}: {said}"))
+
+
 def _once(readings: Measurements) -> Measurements:
     """Without rows that repeat an earlier one: reading a file drops them, other sources may hold them."""
-    columns = {name: readings[name] for name in readings.columns}
-    kept = once(columns, repeated_rows(columns))
-    if isinstance(kept, slice):
+    again = repeated_rows({name: readings[name] for name in readings.columns})
+    if not (readings.has("time") and len(again)):
         return readings
-    count = len(readings) - len(kept)
-    flag = f"{readings.file}: {count} row(s) repeat an earlier one in every column: dropped"
-    return replace(readings.select(kept), flags=(*readings.flags, flag))
+    said = f"{len(again)} row(s) repeat an earlier one in every column: dropped"
+    return _without(readings, again, said)
 
 
 def _without_clipped(readings: Measurements) -> Measurements:
@@ -51,11 +53,11 @@ def _without_clipped(readings: Measurements) -> Measurements:
         notes.append(f"{int(at.sum())} at its {end} {level:.6g}")
     if not notes or clipped.all():
         return readings
-    flag = (
-        f"{readings.file}: {int(clipped.sum())} clipped reading(s) of the output set aside, {' and '.join(notes)}: "
+    said = (
+        f"{int(clipped.sum())} clipped reading(s) of the output set aside, {' and '.join(notes)}: "
         "what lies beyond was not measured, and no calibration holds there"
     )
-    return replace(readings.select(np.flatnonzero(~clipped)), flags=(*readings.flags, flag))
+    return _without(readings, np.flatnonzero(clipped), said)
 
 
 def _without_stuck(readings: Measurements) -> Measurements:
@@ -71,9 +73,8 @@ def _without_stuck(readings: Measurements) -> Measurements:
         return readings
     else:
         said = f"repeats a value until the next leap, first in row {repeats[0] + 1}: a logger asked it seldom"
-    flag = f"{readings.file}: {len(repeats)} reading(s) set aside: the output {said}"
-    kept = np.setdiff1d(np.arange(len(output)), repeats)
-    return replace(readings.select(kept), flags=(*readings.flags, flag))
+    said = f"{len(repeats)} reading(s) set aside: the output {said}"
+    return _without(readings, repeats, said)
 
 
 def _held(readings: Measurements) -> np.ndarray:
@@ -99,11 +100,11 @@ def _without_leaps(readings: Measurements) -> Measurements:
         notes += [f"{name}: row {shown}{' …' if len(rows) > 5 else ''}"] if len(rows) else []
     if not notes or gone.all():
         return readings
-    flag = (
-        f"{readings.file}: {int(gone.sum())} reading(s) set aside, at which a thermometer leaps faster than a body can "
+    said = (
+        f"{int(gone.sum())} reading(s) set aside, at which a thermometer leaps faster than a body can "
         f"follow, {'; '.join(notes)}; keep_spikes keeps them"
     )
-    return replace(readings.select(np.flatnonzero(~gone)), flags=(*readings.flags, flag))
+    return _without(readings, np.flatnonzero(gone), said)
 
 
 def _without_spikes(readings: Measurements) -> Measurements:
@@ -111,12 +112,11 @@ def _without_spikes(readings: Measurements) -> Measurements:
     if not len(rows):
         return readings
     shown = ", ".join(f"{row + 1} ({readings['output'][row]:.6g})" for row in rows[:5])
-    flag = (
-        f"{readings.file}: {len(rows)} reading(s) set aside as spikes, far from both neighbours: "
+    said = (
+        f"{len(rows)} reading(s) set aside as spikes, far from both neighbours: "
         f"row {shown}{' …' if len(rows) > 5 else ''}; keep_spikes keeps them"
     )
-    kept = np.setdiff1d(np.arange(len(readings)), rows)
-    return replace(readings.select(kept), flags=(*readings.flags, flag))
+    return _without(readings, rows, said)
 
 
 def find_spikes(readings: Measurements) -> np.ndarray:
@@ -151,9 +151,8 @@ def _standing_out(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     before, after = np.arange(count) - 1, np.arange(count) + 1
 
     def height(i: int) -> float:
-        i = (
-            after[i] if before[i] < 0 else before[i] if after[i] >= count else i
-        )  # an end as its neighbour
+        # an end as its neighbour
+        i = after[i] if before[i] < 0 else before[i] if after[i] >= count else i
         return float(abs(y[i] - 0.5 * (y[before[i]] + y[after[i]])))
 
     inner = np.abs(y[1:-1] - 0.5 * (y[:-2] + y[2:]))

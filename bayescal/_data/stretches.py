@@ -1,4 +1,4 @@
-"""Readings that follow each other: records by their labels, and stretches of these without a pause."""
+"""Readings that follow each other: records by their labels, stretches of these without a pause, steps of rounding."""
 
 from __future__ import annotations
 
@@ -54,3 +54,14 @@ def stretches(time: np.ndarray, codes: np.ndarray, fewest: int) -> list[np.ndarr
         usual = np.median(steps) if steps.size else 0.0
         found += np.split(rows, 1 + np.flatnonzero(steps > recording().pause * usual))
     return [rows for rows in found if len(rows) >= fewest]
+
+
+def rounding_step(values: np.ndarray) -> float:
+    """The step that an output is rounded to, in its unit; 0 where most values occur once, or lie on no grid."""
+    levels = np.unique(values)
+    if not 3 <= len(levels) <= recording().rounded * len(values):
+        return 0.0
+    gaps, off = np.diff(levels), recording().off_grid
+    step = float(gaps[gaps > off * np.median(gaps)].min())
+    places = (levels - levels[0]) / step
+    return step if np.all(np.abs(places - np.round(places)) < off) else 0.0

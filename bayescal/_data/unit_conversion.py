@@ -25,7 +25,6 @@ from bayescal._data.unit_parsing import (
     NAME,
     STANDARD_GRAVITY,
     ParsedUnit,
-    factors,
     normalised,
     parse,
 )
@@ -83,15 +82,6 @@ def convert(
         _check_gravity(local_gravity)
         factor *= (1e6 / local_gravity) ** power
     return values if factor == 1 else values * factor
-
-
-def check_unit(text: str) -> None:
-    """Let a unit pass, or say what is wrong with it.
-
-    Raises:
-        InputError: the text is no unit known here.
-    """
-    parse(text)
 
 
 def same_dimension(a: str, b: str) -> bool:
@@ -174,13 +164,9 @@ def basis_factor(
 
 
 def _ratios(unit: str, slot_unit: str, named: tuple[str, ...], open_: bool) -> float:
-    """Units of ratio columns (%, ppm, ppb, 1) to the powers to which the coefficient is per ratio.
-
-    Raises:
-        InputError: ratios in several units, and the coefficient does not name them.
-    """
+    """Units of ratio columns (%, ppm, ppb, 1) to the powers to which the coefficient is per ratio."""
     ratios = {parse(u).factor for u in named if not parse(u).powers} | ({1.0} if open_ else set())
-    written = [(parse(n).factor, p) for n, p in factors(unit) if not parse(n).powers]
+    written = [(parse(n).factor, p) for n, p in parse(unit).names if not parse(n).powers]
     if not ratios or not written:
         return 1.0
     below, above = Counter[float](), 0.0
@@ -207,13 +193,9 @@ def _ratios(unit: str, slot_unit: str, named: tuple[str, ...], open_: bool) -> f
 def _product(
     wanted: Mapping[str, float], units: Sequence[str], unit: str, slot_unit: str
 ) -> float | None:
-    """The size, in base units, of the product of these units that has a dimension; None where there is none.
-
-    Raises:
-        InputError: there are several, of different size, and the names in the coefficient's unit do not tell which.
-    """
+    """The size, in base units, of the product of these units that has a dimension; None where there is none."""
     above, below = Counter[str](), Counter[str]()
-    for name, power in factors(unit):
+    for name, power in parse(unit).names:
         for base, own in parse(name).powers.items():
             (above if power > 0 else below)[base] += own * power  # pyright: ignore[reportArgumentType]
     slot = parse(slot_unit).powers
@@ -232,7 +214,7 @@ def _product(
     free = free[np.abs(free @ sizes) > 1e-9]
     if len(free):
         by_name = Counter[str]()
-        for name, power in (*((n, -p) for n, p in factors(unit)), *factors(slot_unit)):
+        for name, power in (*((n, -p) for n, p in parse(unit).names), *parse(slot_unit).names):
             by_name[name] += power  # pyright: ignore[reportArgumentType]
         powers = np.array([by_name[normalised(u)] for u in parts], dtype=float)
         doubtful = np.abs(free).max(axis=0) > 1e-9

@@ -83,11 +83,19 @@ NAME = re.compile(r"[A-Za-z_]+")
 
 @dataclass(frozen=True)
 class ParsedUnit:
-    """A unit understood: `factor` base units, their powers, and the zero of a temperature scale."""
+    """A unit understood.
+
+    Attributes:
+        factor: in base units.
+        powers: of the base units.
+        offset: zero of a temperature scale, K.
+        names: that it is written with, each with its power, whether or not they cancel.
+    """
 
     factor: float
     powers: Mapping[str, float]
     offset: float | None
+    names: tuple[tuple[str, float], ...]
 
 
 @lru_cache(maxsize=512)
@@ -99,24 +107,13 @@ def parse(text: str) -> ParsedUnit:
     """
     plain = normalised(text)
     try:
-        product = _factors(ast.parse(_as_python(plain), mode="eval").body)
-        factor, powers = _in_base(product)
+        names = tuple(_factors(ast.parse(_as_python(plain), mode="eval").body))
+        factor, powers = _in_base(names)
     except (SyntaxError, ValueError, OverflowError) as error:
         raise InputError(
             f"[{text}] is not a unit: write one such as [ug/mg^2] or [deg/s/degC]"
         ) from error
-    return ParsedUnit(factor, powers, _OFFSETS.get(plain))
-
-
-@lru_cache(maxsize=512)
-def factors(text: str) -> tuple[tuple[str, float], ...]:
-    """The names in a unit, each with its power, as they are written, whether or not they cancel.
-
-    Raises:
-        InputError: it is no unit.
-    """
-    parse(text)
-    return tuple(_factors(ast.parse(_as_python(normalised(text)), mode="eval").body))
+    return ParsedUnit(factor, powers, _OFFSETS.get(plain), names)
 
 
 def _as_python(plain: str) -> str:
@@ -126,11 +123,7 @@ def _as_python(plain: str) -> str:
 
 
 def _factors(part: ast.expr) -> list[tuple[str, float]]:
-    """The names in a parsed product, quotient or power, each with its power.
-
-    Raises:
-        ValueError: anything else.
-    """
+    """The names in a parsed product, quotient or power, each with its power."""
     match part:
         case ast.Name(id=name) if name in BASE or name in DERIVED:
             return [(name, 1.0)]

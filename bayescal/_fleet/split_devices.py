@@ -15,7 +15,7 @@ from bayescal._core.errors import InputError
 from bayescal._data.column import Column, ConvertedColumns, NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
-from bayescal._data.header_matching import matched, unused_options
+from bayescal._data.header_matching import MatchedFile, unused_options
 from bayescal._data.read_options import (
     InstrumentLike,
     ReadOptions,
@@ -119,7 +119,8 @@ def split_table(
     expects = _WithFurtherColumns(
         instrument.name, (*instrument.columns, *further), instrument.nominal_scale, output
     )
-    table, places = matched(table, expects, options, problems)
+    file = MatchedFile(table, expects, options, problems)
+    table, places = file.table, file.positions
     table = _read_once(table)
     problems.refuse()
     labels = np.full(table.rows, stem, dtype=object)

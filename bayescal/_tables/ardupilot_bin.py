@@ -7,25 +7,24 @@ place of the instance.
 
 from __future__ import annotations
 
-import struct
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bayescal._core.errors import InputError
-from bayescal._tables.recorded import ACCELERATION, AXES, RATE, Sensor, triad
+from bayescal._tables.recorded import ACCELERATION, RATE, Sensor, triad
 
 HEAD = b"\xa3\x95"  # every message begins so
 MESSAGES = ("IMU", "IMU2", "IMU3")
-TRIADS = {"gyro": ("Gyr", RATE), "acc": ("Acc", ACCELERATION)}
 
 
 def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
-    """Sensors of a DataFlash log, and what is odd about it; raises whatever pymavlink does.
+    """Sensors of a DataFlash log, and what is odd about it.
 
     Raises:
-        InputError: it does not begin as such a log does.
+        ValueError: it does not begin as such a log does.
+        Exception: whatever pymavlink raises.
     """
     from pymavlink.DFReader import DFReader_binary
 
@@ -35,7 +34,7 @@ def read_dataflash(path: Path) -> tuple[list[Sensor], list[str]]:
 
     with path.open("rb") as file:
         if file.read(2) != HEAD:
-            raise InputError("it does not begin with the bytes A3 95 of a DataFlash log")
+            raise ValueError("it does not begin with the bytes A3 95 of a DataFlash log")
     with WithoutClock(str(path)) as log:
         sensors = [
             sensor for place, name in enumerate(MESSAGES) for sensor in _of(log, name, place)
@@ -61,14 +60,11 @@ def _of(log: Any, name: str, place: int) -> list[Sensor]:
 
 
 def _sensor(fields: dict[str, np.ndarray], own: np.ndarray, instance: int) -> Sensor:
-    channels: dict[str, np.ndarray] = {}
-    units: dict[str, str] = {}
-    for kind, (prefix, unit) in TRIADS.items():
-        values = {axis: fields[prefix + axis.upper()][own] for axis in AXES}
-        more, their = triad(kind, unit, values, instance)
-        channels, units = channels | more, units | their
+    channels = {}
+    for kind, prefix, unit in (("gyro", "Gyr", RATE), ("acc", "Acc", ACCELERATION)):
+        channels |= triad(kind, unit, (fields[prefix + axis][own] for axis in "XYZ"), instance)
     temperature = fields["T"][own].astype(float) if "T" in fields else None
-    return Sensor(fields["TimeUS"][own] * 1e-6, channels, units, temperature)
+    return Sensor(fields["TimeUS"][own] * 1e-6, channels, temperature)
 
 
 def _fields(log: Any, kind: int) -> dict[str, np.ndarray]:
@@ -76,25 +72,13 @@ def _fields(log: Any, kind: int) -> dict[str, np.ndarray]:
     layout = log.formats[kind]
     places = np.asarray(log.offsets[kind], np.int64)
     places = places[places + layout.len <= log.data_len]  # the last may be cut short
+    # of a `struct` layout: "<QB64s" as Q, B, 64s
+    codes = re.findall(r"\d*[a-zA-Z]", layout.msg_struct)
+    kinds = [f"V{code[:-1]}" if code.endswith("s") else f"<{code}" for code in codes]
+    row = np.dtype(list(zip(layout.columns, kinds, strict=True)))
     content = np.frombuffer(log.data_map, np.uint8)
-    found, at = {}, len(HEAD) + 1
-    for name, code in zip(layout.columns, _codes(layout.msg_struct), strict=True):
-        size = struct.calcsize(f"<{code}")
-        if not code.endswith("s"):
-            taken = content[places[:, None] + np.arange(at, at + size)]
-            found[name] = taken.copy().view(f"<{np.dtype(code).str[1:]}")[:, 0]
-        at += size
+    begin = len(HEAD) + 1
+    taken = content[places[:, None] + np.arange(begin, begin + row.itemsize)]
     del content  # else the map of the file cannot be closed
-    return found
-
-
-def _codes(layout: str) -> list[str]:
-    """The codes of a `struct` layout, "<QB64s" as Q, B, 64s."""
-    found, digits = [], ""
-    for letter in layout.removeprefix("<"):
-        if letter.isdigit():
-            digits += letter
-        else:
-            found.append(digits + letter)
-            digits = ""
-    return found
+    messages = taken.view(row)[:, 0]
+    return {name: messages[name] for name in layout.columns}

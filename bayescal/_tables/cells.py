@@ -101,9 +101,8 @@ def numbers_of(texts: Sequence[str], decimal: str = ".") -> Cells:
     """
     plain = [_with_point(text) for text in texts] if decimal == "," else texts
     together = "".join(plain)
-    if (
-        together.isascii() and "_" not in together
-    ):  # else Python takes for a number what nobody writes as one
+    # else Python takes for a number what nobody writes as one
+    if together.isascii() and "_" not in together:
         with suppress(ValueError):
             return Cells(np.fromiter(map(float, plain), np.float64, len(plain)))
     values = np.fromiter(map(number_of, plain), np.float64, len(plain))
@@ -175,11 +174,9 @@ def cells_of(values: object, number: bool) -> Cells:
         array = array.astype("datetime64[us]").astype(object)
     if array.dtype.kind in "OU" or isinstance(array.dtype, np.dtypes.StringDType):
         if not number and pd.api.types.infer_dtype(array, skipna=True) == "string":
-            codes, levels = pd.factorize(array.astype(object))  # labels repeat: each is read once
-            texts = np.array(
-                [*(_text(v, pd.NA) for v in levels), ""], dtype=object
-            )  # the last for −1, missing
-            return Cells(texts[codes])
+            # labels repeat: each is read once; the last is for −1, missing
+            codes, levels = pd.factorize(array.astype(object))
+            return Cells(np.array([*(_text(v, pd.NA) for v in levels), ""], dtype=object)[codes])
         texts = [_text(value, pd.NA) for value in array.tolist()]
         return numbers_of(texts) if number else Cells(np.array(texts, dtype=object))
     if not number:
@@ -190,7 +187,7 @@ def cells_of(values: object, number: bool) -> Cells:
     return Cells(np.full(len(array), np.nan), bad)
 
 
-def equally_long(columns: Mapping[str, object]) -> list[np.ndarray]:
+def equally_long(columns: Mapping[str, object]) -> dict[str, np.ndarray]:
     """The columns as vectors; a single value counts for every reading.
 
     Raises:
@@ -202,7 +199,7 @@ def equally_long(columns: Mapping[str, object]) -> list[np.ndarray]:
         shapes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
         raise InputError(f"columns must be vectors of one length, these are: {shapes}")
     rows = lengths.pop() if lengths else 1
-    return [np.broadcast_to(array, (rows,)) for array in arrays.values()]
+    return {name: np.broadcast_to(array, (rows,)) for name, array in arrays.items()}
 
 
 def _text(value: object, missing: object) -> str:

@@ -1,21 +1,47 @@
-"""CSV as a table: what the first pass let pass is read in a second, a stretch of rows at a time."""
+"""CSV as a table, in two passes.
+
+The first finds what is wrong and on which line, and keeps nothing but counts: so a file is refused before it takes
+memory. The second reads what the first let pass, a stretch of rows at a time. Line numbers in messages are those an
+editor shows, the first line being row 1.
+"""
 
 from __future__ import annotations
 
+import codecs
 import csv
+import hashlib
+import io
+import math
+import re
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import islice
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
+from bayescal._core.atomic_file import sha256_of
+from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_cell_read
-from bayescal._tables.cells import Cells, numbers_of
-from bayescal._tables.csv_scan import CsvScan, ragged_rows, scan_csv, text_of
-from bayescal._tables.encoding import opened
-from bayescal._tables.raw_table import Header, Table, after
+from bayescal._tables.cells import MOST_BAD, Cells, number_of, numbers_of
+from bayescal._tables.header_rows import LOOKED_AT, header_rows, with_units
+from bayescal._tables.problems import Problem
+from bayescal._tables.raw_table import Header, Table, after, refuse_many
 
+_BLOCK = 1 << 24  # bytes looked at together, and the longest line allowed
+_MARK = b"\xef\xbb\xbf"  # of UTF-8
+_ASCII = bytes(range(128))
+_SIGNS = set("°µ²³·±".encode("latin-1"))  # the same in Latin-1, Latin-9 and Windows-1252
+_MOST_UTF16 = 500_000_000  # bytes: it is held whole
+_SAVE = "Save it as 'CSV UTF-8'"
+_LABVIEW = "***End_of_Header***"
+# A comma that parts no thousands, behind a separator that is none: 20,5 or 0,125 or 1234,567, but not 1,234.
+_DECIMAL_COMMA = re.compile(
+    rb"(?:^|[;\t\n])[ +-]*(?:0?,\d+|\d{4,},\d+|\d{1,3},(?:\d\d?|\d{4,}))(?:[eE][+-]?\d+)?[ \r]*(?=[;\t\n]|$)"
+)
 _ROWS = 100_000  # rows whose text is held at a time
 
 
@@ -36,33 +62,29 @@ def open_csv(path: Path, file: str, decimal: str = "") -> Table:
             the message names the row.
     """
     scan = scan_csv(path, file, decimal)
+
+    def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
+        with opened(path, scan.encoding) as handle:
+            handle.seek(scan.offset)
+            return scan.cells(handle, wanted)
+
+    notes = {
+        f"read as {scan.encoding}": scan.encoding != "utf-8",
+        "its numbers have decimal commas": scan.decimal == ",",
+        f"its columns are named in row {scan.named}; what stands above it is left out": scan.above,
+        f"its units are taken from row {scan.named + 1}": scan.first - scan.named > 1,
+    }
     return Table(
         file=file,
-        headers=tuple(Header.parse(csv_cell_read(text)) for text in scan.header),
+        headers=scan.headers,
         rows=scan.lines - len(scan.blanks),
         sha256=scan.sha256,
-        load=lambda wanted: _load(path, scan, wanted),
+        load=load,
         place=scan.place,
-        notes=_notes(scan),
+        notes=tuple(f"{file}: {note}" for note, holds in notes.items() if holds),
         problems=ragged_rows(scan),
         readable=len(scan.passed_over) == len(scan.ragged),
     )
-
-
-def _notes(scan: CsvScan) -> tuple[str, ...]:
-    """How a file was read that is not UTF-8 with decimal points."""
-    notes = []
-    if scan.encoding != "utf-8":
-        notes.append(f"{scan.file}: read as {scan.encoding}")
-    if scan.decimal == ",":
-        notes.append(f"{scan.file}: its numbers have decimal commas")
-    if scan.above:
-        notes.append(
-            f"{scan.file}: its columns are named in row {scan.named}; what stands above it is left out"
-        )
-    if scan.first - scan.named > 1:
-        notes.append(f"{scan.file}: its units are taken from row {scan.named + 1}")
-    return tuple(notes)
 
 
 @dataclass(frozen=True)
@@ -96,7 +118,6 @@ def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[C
         decimal: as `open_csv` takes it.
     """
     scan = scan_csv(path, file, decimal)
-    headers = tuple(Header.parse(csv_cell_read(text)) for text in scan.header)
     done = 0
     with opened(path, scan.encoding) as handle:
         above: list[bytes] = []
@@ -110,50 +131,289 @@ def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[C
                 lines.append(more)  # a stretch of blank lines is no table
             count = sum(bool(line.strip()) for line in lines)
             if count:
-
-                def load(wanted: Mapping[int, bool], lines=lines) -> dict[int, Cells]:
-                    return _cells(lines, scan, wanted)
-
-                table = Table(
-                    file=file,
-                    headers=headers,
-                    rows=count,
-                    sha256=scan.sha256,
-                    load=load,
-                    place=after(done, scan.place),
-                )
+                load, place = partial(scan.cells, lines), after(done, scan.place)
+                table = Table(file, scan.headers, count, load, scan.sha256, place)
                 yield CsvLines(lines, table, scan.separator, scan.decimal or ".")
             done += count
 
 
-def _load(path: Path, scan: CsvScan, wanted: Mapping[int, bool]) -> dict[int, Cells]:
+@dataclass
+class CsvScan:
+    """What the first pass found; rows are line numbers."""
+
+    file: str
+    header: list[str] = field(default_factory=list)
+    separator: str = ","
+    encoding: str = "utf-8"
+    decimal: str = ""  # a point or a comma; empty until a number shows it
+    named: int = 0  # row of the header
+    above: bool = False  # whether lines that tell of the test stand above it
+    first: int = 0  # row of the first line after the header
+    offset: int = 0  # its byte
+    lines: int = 0  # after the header
+    blanks: list[int] = field(default_factory=list)
+    ragged: list[tuple[int, str, int]] = field(default_factory=list)  # row, text, number of fields
+    passed_over: frozenset[int] = frozenset()  # ragged rows, where there are others to look at
+    sha256: str = ""
+
+    @property
+    def blank(self) -> bytes:
+        """What a line may hold and count as blank."""
+        return b" \r\n" if self.separator == "\t" else b" \t\r\n"
+
+    def text(self, line: bytes) -> str:
+        """A line that was looked through."""
+        return line.decode("latin-1" if self.encoding == "latin-1" else "utf-8")
+
+    @property
+    def headers(self) -> tuple[Header, ...]:
+        return tuple(Header.parse(csv_cell_read(text)) for text in self.header)
+
+    def cells(self, lines: Iterable[bytes], wanted: Mapping[int, bool]) -> dict[int, Cells]:
+        """The wanted columns of lines below the header; only one stretch of rows is held as text at a time."""
+        parts: dict[int, list[Cells]] = {position: [] for position in wanted}
+        if self.passed_over:
+            numbered = enumerate(lines, self.first)
+            lines = (line for row, line in numbered if row not in self.passed_over)
+        there = (line for line in lines if line.strip(self.blank))
+        while stretch := list(islice(there, _ROWS)):
+            fields = self._fields(stretch)
+            for position, number in wanted.items():
+                texts = fields[position :: len(self.header)]
+                if number:
+                    own = numbers_of(texts, self.decimal)
+                else:
+                    own = Cells(np.array([csv_cell_read(t.strip()) for t in texts], dtype=object))
+                parts[position].append(own)
+        return {position: Cells.joined(found) for position, found in parts.items()}
+
+    def _fields(self, lines: Sequence[bytes]) -> list[str]:
+        """The fields of rows, one row after the other."""
+        text = self.text(b"".join(lines)).replace("\r\n", "\n").removesuffix("\n")
+        if '"' in text:
+            rows = csv.reader(text.split("\n"), delimiter=self.separator)
+            return [field for row in rows for field in row]
+        return text.replace("\n", self.separator).split(self.separator)
+
+    def split(self, line: str, row: int, called: str = "", cure: str = "") -> list[str]:
+        """The fields of a line, whose quotation marks must be in pairs."""
+        if '"' not in line:
+            return line.split(self.separator)
+        try:
+            return next(csv.reader([line], delimiter=self.separator, strict=True))
+        except csv.Error as error:
+            raise InputError(
+                f"row {row} of {self.file!r}{called} has a quotation mark without its pair: "
+                f"{line[:80]!r}. Close or remove it{cure}"
+            ) from error
+
+    def place(self, index: int) -> str:
+        """The row of a reading; blank lines count as rows but hold none."""
+        row = self.first + index
+        passed = 0
+        while (blanks := bisect_right(self.blanks, row)) > passed:
+            row += blanks - passed
+            passed = blanks
+        return f"row {row}"
+
+
+def scan_csv(path: Path, file: str, decimal: str) -> CsvScan:
+    """The first pass."""
+    scan = CsvScan(file, encoding=encoding_of(path), decimal=decimal)
     with opened(path, scan.encoding) as handle:
-        handle.seek(scan.offset)
-        return _cells(handle, scan, wanted)
+        digest, rest = hashlib.sha256(_read_header(handle, scan)), b""
+        while block := handle.read(_BLOCK):
+            digest.update(block)
+            block = rest + block
+            end = block.rfind(b"\n") + 1
+            if not end and len(block) > _BLOCK:
+                raise InputError(
+                    f"row {scan.first + scan.lines} of {file!r} is longer than {_BLOCK} bytes: is it a CSV file?"
+                )
+            rest = block[end:]
+            _scan_lines(scan, block[:end])
+        if rest:
+            _scan_lines(scan, rest + b"\n")
+    # of UTF-16, what was looked through are not the bytes of the file
+    scan.sha256 = sha256_of(path) if scan.encoding == "utf-16" else digest.hexdigest()
+    odd = [row for row, _, _ in scan.ragged]
+    if len(odd) < min(MOST_BAD, scan.lines - len(scan.blanks)):
+        scan.passed_over = frozenset(odd)
+        scan.blanks = sorted([*scan.blanks, *odd])
+    return scan
 
 
-def _cells(handle: Iterable[bytes], scan: CsvScan, wanted: Mapping[int, bool]) -> dict[int, Cells]:
-    """The wanted columns, a stretch of rows at a time, so that only one stretch is held as text."""
-    parts: dict[int, list[Cells]] = {position: [] for position in wanted}
-    lines = iter(handle)
-    if scan.passed_over:
-        numbered = enumerate(lines, scan.first)
-        lines = (line for row, line in numbered if row not in scan.passed_over)
-    while stretch := list(islice(lines, _ROWS)):
-        fields = _fields([line for line in stretch if line.strip(scan.blank)], scan)
-        for position, number in wanted.items():
-            texts = fields[position :: len(scan.header)]
-            labels = [] if number else [csv_cell_read(text.strip()) for text in texts]
-            parts[position].append(
-                numbers_of(texts, scan.decimal) if number else Cells(np.array(labels, dtype=object))
-            )
-    return {position: Cells.joined(found) for position, found in parts.items()}
+def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
+    """Find the header, and leave the file where the readings begin; the bytes above them.
+
+    It is the first line that is neither blank nor a '#' comment, unless that tells of the test, and names of columns
+    stand further down.
+    """
+    encoding = "latin-1" if scan.encoding == "latin-1" else "utf-8"
+    there, row = list[tuple[int, str, int]](), 0  # a line's row, its text, and the byte behind it
+    while len(there) < LOOKED_AT and (line := handle.readline(_BLOCK)):
+        row += 1
+        text = line.removeprefix(_MARK if row == 1 else b"").decode(encoding, "replace")
+        if text.strip() and not text.startswith("#"):
+            there.append((row, text.rstrip("\r\n"), handle.tell()))
+    if not there:
+        handle.seek(0)
+        _decode(handle.read(), scan, 1)
+        raise InputError(
+            f"{scan.file!r} is empty: a header 'name [unit], …' and rows of readings were expected"
+        )
+    found, units = None, list[str]()
+    texts = [text for _, text, _ in there]
+    after = [i for i, text in enumerate(texts) if text.startswith(_LABVIEW)]
+    for i in range(after[-1] + 1 if after else 0, len(there)):
+        separator = _separator_of(texts[i])
+        rows = [_fields_of(text, separator) for text in texts]
+        if found := header_rows(rows, i):
+            units = _labview_units(rows[:i])
+            break
+    row, text, end = there[found.first if found else 0]
+    last, _, end = there[found.last] if found else (row, text, end)
+    handle.seek(0)
+    above = handle.read(end)
+    _decode(above.removeprefix(_MARK), scan, 1)
+    _split_header(scan, row, text)
+    if found and (found.last > found.first or len(found.names) != len(scan.header)):
+        scan.header = found.names
+    scan.header = with_units(scan.header, units)
+    scan.first, scan.offset, scan.named = last + 1, end, row
+    scan.above = row > there[0][0]
+    return above
 
 
-def _fields(lines: Sequence[bytes], scan: CsvScan) -> list[str]:
-    """The fields of rows, one row after the other."""
-    text = text_of(b"".join(lines), scan).replace("\r\n", "\n").removesuffix("\n")
-    if '"' in text:
-        rows = csv.reader(text.split("\n"), delimiter=scan.separator)
-        return [field for row in rows for field in row]
-    return text.replace("\n", scan.separator).split(scan.separator) if lines else []
+def _fields_of(line: str, separator: str) -> list[str]:
+    if '"' not in line:
+        return line.split(separator)
+    return next(csv.reader([line], delimiter=separator), [])
+
+
+def _labview_units(above: Sequence[Sequence[str]]) -> list[str]:
+    """Units of the columns that the head of a LabVIEW measurement file (.lvm) states; none elsewhere."""
+    stated = {row[0].strip(): [text.strip() for text in row[1:]] for row in above}
+    if _LABVIEW not in stated or "Y_Unit_Label" not in stated:
+        return []
+    return ["s" if "Time" in stated.get("X_Dimension", ()) else "", *stated["Y_Unit_Label"]]
+
+
+def _separator_of(line: str) -> str:
+    counts = {separator: line.count(separator) for separator in (";", "\t", "|", ",")}
+    most = max(counts, key=lambda separator: counts[separator])
+    return most if counts[most] else ","
+
+
+def _split_header(scan: CsvScan, row: int, line: str) -> None:
+    scan.separator = _separator_of(line)
+    refuse_many(scan.file, 1 + line.count(scan.separator))
+    if not any(map(math.isnan, map(number_of, line.split(scan.separator)))):
+        raise InputError(
+            f"{scan.file!r} has no header: its first row, row {row}, is numbers. Write one that names the columns, "
+            "such as 'time [s],temperature [degC],output [deg/s]'"
+        )
+    scan.header = scan.split(line, row, called=", the header,")
+
+
+def _decode(data: bytes, scan: CsvScan, row: int) -> str:
+    """Text of whole lines, the first of which is `row`."""
+    file = scan.file
+    if (zero := data.find(b"\0")) >= 0:
+        row += data.count(b"\n", 0, zero)
+        raise InputError(
+            f"row {row} of {file!r} holds a zero byte: it is UTF-16 text or no text at all. {_SAVE}"
+        )
+    unix = data.replace(b"\r\n", b"\n")
+    if (lone := unix.find(b"\r")) >= 0:
+        row += unix.count(b"\n", 0, lone)
+        raise InputError(
+            f"row {row} of {file!r} holds a carriage return that ends no line: lines must end in "
+            f"LF or CR LF. {_SAVE}"
+        )
+    try:
+        return scan.text(data)
+    except UnicodeDecodeError as error:
+        start = data.rfind(b"\n", 0, error.start) + 1
+        row += data.count(b"\n", 0, error.start)
+        raise InputError(
+            f"row {row} of {file!r} is not UTF-8: byte {error.start - start + 1} of the row is "
+            f"0x{data[error.start]:02x}, after "
+            f"{data[start : error.start][-20:].decode('utf-8', 'replace')!r}. {_SAVE}; do not join "
+            "files of different encodings"
+        ) from error
+
+
+def _scan_lines(scan: CsvScan, data: bytes) -> None:
+    """Check whole lines: their encoding, and that each has as many fields as the header."""
+    row = scan.first + scan.lines
+    _decode(data, scan, row)
+    if not scan.decimal and scan.separator != "," and _DECIMAL_COMMA.search(data):
+        scan.decimal = ","
+    lines = data.split(b"\n")[:-1]
+    separator, expected = scan.separator.encode(), len(scan.header)
+    for index, line in enumerate(lines):
+        if b'"' in line:
+            text, cure = scan.text(line).rstrip("\r"), "; a field cannot run over several lines"
+            fields = len(scan.split(text, row + index, cure=cure))
+        elif line.strip(scan.blank):
+            fields = line.count(separator) + 1
+        else:
+            scan.blanks.append(row + index)
+            continue
+        if fields != expected and len(scan.ragged) < MOST_BAD:
+            scan.ragged.append((row + index, scan.text(line).strip()[:80], fields))
+    scan.lines += len(lines)
+
+
+def ragged_rows(scan: CsvScan) -> tuple[Problem, ...]:
+    """The rows that have not one field for each column, as one problem."""
+    if not scan.ragged:
+        return ()
+    _, text, fields = scan.ragged[0]
+    expected = len(scan.header)
+    comma = scan.separator == "," and fields > expected
+    hint = "If its numbers have decimal commas, export them with decimal points. " if comma else ""
+    longer = any(expected < n for _, _, n in scan.ragged)
+    above = "If the first lines only tell of the test, begin each with #. " if longer else ""
+    cure = f"{hint}{above}Give every row one field for each column"
+    came = f"{fields} field{'s' * (fields != 1)}, {text!r}, its header has {expected}"
+    places = tuple(f"row {row}" for row, _, _ in scan.ragged)
+    return (Problem(scan.file, came, cure=cure, places=places),)
+
+
+def encoding_of(path: Path) -> str:
+    """By its mark "utf-16"; "latin-1" where the only bytes beyond ASCII are signs such as ° and µ; else "utf-8".
+
+    None of these signs begins a character in UTF-8, so the two cannot be taken for each other.
+    """
+    beyond = set[int]()
+    with path.open("rb") as handle:
+        if handle.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+            return "utf-16"
+        handle.seek(0)
+        while block := handle.read(_BLOCK):
+            beyond.update(block.translate(None, _ASCII))
+            if not beyond <= _SIGNS:
+                return "utf-8"
+    return "latin-1" if beyond else "utf-8"
+
+
+def opened(path: Path, encoding: str) -> BinaryIO:
+    """A file's bytes; those of UTF-16 as UTF-8.
+
+    Raises:
+        InputError: UTF-16 that is too large to be held, or broken.
+    """
+    if encoding != "utf-16":
+        return path.open("rb")
+    if path.stat().st_size > _MOST_UTF16:
+        raise InputError(
+            f"{path.name!r} is UTF-16 text of more than 500 MB: save it as 'CSV UTF-8'"
+        )
+    try:
+        return io.BytesIO(path.read_bytes().decode("utf-16").encode())
+    except UnicodeError as error:
+        raise InputError(
+            f"{path.name!r} is UTF-16 text that breaks off: save it as 'CSV UTF-8'"
+        ) from error

@@ -13,9 +13,14 @@ EXAMPLE = "2026-11-22 10:00:00.123"
 ORDERS = ("mdy", "dmy", "ymd")  # month first, day first, year first
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _DAY = 86_400.0  # s
-_NUMBERS = re.compile(r"(\d{1,4})([./-])(\d{1,2})\2(\d{2,4})(?!\d)")
-_WORDS = re.compile(r"(\d{1,2})[ -]([^\W\d_]{3,9})\.?[ -](\d{4})(?!\d)")  # 23-Nov-2026
-_MONTH_FIRST = re.compile(r"([^\W\d_]{3,9})\.? (\d{1,2}),? (\d{4})(?!\d)")  # Nov 23, 2026
+# How dates are written, and where year, month and day stand in each by the order in which it may be meant.
+_FORMS = {
+    re.compile(r"(\d{4})([./-])(\d{1,2})\2(\d{2})(?!\d)"): {"": (1, 3, 4)},
+    re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{2,4})(?!\d)"): {"": (3, 2, 1)},  # always the day first
+    re.compile(r"(\d{1,2})([/-])(\d{1,2})\2(\d{2,4})(?!\d)"): {"mdy": (4, 1, 3), "dmy": (4, 3, 1), "ymd": (1, 3, 4)},
+    re.compile(r"(\d{1,2})[ -]([^\W\d_]{3,9})\.?[ -](\d{4})(?!\d)"): {"": (3, 2, 1)},  # 23-Nov-2026
+    re.compile(r"([^\W\d_]{3,9})\.? (\d{1,2}),? (\d{4})(?!\d)"): {"": (3, 1, 2)},  # Nov 23, 2026
+}  # fmt: skip
 _BETWEEN = re.compile(r"\s*[T,_-]?\s*")  # a date and its time of day
 _CLOCK = re.compile(
     r"(\d{1,4}):(\d\d)(?::(\d\d)(?:[.,:](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?"
@@ -46,80 +51,38 @@ def unix_seconds(text: str) -> dict[str, float]:
             return {"": _seconds(datetime.fromisoformat(text))}
     if _CLOCK.fullmatch(text):
         return {"": _time_of_day(text, longest=9999)}
-    days, rest = _days(text[: _date_length(text)]), text[_date_length(text) :]
-    between = _BETWEEN.match(rest)
-    assert between is not None
-    clock = _time_of_day(rest[between.end() :], longest=23) if rest else 0.0
-    return {name: day * _DAY + clock for name, day in days.items()}
-
-
-def _date_length(text: str) -> int:
-    """Where the date in a text ends, and its time of day begins.
-
-    Raises:
-        ValueError: it begins with none.
-    """
-    for form in (_NUMBERS, _WORDS, _MONTH_FIRST):
-        if found := form.match(text):
-            return found.end()
-    raise ValueError(f"{text!r} is not a date")
+    begin = next((found for form in _FORMS if (found := form.match(text))), None)
+    if not begin:
+        raise ValueError(f"{text!r} is not a date")
+    rest = _BETWEEN.sub("", text[begin.end() :], count=1)
+    clock = _time_of_day(rest, longest=23) if begin.end() < len(text) else 0.0
+    return {name: day * _DAY + clock for name, day in _days(begin[0]).items()}
 
 
 @lru_cache(maxsize=4096)  # days repeat
 def _days(text: str) -> dict[str, int]:
-    """Days since 1970 by the order in which a date may be written, "" for one that leaves no choice.
-
-    Raises:
-        ValueError: it is none in any.
-    """
-    if found := _WORDS.fullmatch(text):
-        return {"": _day(int(found[3]), _month(found[2]), int(found[1]))}
-    if found := _MONTH_FIRST.fullmatch(text):
-        return {"": _day(int(found[3]), _month(found[1]), int(found[2]))}
-    found = _NUMBERS.fullmatch(text)
-    assert found is not None
-    first, mark, middle, last = int(found[1]), found[2], int(found[3]), int(found[4])
-    if len(found[1]) > 2:
-        return {"": _day(first, middle, last)}
-    if mark == ".":  # with points the day always comes first
-        return {"": _day(_year(found[4]), middle, first)}
-    parts = {
-        "mdy": (_year(found[4]), first, middle),
-        "dmy": (_year(found[4]), middle, first),
-        "ymd": (_year(found[1]), middle, last),
-    }
+    """Days since 1970 by the order in which a date may be written, "" for one that leaves no choice."""
     days = dict[str, int]()
-    for order, part in parts.items():
-        if order != "ymd" or len(found[4]) == 2 == len(found[1]):
-            with suppress(ValueError):
-                days[order] = _day(*part)
+    for form, orders in _FORMS.items():
+        if found := form.fullmatch(text):
+            for order, parts in orders.items():
+                with suppress(ValueError):
+                    days[order] = _day(*(found[part] for part in parts))
     if not days:
         raise ValueError(f"{text!r} is not a date")
     return days
 
 
-def _year(text: str) -> int:
-    if len(text) not in (2, 4):
-        raise ValueError(f"{text!r} is no year")
-    return int(text) if len(text) == 4 else 2000 + int(text)
-
-
-def _month(name: str) -> int:
-    if name[:3].lower() not in _MONTHS:
-        raise ValueError(f"{name!r} is no month")
-    return _MONTHS[name[:3].lower()]
-
-
-def _day(year: int, month: int, day: int) -> int:
-    return date(year, month, day).toordinal() - _EPOCH.toordinal()
+def _day(year: str, month: str, day: str) -> int:
+    """Days from 1970 to a date; a year of two digits is one of this century."""
+    if len(year) not in (2, 4):
+        raise ValueError(f"{year!r} is no year")
+    number = int(month) if month.isdigit() else _MONTHS.get(month[:3].lower(), 0)
+    return (date(int(year) + 2000 * (len(year) == 2), number, int(day)) - _EPOCH.date()).days
 
 
 def _time_of_day(text: str, longest: int) -> float:
-    """A time of day in s, less its zone; up to so many hours.
-
-    Raises:
-        ValueError: it is none.
-    """
+    """A time of day in s, less its zone; up to so many hours."""
     found = _CLOCK.fullmatch(text.strip())
     if not found:
         raise ValueError(f"{text!r} is no time of day")

@@ -59,7 +59,8 @@ def header_rows(rows: Sequence[Sequence[str]], first: int = 0) -> HeaderRows | N
         below += 1
     if below == len(rows) or len(rows[below]) != width or not any(map(is_reading, rows[below])):
         return None
-    return HeaderRows(first, below - 1, _with_units(names, rows[first + 1 : below]))
+    units = rows[first + 1] if below > first + 1 else ()
+    return HeaderRows(first, below - 1, with_units(names, units))
 
 
 def is_reading(text: str) -> bool:
@@ -87,20 +88,12 @@ def _names_units(row: Sequence[str], width: int) -> bool:
     return there and short and not any(is_reading(t) or (is_missing(t) and t != "-") for t in texts)
 
 
-def _with_units(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Names, each with its unit of the first row of units behind it in brackets."""
-    if not rows:
-        return list(names)
-    units = [*(text.strip() for text in rows[0]), *[""] * len(names)]
-    return [
-        f"{name} [{bare}]" if name and (bare := _bare(unit)) and not name.endswith("]") else name
-        for name, unit in zip(names, units, strict=False)
-    ]
-
-
-def _bare(unit: str) -> str:
-    """A unit without the brackets around it."""
-    pairs = ("()", "[]", "<>", "{}")
-    if unit in _NO_UNITS:
-        return ""
-    return unit[1:-1].strip() if unit[:1] + unit[-1:] in pairs else unit
+def with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
+    """Names, each with its unit, if there is one, behind it in brackets."""
+    found = list(names)
+    for i, (name, unit) in enumerate(zip(names, map(str.strip, units), strict=False)):
+        if unit[:1] + unit[-1:] in ("()", "[]", "<>", "{}"):
+            unit = unit[1:-1].strip()
+        if name and unit and unit not in _NO_UNITS and not name.endswith("]"):
+            found[i] = f"{name} [{unit}]"
+    return found

@@ -2,16 +2,42 @@
 
 from __future__ import annotations
 
+import importlib
+import io
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
+from bayescal._tables.ardupilot_bin import read_dataflash
 from bayescal._tables.csv_reader import open_csv
-from bayescal._tables.open_log import LOG_FORMATS, log_columns
-from bayescal._tables.raw_table import Header, Table, bytes_text, loads
+from bayescal._tables.px4_ulog import read_ulog
+from bayescal._tables.raw_table import Table, as_format, bytes_text
+from bayescal._tables.recorded import Sensor, columns_of
+from bayescal._tables.ros_bag import read_bag
+
+
+class LogFormat(NamedTuple):
+    """A format: what people call it, the package that reads it, and how."""
+
+    title: str
+    package: str
+    read: Callable[[Path], tuple[list[Sensor], list[str]]]
+
+
+_ROS_2 = LogFormat("ROS 2 bag", "rosbags", read_bag)
+LOG_FORMATS = {
+    ".ulg": LogFormat("PX4 ULog", "pyulog", read_ulog),
+    ".bin": LogFormat("ArduPilot log", "pymavlink", read_dataflash),
+    ".bag": LogFormat("ROS 1 bag", "rosbags", read_bag),
+    ".mcap": _ROS_2,
+    ".db3": _ROS_2,
+}
 
 MAX_BYTES = 2_000_000_000
 TEXT = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
@@ -25,56 +51,40 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
     Raises:
         InputError: no file, one twice, one that is not there or is no file, or all are too large.
     """
-    names = _names(paths)
-    _refuse_large(paths, names, max_bytes)
-    return names
-
-
-def _names(paths: Sequence[Path]) -> list[str]:
-    """What messages call the files: the name, or the whole path where two have the same name.
-
-    Raises:
-        InputError: no file, or one twice.
-    """
     if not paths:
         raise InputError("no file was given to read: give at least one")
     for path, count in Counter(path.resolve() for path in paths).items():
         if count > 1:
             raise InputError(f"{path.name!r} was given {count} times: give each file once")
-    shared = Counter(path.name for path in paths)
-    return [one_line(path.name if shared[path.name] == 1 else path) for path in paths]
-
-
-def _refuse_large(paths: Sequence[Path], names: Sequence[str], max_bytes: int) -> None:
-    """Look at the sizes before anything is opened.
-
-    Raises:
-        InputError: a file is not there or is no file, or all are too large.
-    """
-    total = 0
+    shared, total = Counter(path.name for path in paths), 0
+    names = [one_line(path.name if shared[path.name] == 1 else path) for path in paths]
     for path, name in zip(paths, names, strict=True):
-        try:
+        with _reachable(path):
             size = path.stat().st_size
-        except OSError as error:
-            raise InputError(
-                f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the "
-                "folder"
-            ) from error
         if not path.is_file():
             raise InputError(
                 f"{str(path)!r} is not a file: name a file, or all files of the folder"
             )
         total += size
         if total > max_bytes:
-            held = (
-                f"holds {bytes_text(size)}"
-                if size > max_bytes
-                else f"brings the files to {bytes_text(total)}"
-            )
+            brought = f"brings the files to {bytes_text(total)}"
+            held = f"holds {bytes_text(size)}" if size > max_bytes else brought
             raise InputError(
                 f"{name!r} {held}, the limit is {bytes_text(max_bytes)}, and nothing was loaded. "
                 "Average the readings, read fewer files, or raise max_bytes"
             )
+    return names
+
+
+@contextmanager
+def _reachable(path: Path) -> Iterator[None]:
+    """Refuse a file that the system does not give."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the folder"
+        ) from error
 
 
 def open_table(
@@ -104,7 +114,7 @@ def open_table(
             f"{name!r}: {suffix or 'a file without a suffix'!r} cannot be read. {never}{old}"
             f"Give one of {', '.join(READ)}"
         )
-    try:
+    with _reachable(path):
         if not path.stat().st_size:
             raise InputError(
                 f"{name!r} is empty (0 bytes): a header and rows of readings were expected"
@@ -112,37 +122,47 @@ def open_table(
         if suffix in TEXT:
             return open_csv(path, name, decimal)
         if suffix in LOG_FORMATS:
-            return _open_log(path, name, asked)
-        if suffix in (".xlsx", ".mat"):
+            found = open_log(path, name, asked)
+        elif suffix in (".xlsx", ".mat"):
             from bayescal._tables.spreadsheets import open_excel, open_matlab
 
-            return (open_excel if suffix == ".xlsx" else open_matlab)(path, name, max_bytes)
-        from bayescal._tables.parquet_netcdf import (
-            open_netcdf,
-            open_parquet,
-        )  # a second that text does without
+            found = (open_excel if suffix == ".xlsx" else open_matlab)(path, name, max_bytes)
+        else:  # a second that text does without
+            from bayescal._tables.parquet_netcdf import open_netcdf, open_parquet
 
-        return (open_parquet if suffix == ".parquet" else open_netcdf)(path, name, max_bytes)
-    except OSError as error:
-        raise InputError(
-            f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the folder"
-        ) from error
+            found = (open_parquet if suffix == ".parquet" else open_netcdf)(path, name, max_bytes)
+        return replace(found, sha256=sha256_of(path))
 
 
-def _open_log(path: Path, file: str, asked: Collection[str]) -> Table:
-    """Channels of a log as a table.
+def open_log(path: Path, file: str, chosen: Collection[str]) -> Table:
+    """The chosen channels of a log as a table.
+
+    Args:
+        path: of a file whose suffix is one of `LOG_FORMATS`.
+        file: its name in messages.
+        chosen: names of channels, such as "gyro_x"; names of no channel are passed over.
 
     Raises:
-        InputError: it cannot be read, or has none of these channels.
+        InputError: the package that reads it is not installed, the file is not what its suffix says, or
+            none of its channels is chosen.
     """
-    found = log_columns(path, file, asked)
-    arrays = list(found.columns.values())
-    return Table(
-        file=file,
-        headers=tuple(map(Header.parse, found.columns)),
-        rows=len(arrays[0]),
-        sha256=sha256_of(path),
-        load=loads(arrays.__getitem__),
+    title, package, read = LOG_FORMATS[path.suffix.lower()]
+    try:
+        importlib.import_module(package)
+    except ModuleNotFoundError:
+        raise InputError(
+            f"{file!r} is a {title}, which the package {package} reads, and that is not installed: "
+            "pip install 'bayescal[logs]'"
+        ) from None
+    said = io.StringIO()  # libraries print; standard output is the command's own
+    with as_format(file, title), redirect_stdout(said), redirect_stderr(said):
+        sensors, notes = read(path)
+    told = [line for line in said.getvalue().splitlines() if "dfindexer" not in line.lower()]
+    notes += [f"{package} says: {line[:200]}" for line in told[:1]]
+    columns, more = columns_of(sensors, chosen, file)
+    return Table.of_columns(
+        file,
+        columns,
         place=lambda index: f"sample {index + 1}",
-        notes=found.notes,
+        notes=(*(f"{file}: {note}" for note in notes), *more),
     )

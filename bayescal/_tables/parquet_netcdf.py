@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import xarray as xr
 
-from bayescal._core.atomic_file import named_back, sha256_of
+from bayescal._core.atomic_file import named_back
 from bayescal._core.errors import InputError
 from bayescal._tables.cells import Cells, cells_of
 from bayescal._tables.raw_table import (
@@ -47,7 +47,7 @@ def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
         pa.default_memory_pool().release_unused()  # what it unpacked, as much again as the numbers
         return found
 
-    return Table(file, arrow_headers(schema), rows, load, sha256=sha256_of(path))
+    return Table(file, arrow_headers(schema), rows, load)
 
 
 def parquet_parts(path: Path, file: str, rows: int) -> Iterator[tuple[pa.RecordBatch, Table]]:
@@ -95,9 +95,8 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
     import h5py  # a tenth of a second that only NetCDF needs
 
     with as_format(file, "NetCDF-4"), h5py.File(path) as hdf5:
-        hdf5.attrs.get(
-            "_nc3_strict"
-        )  # h5netcdf, failing at this, would print its own complaint later
+        # h5netcdf, failing at this, would print its own complaint later
+        hdf5.attrs.get("_nc3_strict")
         refuse_hdf5(hdf5, file, path.stat().st_size)
     with as_format(file, "NetCDF-4"), _dataset(path) as dataset:
         lines = {str(n): v for n, v in dataset.variables.items() if v.ndim == 1 and n != ROW}
@@ -109,18 +108,17 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
             )
         chosen = ROW if ROW in dimensions else next(iter(dimensions), "")
         names = [name for name, variable in lines.items() if variable.dims[0] == chosen]
-        refuse_many(file, len(names))
         rows = dataset.sizes.get(chosen, 0)
-        units = {name: lines[name].attrs.get("units") for name in names}
-    refuse_large(file, rows, len(names), max_bytes)
-    said = {name: None if unit is None else str(unit) for name, unit in units.items()}
-    headers = tuple(Header.parse(named_back(name), said[name]) for name in names)
+        refuse_large(file, rows, len(names), max_bytes)
+        units = [lines[name].attrs.get("units") for name in names]
+    said = (None if unit is None else str(unit) for unit in units)
+    headers = tuple(map(Header.parse, map(named_back, names), said))
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
         with as_format(file, "NetCDF-4"), _dataset(path) as dataset:
             return {p: cells_of(dataset[names[p]].values, number) for p, number in wanted.items()}
 
-    return Table(file, headers, rows, load, sha256=sha256_of(path))
+    return Table(file, headers, rows, load)
 
 
 def _dataset(path: Path) -> xr.Dataset:

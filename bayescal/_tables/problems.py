@@ -42,6 +42,10 @@ class Problem:
     places: tuple[str, ...] = ()
     sentence: str = ""
 
+    def at(self, rows: Sequence[int], place: Callable[[int], str]) -> Problem:
+        """The same problem of some readings, by their indices and what names their rows."""
+        return replace(self, rows=tuple(rows), places=tuple(map(place, rows[:_SHOWN])))
+
     @property
     def count(self) -> int:
         return max(len(self.rows), len(self.places))
@@ -88,12 +92,6 @@ class Problems(list[Problem]):
             yield
         except InputError as error:
             self += error.problems or [Problem(file, str(error), sentence=str(error))]
-
-    def of_rows(self, problem: Problem, rows: Sequence[int], place: Callable[[int], str]) -> None:
-        """Add a problem of some readings, if there are any."""
-        if len(rows):
-            places = tuple(place(int(i)) for i in rows[:_SHOWN])
-            self.append(replace(problem, rows=tuple(map(int, rows)), places=places))
 
 
 def option(name: str, value: str) -> str:

@@ -7,6 +7,7 @@ mbar; temperature in °C; device_id).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,16 +47,14 @@ def _sensor(topic: Any) -> tuple[Sensor, int]:
     if topic.name == "sensor_baro":
         pressure = np.asarray(topic.data["pressure"], float)
         name = f"{kind}_{topic.multi_id}" if topic.multi_id else kind
-        channels = {name: pressure}
-        units = {name: "mbar" if np.nanmedian(pressure) < IN_MBAR else unit}
+        channels = {name: (pressure, "mbar" if np.nanmedian(pressure) < IN_MBAR else unit)}
     else:
-        channels, units = triad(kind, unit, {a: topic.data[a] for a in AXES}, topic.multi_id)
+        channels = triad(kind, unit, (topic.data[axis] for axis in AXES), topic.multi_id)
     temperature = np.asarray(topic.data.get("temperature", np.nan), float)
     device = int(topic.data["device_id"][0]) if "device_id" in topic.data else 0
     return Sensor(
         time=np.asarray(topic.data["timestamp"], float) * 1e-6,
         channels=channels,
-        units=units,
         temperature=temperature if np.isfinite(temperature).any() else None,
         device=str(device) if device else None,
     ), device
@@ -75,12 +74,6 @@ def _with_temperature(
                 f"{topic.name} {topic.multi_id} logs no temperature; that of {other_topic.name} "
                 f"{other_topic.multi_id}, of the same device, stands for it"
             )
-            return Sensor(
-                time=sensor.time,
-                channels=sensor.channels,
-                units=sensor.units,
-                temperature=other.temperature[known],
-                temperature_time=other.time[known],
-                device=sensor.device,
-            )
+            taken, at = other.temperature[known], other.time[known]
+            return replace(sensor, temperature=taken, temperature_time=at)
     return sensor

@@ -10,6 +10,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -20,9 +22,7 @@ from bayescal._tables.problems import Problem
 ROW = "reading"  # the one dimension of readings
 FORMATS = (".csv", ".parquet", ".nc")  # that are written
 MOST_COLUMNS = 100_000
-LONGEST_NAME = (
-    1_000  # characters; a longer one is a row or a text, in which looking for a unit takes minutes
-)
+LONGEST_NAME = 1_000  # characters; looking for a unit in a longer one takes minutes
 
 
 def bytes_text(size: float) -> str:
@@ -119,6 +119,20 @@ class Table:
                     "meant cannot be told. Rename or remove all but one"
                 )
 
+    @classmethod
+    def of_columns(
+        cls,
+        file: str,
+        columns: Mapping[str, np.ndarray],
+        units: Mapping[str, str | None] = MappingProxyType({}),
+        **more: Any,
+    ) -> Table:
+        """A table of columns of one length: header → values; `units` are of headers that say none."""
+        headers = tuple(Header.parse(name, units.get(name)) for name in columns)
+        arrays = list(columns.values())
+        rows = len(arrays[0]) if arrays else 0
+        return cls(file, headers, rows, loads(arrays.__getitem__), **more)
+
     def take(self, rows: np.ndarray) -> Table:
         """The table of some of its rows, by index."""
 
@@ -167,6 +181,12 @@ def refuse_many(file: str, columns: int) -> None:
 
 
 def refuse_large(file: str, rows: int, columns: int, max_bytes: int) -> None:
+    """Refuse a table that is too wide, or takes too much memory.
+
+    Raises:
+        InputError: it is, or does.
+    """
+    refuse_many(file, columns)
     if (size := 8 * rows * columns) > max_bytes:
         raise InputError(
             f"{file!r} holds {rows} rows of {columns} columns, {bytes_text(size)} in memory; the "
@@ -186,12 +206,7 @@ def as_format(file: str, name: str) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        raise unreadable(file, name, error) from error
-
-
-def unreadable(file: str, name: str, error: Exception) -> InputError:
-    """The refusal of a file that made the library of its format raise this."""
-    first = (str(error).strip().splitlines() or [type(error).__name__])[0][:200].rstrip(".")
-    return InputError(
-        f"{file!r} cannot be read as {name}: {first}. Is it what its suffix says, and whole?"
-    )
+        first = (str(error).strip().splitlines() or [type(error).__name__])[0][:200].rstrip(".")
+        raise InputError(
+            f"{file!r} cannot be read as {name}: {first}. Is it what its suffix says, and whole?"
+        ) from error

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,49 +19,40 @@ class Sensor:
 
     Attributes:
         time: of the samples, s, (n,).
-        channels: name, such as "gyro_x", and "gyro_x_1" of a second one → values, (n,).
-        units: name → unit.
+        channels: name, such as "gyro_x", and "gyro_x_1" of a second one → values, (n,), and their unit.
         temperature: °C, (m,); None where the log has none for this sensor.
         temperature_time: when the temperature was sampled, s, (m,); None where with the channels.
         device: identifier of the device, as the log states it.
     """
 
     time: np.ndarray
-    channels: dict[str, np.ndarray]
-    units: dict[str, str]
+    channels: dict[str, tuple[np.ndarray, str]]
     temperature: np.ndarray | None = None
     temperature_time: np.ndarray | None = None
     device: str | None = None
 
 
-@dataclass(frozen=True)
-class LogColumns:
-    """Channels of a log as columns of one length.
-
-    Attributes:
-        columns: header, such as "gyro_x [rad/s]" → one value per sample: numbers, or labels.
-        notes: what was done to make them so, and what is odd about the log, each a sentence.
-    """
-
-    columns: dict[str, np.ndarray]
-    notes: tuple[str, ...] = field(default=())
-
-
-def triad(kind: str, unit: str, values: dict[str, np.ndarray], instance: int) -> tuple[dict, dict]:
-    """Channels and units of three axes.
+def triad(
+    kind: str, unit: str, values: Iterable[np.ndarray], instance: int
+) -> dict[str, tuple[np.ndarray, str]]:
+    """Channels of three axes.
 
     Args:
         kind: "gyro", "acc" or "mag".
         unit: of all three.
-        values: axis → values, (n,).
+        values: of x, y and z, (n,) each.
         instance: which sensor of its kind, from 0; the first has no number in its names.
     """
     number = f"_{instance}" if instance else ""
-    channels = {f"{kind}_{axis}{number}": np.asarray(v, float) for axis, v in values.items()}
-    return channels, dict.fromkeys(channels, unit)
+    return {
+        f"{kind}_{axis}{number}": (np.asarray(own, float), unit)
+        for axis, own in zip(AXES, values, strict=True)
+    }
 
 
-def columns_of(sensors: Collection[Sensor], chosen: Collection[str], file: str) -> LogColumns:
+def columns_of(
+    sensors: Collection[Sensor], chosen: Collection[str], file: str
+) -> tuple[dict[str, np.ndarray], list[str]]:
     """The chosen channels as columns, with time, temperature and what they are of.
 
     The rows are the samples of the chosen sensor that is sampled most slowly. Other sensors give
@@ -73,41 +64,48 @@ def columns_of(sensors: Collection[Sensor], chosen: Collection[str], file: str) 
         chosen: names of channels; what else is named here is left to the caller.
         file: its name in messages.
 
+    Returns:
+        Header, such as "gyro_x [rad/s]" → one value per sample, numbers or labels; and what was done to make them so,
+        each a sentence.
+
     Raises:
         InputError: no channel is chosen that the log has, or no row has all that is asked for.
     """
-    known = {name: sensor for sensor in sensors for name in sensor.channels}
-    wanted = [name for name in dict.fromkeys(chosen) if name in known]
+    holder = {name: sensor for sensor in sensors for name in sensor.channels}
+    wanted = [name for name in dict.fromkeys(chosen) if name in holder]
     if not wanted:
-        listed = ", ".join(known) or "none of a sensor that is read"
+        listed = ", ".join(holder) or "none of a sensor that is read"
         raise InputError(
             f"{file!r} is a log, and which of its channels to read is not said. It has: {listed}. "
             "Choose one: --columns output=gyro_x (in Python columns={'output': 'gyro_x'})"
         )
-    used = list({id(known[name]): known[name] for name in wanted}.values())
+    used = list({id(holder[name]): holder[name] for name in wanted}.values())
     base = max(used, key=lambda sensor: _step(sensor.time))
     kept, notes = _common(base, used, file), []
     time = base.time[kept]
     columns: dict[str, np.ndarray] = {"time [s]": time}
-    if base.temperature is not None:
-        columns["temperature [degC]"] = _temperature_at(base, kept)
-        if base.temperature_time is not None:
-            notes.append(
-                f"{file}: the temperature was sampled every {_step(base.temperature_time):.3g} s, and is "
-                f"interpolated to the times of {wanted[0]} (every {_step(base.time):.3g} s)"
-            )
+    if base.temperature is not None and (known := base.temperature_time) is not None:
+        columns["temperature [degC]"] = np.interp(time, known, base.temperature)
+        notes.append(
+            f"{file}: the temperature was sampled every {_step(known):.3g} s, and is "
+            f"interpolated to the times of {wanted[0]} (every {_step(base.time):.3g} s)"
+        )
+    elif base.temperature is not None:
+        columns["temperature [degC]"] = base.temperature[kept]
     if lost := len(base.time) - len(time):
         notes.append(f"{file}: {lost} samples left out: not all that was asked for was logged then")
     for name in wanted:
-        sensor = known[name]
-        at = kept if sensor is base else _nearest(sensor.time, time)
-        columns[f"{name} [{sensor.units[name]}]"] = sensor.channels[name][at]
+        sensor = holder[name]
+        halfway = 0.5 * (sensor.time[1:] + sensor.time[:-1])  # from one sample to the next
+        at = kept if sensor is base else np.searchsorted(halfway, time)
+        values, unit = sensor.channels[name]
+        columns[f"{name} [{unit}]"] = values[at]
     if len(used) > 1:
-        notes.append(f"{file}: rows at the times of {next(n for n in wanted if known[n] is base)}")
+        notes.append(f"{file}: rows at the times of {next(n for n in wanted if holder[n] is base)}")
     if len(wanted) == 1:
         labels = {"axis": wanted[0], "device": base.device}
         columns |= {k: np.full(len(time), v, object) for k, v in labels.items() if v is not None}
-    return LogColumns(columns, tuple(notes))
+    return columns, notes
 
 
 def _step(time: np.ndarray) -> float:
@@ -116,11 +114,7 @@ def _step(time: np.ndarray) -> float:
 
 
 def _common(base: Sensor, used: Collection[Sensor], file: str) -> np.ndarray:
-    """Which samples of `base` lie where everything was logged.
-
-    Raises:
-        InputError: none does.
-    """
+    """Which samples of `base` lie where everything was logged."""
     spans = [sensor.time for sensor in used]
     if base.temperature_time is not None:
         spans.append(base.temperature_time)
@@ -135,18 +129,3 @@ def _common(base: Sensor, used: Collection[Sensor], file: str) -> np.ndarray:
             "choose others, or log them together"
         )
     return kept
-
-
-def _temperature_at(sensor: Sensor, kept: np.ndarray) -> np.ndarray:
-    assert sensor.temperature is not None
-    if sensor.temperature_time is None:
-        return sensor.temperature[kept]
-    return np.interp(sensor.time[kept], sensor.temperature_time, sensor.temperature)
-
-
-def _nearest(time: np.ndarray, asked: np.ndarray) -> np.ndarray:
-    """Index of the sample nearest to each time asked for."""
-    right = np.clip(np.searchsorted(time, asked), 1, max(len(time) - 1, 1))
-    left = right - 1
-    right = np.minimum(right, len(time) - 1)
-    return np.where(asked - time[left] <= time[right] - asked, left, right)

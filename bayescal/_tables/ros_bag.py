@@ -14,12 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._tables.recorded import ACCELERATION, AXES, RATE, Sensor, triad
 
 IMU, TEMPERATURE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
-TRIADS = {"gyro": ("angular_velocity", RATE), "acc": ("linear_acceleration", ACCELERATION)}
 
 
 def read_bag(path: Path) -> tuple[list[Sensor], list[str]]:
@@ -41,11 +39,7 @@ def read_bag(path: Path) -> tuple[list[Sensor], list[str]]:
             rows[connection.topic].append(_row(message, connection.msgtype, at))
     sensors, notes = [], []
     for number, topic in enumerate(t for t in units if rows[t]):
-        near = max(
-            (t for t in thermometers if rows[t]),
-            key=partial(_shared, topic),
-            default=None,
-        )
+        near = max((t for t in thermometers if rows[t]), key=partial(_shared, topic), default=None)
         sensors.append(_sensor(np.array(rows[topic]), number, rows.get(near or "")))
         name = f"gyro_x{f'_{number}' if number else ''} and its like"
         notes.append(f"{name} are of the topic {topic}" + (f", temperature of {near}" * bool(near)))
@@ -53,11 +47,7 @@ def read_bag(path: Path) -> tuple[list[Sensor], list[str]]:
 
 
 def _refuse_views(path: Path) -> None:
-    """Refuse a data base in which something else than a table stands where messages do: a view may never end.
-
-    Raises:
-        InputError: there is one.
-    """
+    """Refuse a data base in which something else than a table stands where messages do: a view may never end."""
     with closing(
         sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
     ) as base:
@@ -66,7 +56,7 @@ def _refuse_views(path: Path) -> None:
         )
         names = [str(name) for (name,) in told]
     if names:
-        raise InputError(
+        raise ValueError(
             f"{one_line(names[0])} in it is no table of messages, as a recorder writes"
         )
 
@@ -82,18 +72,17 @@ def _row(message: Any, kind: str, at: int) -> tuple[float, ...]:
     time = stamp.sec + stamp.nanosec * 1e-9 or at * 1e-9
     if kind == TEMPERATURE:
         return time, message.temperature
-    return time, *(getattr(getattr(message, f), a) for f, _ in TRIADS.values() for a in AXES)
+    vectors = (message.angular_velocity, message.linear_acceleration)
+    return time, *(getattr(vector, axis) for vector in vectors for axis in AXES)
 
 
 def _sensor(rows: np.ndarray, number: int, temperature: list[tuple[float, ...]] | None) -> Sensor:
     rows = rows[np.argsort(rows[:, 0], kind="stable")]  # the order of the headers, not of arrival
-    channels: dict[str, np.ndarray] = {}
-    units: dict[str, str] = {}
-    for k, (kind, (_, unit)) in enumerate(TRIADS.items()):
-        values = {axis: rows[:, 1 + 3 * k + i] for i, axis in enumerate(AXES)}
-        more, their = triad(kind, unit, values, number)
-        channels, units = channels | more, units | their
+    time, *values = rows.T
+    channels = triad("gyro", RATE, values[:3], number) | triad(
+        "acc", ACCELERATION, values[3:], number
+    )
     if not temperature:
-        return Sensor(rows[:, 0], channels, units)
+        return Sensor(time, channels)
     known = np.array(sorted(temperature))
-    return Sensor(rows[:, 0], channels, units, known[:, 1], known[:, 0])
+    return Sensor(time, channels, known[:, 1], known[:, 0])

@@ -8,17 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._tables.header_rows import LOOKED_AT, header_rows
-from bayescal._tables.raw_table import (
-    Header,
-    Table,
-    as_format,
-    loads,
-    refuse_large,
-    refuse_many,
-)
+from bayescal._tables.raw_table import Header, Table, as_format, loads, refuse_large
 from bayescal._tables.unpacked import refuse_hdf5, refuse_matlab, refuse_zip
 
 
@@ -50,26 +42,21 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
             book.close()
     others = f", the first of {len(sheets)}" if len(sheets) > 1 else ""
     notes = (f"{file}: read from the sheet {sheet.title!r}{others}",) if others else ()
-    return _of_rows(path, file, rows, notes)
+    return _of_rows(file, rows, notes)
 
 
 class SheetRow(NamedTuple):
-    """The cells of a row that are not empty: its number, and their columns and values."""
+    """A row of a sheet: its number, and by their columns the cells that are not empty."""
 
     number: int
-    columns: tuple[int, ...]
-    values: tuple[Any, ...]
+    cells: dict[int, Any]
 
 
 def _rows_of(sheet: Any, file: str, max_bytes: int) -> list[SheetRow]:
-    """The rows of a sheet that hold something, whatever size it states, in the order of their numbers.
-
-    Raises:
-        InputError: a row stands twice, or there are more cells than may be held.
-    """
+    """The rows of a sheet that hold something, whatever size it states, in the order of their numbers."""
     from openpyxl.worksheet._reader import WorkSheetParser
 
-    book, found, alike, cells = sheet.parent, dict[int, SheetRow](), dict[tuple, tuple](), 0
+    book, found, cells = sheet.parent, dict[int, SheetRow](), 0
     with sheet._get_source() as source:
         parser = WorkSheetParser(
             source,
@@ -80,32 +67,25 @@ def _rows_of(sheet: Any, file: str, max_bytes: int) -> list[SheetRow]:
             timedelta_formats=book._timedelta_formats,
         )
         for number, given in parser.parse():
-            filled = [(c["column"], c["value"]) for c in given if _there(c["value"])]
+            filled = [(c["column"], c["value"]) for c in given if _text(c["value"]).strip()]
             if not filled:
                 continue
-            there = dict(filled)
-            if number in found or len(there) < len(filled):
+            own = dict(filled)
+            if number in found or len(own) < len(filled):
                 raise InputError(
                     f"{file!r}, sheet {sheet.title!r}: row {number}, or a cell in it, stands there twice, and which is "
                     "meant cannot be told. Open it and save it again"
                 )
-            columns = tuple(there)
-            columns = alike.setdefault(columns, columns)
-            found[number] = SheetRow(number, columns, tuple(there.values()))
-            cells += len(columns)
+            found[number] = SheetRow(number, own)
+            cells += len(own)
             refuse_large(file, cells, 1, max_bytes)
     return [found[number] for number in sorted(found)]
 
 
-def _of_rows(path: Path, file: str, rows: Sequence[SheetRow], notes: tuple[str, ...]) -> Table:
+def _of_rows(file: str, rows: Sequence[SheetRow], notes: tuple[str, ...]) -> Table:
     """A table of rows of cells: the first that is as wide as the readings names the columns."""
-    width = max(max(row.columns) for row in rows)
-
-    def said(row: SheetRow) -> list[str]:
-        own = dict(zip(row.columns, row.values, strict=True))
-        return [_said(own.get(position + 1)) for position in range(width)]
-
-    told = [said(row) for row in rows[:LOOKED_AT]]
+    width = max(max(row.cells) for row in rows)
+    told = [[_text(row.cells.get(i + 1)) for i in range(width)] for row in rows[:LOOKED_AT]]
     found = next((h for i in range(len(told)) if (h := header_rows(told, i))), None)
     first, last, names = found or (0, 0, told[0])
     data = rows[last + 1 :]
@@ -115,41 +95,29 @@ def _of_rows(path: Path, file: str, rows: Sequence[SheetRow], notes: tuple[str, 
     if last > first:
         notes = (*notes, f"{file}: its units are taken from row {rows[last].number}")
     names = [*names, *[""] * (width - len(names))]
-    places: dict[tuple[int, ...], dict[int, int]] = {}
-    for row in data:
-        if row.columns not in places:
-            places[row.columns] = {column: at for at, column in enumerate(row.columns)}
 
-    def column(position: int) -> list[Any]:
-        at = ((row, places[row.columns].get(position + 1)) for row in data)
-        return [None if i is None else row.values[i] for row, i in at]
+    def column(position: int) -> np.ndarray:
+        values = np.empty(len(data), dtype=object)
+        for i, row in enumerate(data):
+            value = row.cells.get(position + 1)
+            values[i] = _text(value) if hasattr(value, "isoformat") else value
+        return values
 
     return Table(
         file=file,
         headers=tuple(map(Header.parse, names)),
         rows=len(data),
-        load=loads(lambda position: _objects(column(position))),
-        sha256=sha256_of(path),
+        load=loads(column),
         place=lambda index: f"row {data[index].number}",
         notes=notes,
     )
 
 
-def _said(value: Any) -> str:
+def _text(value: Any) -> str:
+    """A cell as text; dates and times as in any other file."""
     if value is None:
         return ""
     return value.isoformat() if hasattr(value, "isoformat") else str(value)
-
-
-def _there(value: Any) -> bool:
-    return value is not None and str(value).strip() != ""
-
-
-def _objects(values: Sequence[Any]) -> np.ndarray:
-    """Cells of whatever kind; dates and times as text, which is read as in any other file."""
-    found = np.empty(len(values), dtype=object)
-    found[:] = [v.isoformat() if hasattr(v, "isoformat") else v for v in values]
-    return found
 
 
 def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
@@ -166,23 +134,19 @@ def open_matlab(path: Path, file: str, max_bytes: int) -> Table:
         with path.open("rb") as handle:
             old = b"MATLAB 7.3" not in handle.read(128)
         found = _variables(path, file) if old else _variables_of_hdf5(path, file)
-    columns = {
-        name: vector for key, value in found.items() for name, vector in _vectors(key, value)
-    }
+    columns = dict(pair for key, value in found.items() for pair in _vectors(key, value))
     lengths = {len(vector) for vector in columns.values()} - {1}
     if len(lengths) != 1:
         sizes = ", ".join(f"{name} ({len(vector)})" for name, vector in columns.items()) or "none"
         raise InputError(
             f"{file!r} holds vectors of {len(lengths) or 'no'} lengths, and which are its readings cannot be told: "
-            f"{sizes}. "
-            "Save those of one length, as numbers or text (tables and timetables by table2struct(T, ToScalar=true))"
+            f"{sizes}. Save those of one length, as numbers or text (tables and timetables by table2struct(T, "
+            "ToScalar=true))"
         )
     rows = lengths.pop()
     kept = {name: vector for name, vector in columns.items() if len(vector) == rows}
-    refuse_many(file, len(kept))
     refuse_large(file, rows, len(kept), max_bytes)
-    load = loads(list(kept.values()).__getitem__)
-    return Table(file, tuple(map(Header.parse, kept)), rows, load, sha256=sha256_of(path))
+    return Table.of_columns(file, kept)
 
 
 def _variables(path: Path, file: str) -> dict[str, Any]:

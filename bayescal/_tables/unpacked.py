@@ -104,7 +104,7 @@ def refuse_hdf5(opened: Any, file: str, size: int) -> None:
 # Matrices in a MATLAB file up to 7.2 ("MAT-File Format", The MathWorks, 1999 to 2024, chapter 1).
 _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _OBJECT, _FUNCTION, _OPAQUE = 1, 2, 3, 16, 17
-_TEXT, _SPARSE, _COMPLEX = 4, 5, 0x800
+_SPARSE, _COMPLEX = 5, 0x800
 _HOLDS_OTHERS = (_CELL, _STRUCT, _OBJECT, _FUNCTION, _OPAQUE)
 
 
@@ -135,7 +135,7 @@ def refuse_matlab(path: Path, file: str) -> None:
                 handle.seek(length, 1)
                 continue
             if data:
-                _refuse_deep(data, order, file)
+                _end_of_matrix(data, 0, len(data), order, file)
 
 
 def _inflated(packed: bytes, file: str, size: int, before: int) -> Iterator[bytes]:
@@ -166,52 +166,34 @@ def _element(data: bytes, at: int, order: str) -> tuple[int, int, int, int]:
     return kind, at + 8, length, at + 8 + (length if kind == _MATRIX else -(-length // 8) * 8)
 
 
-def _refuse_deep(data: bytes, order: str, file: str) -> None:
-    """Walk through matrices in each other, without recursion; each must hold what it states, and end where it says.
+def _end_of_matrix(data: bytes, at: int, limit: int, order: str, file: str, depth: int = 0) -> int:
+    """Walk through a matrix and those in it; each must hold what it states, and end where it says.
 
     Raises:
         InputError: they are nested deeper than any.
-        ValueError, struct.error: they contradict themselves.
+        ValueError, struct.error: they contradict themselves: their reader would go on behind them.
     """
-    stack: list[list[int]] = []  # of each matrix around: what it still holds, and where it ends
-    at, left = 0, 1
-    while left or stack:
-        if not left:
-            left, end = stack.pop()
-            if at != end:
-                raise ValueError("a cell or structure does not end where it says")
-            continue
-        kind, begin, length, after = _element(data, at, order)
-        if kind != _MATRIX or after > (stack[-1][1] if stack else len(data)):
-            raise ValueError("a cell or structure holds something else than it says")
-        left -= 1
-        if not length:
-            at = after
-            continue
-        if _class_of(data[at : at + 24], order) not in _HOLDS_OTHERS:
-            _refuse_torn(data, begin, after, order)
-            at = after
-            continue
-        if len(stack) >= DEEPEST:
+    kind, begin, length, end = _element(data, at, order)
+    if kind != _MATRIX or end > limit:
+        raise ValueError("a cell or structure holds something else than it says")
+    if not length:
+        return end
+    flags = struct.unpack_from(f"{order}I", data, begin + 8)[0]
+    if flags & 0xFF in _HOLDS_OTHERS:
+        if depth >= DEEPEST:
             raise InputError(
                 f"{file!r} has cells or structures in each other deeper than {DEEPEST}: save the readings as CSV"
             )
-        stack.append([left, after])
-        left, at = _held(data, begin, after, order)
-
-
-def _refuse_torn(data: bytes, at: int, end: int, order: str) -> None:
-    """A matrix of numbers or text has the parts of its kind, and they fill it: else its reader would go on behind it.
-
-    Raises:
-        ValueError: it has not.
-    """
-    flags = struct.unpack_from(f"{order}I", data, at + 8)[0]
-    parts = 3 + {_TEXT: 1, _SPARSE: 3}.get(flags & 0xFF, 1) + bool(flags & _COMPLEX)
-    for _ in range(parts):
-        *_, at = _element(data, at, order)
+        count, at = _held(data, begin, end, order)
+        for _ in range(count):
+            at = _end_of_matrix(data, at, end, order, file, depth + 1)
+    else:  # numbers or text: the parts of its kind
+        at = begin
+        for _ in range(3 + {_SPARSE: 3}.get(flags & 0xFF, 1) + bool(flags & _COMPLEX)):
+            *_, at = _element(data, at, order)
     if at != end:
-        raise ValueError("a matrix within a cell or structure is not as long as it says")
+        raise ValueError("a cell or structure, or what it holds, does not end where it says")
+    return end
 
 
 def _held(data: bytes, at: int, end: int, order: str) -> tuple[int, int]:

@@ -22,9 +22,9 @@ from bayescal._core.atomic_file import netcdf_bytes, replacing_for_user
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_line
 from bayescal._data.column import Column, ConvertedColumns, NominalScale, Source
-from bayescal._data.column_conversion import convert_columns, kept_table
+from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import problems_of_whole
-from bayescal._data.header_matching import matched
+from bayescal._data.header_matching import MatchedFile
 from bayescal._data.measurements import assemble, of_columns
 from bayescal._data.read_options import ReadOptions
 from bayescal._tables.csv_reader import csv_parts
@@ -105,9 +105,8 @@ class _FileCompensation:
             )
         converted = convert_columns(table, self.expected, self.options)
         source = Source(table.file, table.sha256, table.rows)
-        there = kept_table(table, converted)
-        problems_of_whole([there], converted, self.expected, True).refuse()
-        self.done.flags = assemble([there], converted, self.expected, (source,)).flags
+        problems_of_whole(converted, self.expected, True).refuse()
+        self.done.flags = assemble(converted, self.expected, (source,)).flags
         self.all = self._compensated(table, converted)
 
     def _compensated(self, table: Table, converted: ConvertedColumns) -> Compensated:
@@ -204,7 +203,8 @@ def _names(
 ) -> tuple[str, tuple[str, str]]:
     """The output's header in the file, and the names of the columns to add."""
     problems = Problems(table.problems)
-    table, places = matched(table, expected, options, problems)
+    file = MatchedFile(table, expected, options, problems)
+    table, places = file.table, file.positions
     problems.refuse()
     if "output" not in places:
         raise InputError(

@@ -7,8 +7,7 @@ import re
 from dataclasses import dataclass
 
 from bayescal._core.errors import InputError
-from bayescal._data.unit_conversion import check_unit
-from bayescal._data.unit_parsing import normalised
+from bayescal._data.unit_parsing import normalised, parse
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = rf"(?P<low>{_NUMBER})\s*(?:\.\.|…|to\b)\s*(?P<high>{_NUMBER})"
@@ -113,7 +112,7 @@ def _unit(said: str, text: str) -> str:
     if not unit:
         return ""
     try:
-        check_unit(unit)
+        parse(unit)
     except InputError as error:
         raise InputError(f"limit {text!r}: {error}") from None
     return normalised(unit)

@@ -139,8 +139,10 @@ def test_runs_by_date_share_one_clock(put):
     m = read([second, first], GYRO)
     np.testing.assert_array_equal(m["time"], [*(TIME + 86400), *TIME])
     assert m.groups("run")[0] == ("two", "one")
-    with pytest.raises(InputError, match=r"'one\.csv' has dates .* 't\.csv' has none"):
-        read([first, put(text())], GYRO)
+    timeless = put(text(HEAD[1:], (TEMPERATURE, RATE)), "timeless.csv")
+    for files in ([first, put(text())], [timeless, first, put(text())]):
+        with pytest.raises(InputError, match=r"'one\.csv' has dates .* 't\.csv' has none"):
+            read(files, GYRO)
 
 
 # --- what is said --------------------------------------------------------------------------------

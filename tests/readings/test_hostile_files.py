@@ -44,6 +44,13 @@ READ = {
     "units in round brackets": Good(text(("Time (s)", "Temp (°C)", "Output (°/s)"))),
     "C for °C": Good(text(("time [s]", "temperature [C]", "output [deg/s]"))),
     "units behind a slash": Good(text(("t/s", "T/°C", "output/(deg/s)"))),
+    "quantities over units": Good(
+        text(("t/ms", "T/°C", "ω/(°/s)"), (1e3 * TIME, TEMPERATURE, RATE)), {"columns": {"output": "ω/(°/s)"}}
+    ),
+    "Windows, decimal commas": Good(
+        text(("Time [s]", "Temperature [°C]", "Rate [°/s]"), separator=";", decimal=",").encode("cp1252"),
+        {"columns": {"output": "Rate"}},
+    ),
     "units behind underscores": Good(
         text(("t_s", "Temp_C", "gyro_z_dps")), {"columns": {"output": "gyro_z_dps"}}
     ),

@@ -1,4 +1,4 @@
-"""Twenty files as instruments and programs export them: read, or refused once with the options that cure it."""
+"""Files as instruments and programs export them: read, or refused once with the options that cure it; and fitted."""
 
 from __future__ import annotations
 
@@ -11,16 +11,27 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+import bayescal as bc
 from bayescal._cli.options import ColumnOptions, with_groups
 from bayescal._core.errors import InputError
 from bayescal._data.read import read
+from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import mems_gyro
-from tests.support.lab_files import RATE, TEMPERATURE, TIME, lab_exports
+from tests.support.lab_files import (
+    RATE,
+    TEMPERATURE,
+    TIME,
+    lab_exports,
+    spaced,
+    text,
+    when,
+    with_cell,
+)
 
 EXPORTS = lab_exports()
 
 
-def options_of(text: str) -> dict[str, object]:
+def options_of(said: str) -> dict[str, object]:
     """Options as the command line hands them to `read`."""
     found: list[dict[str, object]] = []
     app = typer.Typer()
@@ -30,7 +41,7 @@ def options_of(text: str) -> dict[str, object]:
     def taken(columns: ColumnOptions) -> None:
         found.append(columns.for_read())
 
-    assert CliRunner().invoke(app, shlex.split(text)).exit_code == 0
+    assert CliRunner().invoke(app, shlex.split(said)).exit_code == 0
     return found[0]
 
 
@@ -57,3 +68,30 @@ def test_it_is_read_with_at_most_one_refusal_that_names_its_cure(put, name) -> N
     np.testing.assert_allclose(readings["time"], TIME, atol=2e-6)
     np.testing.assert_allclose(readings["temperature"], TEMPERATURE, rtol=1e-12)
     np.testing.assert_allclose(readings["output"], RATE, rtol=1e-12, atol=1e-12)
+
+
+def test_a_calibration_does_not_depend_on_how_its_file_is_written(put):
+    noisy = RATE + 0.01 * np.sin(7 * TIME)
+    head = ("t_s", "Temp_C", "gyro_z_dps")
+    found = []
+    files: tuple[tuple[str, dict[str, Any]], ...] = (
+        (text(columns=(TIME, TEMPERATURE, noisy)), {}),
+        (text(head, (TIME, TEMPERATURE, noisy)), {"columns": {"output": "gyro_z_dps"}}),
+        (text(("Timestamp", "T/K", "output_rads"), (when(spaced), TEMPERATURE + 273.15, np.radians(noisy))), {}),
+    )  # fmt: skip
+    for content, options in files:
+        readings = read(put(content), mems_gyro.INSTRUMENT, **options)
+        line = bc.fit(mems_gyro.INSTRUMENT.baseline(), readings, bc.LeastSquares())
+        names = ("bias.constant", "bias.temperature", "noise.white")
+        found.append([float(line.samples(name).mean()) for name in names])
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
+    np.testing.assert_allclose(found[2], found[0], rtol=1e-6)
+
+
+def test_a_dropped_row_is_a_gap_to_rates(put):
+    spoilt = with_cell(5, 2, "", with_cell(6, 2, "NaN"))
+    m = read(put(spoilt), mems_gyro.INSTRUMENT, missing="drop")
+    assert len(m) == len(TIME) - 2
+    frame = build_frame(m, reference_of(m))
+    assert frame.step.tolist().count(30.0) == 1  # s, over the gap
+    np.testing.assert_allclose(np.asarray(frame.rates["temperature"])[1:], 0.125, rtol=1e-9)

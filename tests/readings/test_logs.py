@@ -150,15 +150,15 @@ def test_channels_of_several_sensors_stand_at_the_times_of_the_slowest() -> None
     random = np.random.default_rng(4)
     noise = random.standard_normal(len(fast))
     sensors = [
-        Sensor(fast, {"gyro_x": noise}, {"gyro_x": "rad/s"}),
-        Sensor(slow, {"acc_x": slow**2}, {"acc_x": "m/s^2"}, temperature=slow),
+        Sensor(fast, {"gyro_x": (noise, "rad/s")}),
+        Sensor(slow, {"acc_x": (slow**2, "m/s^2")}, temperature=slow),
     ]
-    found = columns_of(sensors, ["gyro_x", "acc_x"], "t.ulg")
-    np.testing.assert_array_equal(found.columns["time [s]"], slow)
-    np.testing.assert_array_equal(found.columns["acc_x [m/s^2]"], slow**2)
-    taken = found.columns["gyro_x [rad/s]"]
+    columns, notes = columns_of(sensors, ["gyro_x", "acc_x"], "t.ulg")
+    np.testing.assert_array_equal(columns["time [s]"], slow)
+    np.testing.assert_array_equal(columns["acc_x [m/s^2]"], slow**2)
+    taken = columns["gyro_x [rad/s]"]
     assert set(taken) <= set(noise) and len(set(taken)) == len(slow)  # single samples, none twice
-    assert found.notes == ("t.ulg: rows at the times of acc_x",)
+    assert notes == ["t.ulg: rows at the times of acc_x"]
 
 
 @pytest.mark.parametrize(("size", "unit"), [(1.0, "Pa"), (0.01, "mbar")], ids=["Pa", "mbar"])

@@ -89,17 +89,6 @@ def test_comments_blank_lines_and_quotes_leave_row_numbers_right(put):
     refused(put(text + "c,0,x,3\n"), r"row 10 of 't\.csv', column 'temperature \[degC\]'")
 
 
-@pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_byte_order_mark_and_line_ends_do_not_matter(put, end):
-    text = "\ufeff" + "temperature [°C],output [°/s]\n20,1\n30,2\n".replace("\n", end)
-    assert read(put(text), GYRO)["temperature"].tolist() == [20, 30]
-
-
-@pytest.mark.parametrize("separator", [";", "\t"])
-def test_semicolons_and_tabs_separate_as_well(put, separator):
-    assert read(put(GOOD.replace(",", separator)), GYRO)["output"].tolist() == [1.5, 1.6, 1.8]
-
-
 def test_an_empty_temperature_point_is_a_ramp(put):
     text = "temperature_point [degC],temperature [degC],output [deg/s]\n20,20,1\n,25,2\nnan,30,3\n"
     m = read(put(text), GYRO)
@@ -116,7 +105,7 @@ def test_an_optional_column_without_content_is_left_out(put):
 
 
 def test_many_rows_are_checked_in_stretches(put, monkeypatch):
-    monkeypatch.setattr("bayescal._tables.csv_scan._BLOCK", 64)
+    monkeypatch.setattr("bayescal._tables.csv_reader._BLOCK", 64)
     monkeypatch.setattr("bayescal._tables.csv_reader._ROWS", 7)
     rows = [f"a,{i},{20 + i % 5},{i / 8}" for i in range(100)]
     m = read(put(HEAD + "\n".join(rows)), GYRO)

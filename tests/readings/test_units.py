@@ -13,13 +13,13 @@ from bayescal._core.errors import InputError
 from bayescal._data.header_reading import unit_in
 from bayescal._data.unit_conversion import (
     base_unit,
-    check_unit,
     coefficient_factor,
     convert,
     needs_gravity,
     pretty,
     same_dimension,
 )
+from bayescal._data.unit_parsing import parse
 
 FAMILIES = [
     ("s", "ms", "min", "h", "day"),
@@ -152,7 +152,7 @@ def test_conversion_and_coefficient_agree(unit):
 )
 def test_people_spell_units_in_many_ways(spellings):
     for spelling in spellings:
-        check_unit(spelling)
+        parse(spelling)
         assert same_dimension(spelling, spellings[0])
         assert convert(7.0, spelling, spellings[0]) == pytest.approx(7.0, rel=1e-14)
 
@@ -196,7 +196,7 @@ def test_units_are_shown_as_people_write_them(unit, shown):
 )
 def test_what_no_instrument_prescribes_is_kept_in_base_units(unit, base):
     assert base_unit(unit) == base
-    check_unit(base)
+    parse(base)
 
 
 @pytest.mark.parametrize(
@@ -221,7 +221,7 @@ def test_what_no_instrument_prescribes_is_kept_in_base_units(unit, base):
     ],
 )
 def test_what_is_no_unit_is_refused_in_words(unit, message):
-    for use in (check_unit, pretty, base_unit, lambda u: convert(1.0, u, "V")):
+    for use in (parse, pretty, base_unit, lambda u: convert(1.0, u, "V")):
         with pytest.raises(InputError, match=message):
             use(unit)
 
