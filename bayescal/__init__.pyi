@@ -66,12 +66,12 @@ from ._data.measurements import Measurements as Measurements
 # noise laws and priors
 from ._model.noise_law import Noise as Noise
 from ._model.noise_law import offered as offered
-from ._model.white_noise import White as White
-from ._model.heteroscedastic_noise import Heteroscedastic as Heteroscedastic
+from ._model.independent_noise import White as White
+from ._model.independent_noise import Heteroscedastic as Heteroscedastic
 from ._model.correlated_noise import OrnsteinUhlenbeck as OrnsteinUhlenbeck
 from ._model.summed_noise import SummedNoise as SummedNoise
-from ._model.student_t_noise import StudentT as StudentT
-from ._model.quantised_noise import Quantised as Quantised
+from ._model.independent_noise import StudentT as StudentT
+from ._model.independent_noise import Quantised as Quantised
 from ._model.prior import Flat as Flat
 from ._model.prior import Normal as Normal
 from ._model.prior import HalfNormal as HalfNormal

@@ -34,7 +34,8 @@ from bayescal._inference.programs import padded_length
 from bayescal._model.noise_law import LOG_2PI, WHITE
 from bayescal._model.noise_terms import FLAT, TERMS
 from bayescal._model.prior import HalfCauchy
-from bayescal._model.summed_noise import SummedNoise, filtered, of_means
+from bayescal._model.state_space import filtered, of_means
+from bayescal._model.summed_noise import SummedNoise
 
 Terms = tuple[str, ...]  # names of those of a sum, beside white noise
 LONG = 16_384  # readings, above which means of blocks are taken: the filter then takes a tenth of a second
@@ -54,17 +55,11 @@ TOGETHER = 16  # draws in one call
 
 
 class _Part(NamedTuple):
-    """Readings, or means of as many as said elsewhere, padded by runs of one row of zeros.
+    """Readings, or means of as many as said elsewhere, padded by runs of one row of zeros."""
 
-    Attributes:
-        table: what is integrated out, and the output (n, q + 1).
-        first: where runs begin (n,).
-        counted: 1 for rows that are there (n,).
-    """
-
-    table: Float[Any, "n q"]
-    first: Float[Any, "n"]
-    counted: Float[Any, "n"]
+    table: Float[Any, "n q"]  # what is integrated out, and the output
+    first: Float[Any, "n"]  # where runs begin
+    counted: Float[Any, "n"]  # 1 for rows that are there
 
 
 class RestNoise(NamedTuple):
@@ -106,18 +101,9 @@ class _AtRest(NamedTuple):
     def physical(self, terms: tuple[str, ...], own: dict[str, np.ndarray]) -> RestNoise:
         """Parameters in output units and seconds."""
         root = math.sqrt(self.step)
-        found = {}
-        for name, value in own.items():
-            factor = self.size
-            if name.endswith((".diffusion", ".walk")):
-                factor = self.size / root
-            elif name.endswith(ROUNDED):
-                factor = self.size * self.step
-            elif name.endswith(".time"):
-                factor = self.step
-            elif name.endswith(".place"):
-                factor = 1.0
-            found[name] = value * factor
+        factors = {"diffusion": self.size / root, "walk": self.size / root}
+        factors |= {ROUNDED: self.size * self.step, "time": self.step, "place": 1.0}
+        found = {n: v * factors.get(n.rpartition(".")[2], self.size) for n, v in own.items()}
         law = SummedNoise(self.step, self.longest * self.step, terms) if terms else None
         return RestNoise(terms, found, law)
 
@@ -199,9 +185,7 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
             f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is rounded "
             "more coarsely than its noise: record it with more digits"
         )
-    columns = np.zeros((len(output), len(rows)))
-    for k, r in enumerate(rows):
-        columns[r, k] = 1.0
+    columns = _levels(rows, len(output))
     if readings.has("temperature") and float(np.ptp(readings["temperature"])) > recording().stirred:
         t = np.asarray(readings["temperature"], float)
         t = 2 * (t - t.min()) / np.ptp(t) - 1
@@ -212,17 +196,13 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
         )
     table = np.column_stack([columns, (output - np.median(output)) / size])
     total = sum(len(r) for r in rows)
-    count = 1
-    while total / count > LONG:
-        count *= 2
+    count = 2 ** max(0, math.ceil(math.log2(total / LONG)))
     parts, counts = [], []
     if count > 1:
         runs_before, rows_of_means = len(rows), rows
         rows = _stretches(rows, LONG // STRETCHES)
         # Each stretch has a level of its own: as runs that begin anew, their levels would speak of the random walk.
-        levels = np.zeros((len(output), len(rows)))
-        for k, r in enumerate(rows):
-            levels[r, k] = 1.0
+        levels = _levels(rows, len(output))
         means, first = _means(np.column_stack([0 * levels, table]), rows_of_means, count)
         table = np.column_stack([levels, table])
         table[:, len(rows) : len(rows) + runs_before] = 0.0
@@ -240,6 +220,14 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
     variance, _ = overlapping(output / size, runs)
     made = _AtRest(tuple(parts), tuple(counts), size, runs.step, longest, runs.factors, variance)
     return made, notes
+
+
+def _levels(rows: Sequence[np.ndarray], size: int) -> np.ndarray:
+    """A column for each stretch of readings, 1 in it."""
+    columns = np.zeros((size, len(rows)))
+    for k, r in enumerate(rows):
+        columns[r, k] = 1.0
+    return columns
 
 
 def _means(
@@ -381,10 +369,8 @@ def _starts(
             values[f"noise.correlated{k}.place"] = float(ndtri(np.clip(part, 5e-4, 1 - 5e-4)))
             before = time
         for factor in (1.0, 0.3):
-            scaled = {
-                n: v * (factor if n not in (WHITE,) and not n.endswith((".time", ".place")) else 1)
-                for n, v in values.items()
-            }
+            kept = {n for n in values if n == WHITE or n.endswith((".time", ".place"))}
+            scaled = {n: v * (1 if n in kept else factor) for n, v in values.items()}
             yield np.array([float(p.coordinate(scaled[n])) for n, p in priors.items()])
 
 

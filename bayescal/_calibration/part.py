@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -81,17 +82,4 @@ def _frame(whole: Record, rows: np.ndarray) -> Frame:
     steps = np.diff(time, prepend=0.0)
     steps[np.diff(run, prepend=-1) != 0] = -1.0
 
-    def some(values: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: np.asarray(value)[rows] for name, value in values.items()}
-
-    frame = whole.frame
-    return Frame(
-        columns=some(frame.columns),
-        labels=some(frame.labels),
-        rates=some(frame.rates),
-        codes=some(frame.codes),
-        reference=dict(frame.reference),
-        order=place[order[kept]],
-        step=steps,
-        record=some(frame.record),
-    )
+    return jax.tree.map(np.asarray, whole.frame).reordered(rows, place[order[kept]], steps)

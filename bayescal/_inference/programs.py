@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jit import ALWAYS, QUICK, known
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Effect, matrix
 from bayescal._model.frame import Frame
 
 STEP = 1.25  # from one padded length to the next
@@ -108,7 +108,7 @@ class Leaves(NamedTuple):
 @program
 def fixed_columns(bases: tuple[Basis, ...], frame: Frame) -> list[Float[Array, "n k"]]:
     """Columns of effects without shapes, all in one program."""
-    return [Effect.matrix(*basis, frame, {}) for basis in bases]
+    return [matrix(*basis, frame, {}) for basis in bases]
 
 
 @program
@@ -118,7 +118,7 @@ def shaped_columns(
     """Columns (n, k) at some shapes and with columns of the readings moved, and their derivatives by these moves."""
 
     def at(moves):
-        return Effect.matrix(*basis, _moved(frame, moves), shapes)
+        return matrix(*basis, _moved(frame, moves), shapes)
 
     zero = {name: jnp.zeros_like(shift) for name, shift in moves.items()}
     slopes = {
@@ -142,7 +142,7 @@ def columns_along(basis: Basis, frame: Frame, shapes: ByName, moves: ByName) -> 
 
     def at(one):
         shapes, moves = one
-        return Effect.matrix(*basis, _moved(frame, moves), shapes)
+        return matrix(*basis, _moved(frame, moves), shapes)
 
     # A loop over the readings costs as much for many values as for one, where the memory allows.
     count = jax.tree.leaves((shapes, moves))[0].shape[0]
@@ -196,7 +196,7 @@ def columns_or_refusal(bases: tuple[Basis, ...], leaves: Leaves, frame: Frame) -
         return fixed_columns(bases, leaves)
     except ModelError:
         for basis in bases:
-            Effect.matrix(*basis, frame, {})
+            matrix(*basis, frame, {})
         raise
 
 

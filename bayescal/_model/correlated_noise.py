@@ -13,8 +13,9 @@ from scipy.linalg.lapack import dpttrf, dpttrs  # pyright: ignore[reportAttribut
 
 from bayescal._data import unit_conversion
 from bayescal._model.frame import Frame
-from bayescal._model.noise_law import WHITE, Noise, Parameters, known_variance, offered
+from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, own_variance
 from bayescal._model.prior import HalfCauchy, LogUniform, Positive, multiplied
+from bayescal._model.state_space import drawn, exponential, filtered, states_of
 
 DIFFUSION, CORRELATION_TIME = "noise.diffusion", "noise.correlated.time"
 SHORT = 1e-5  # correlation times, below which correlated noise is a random walk to as many digits
@@ -88,68 +89,23 @@ class OrnsteinUhlenbeck(Noise):
         return values[WHITE] ** 2 + step * values[DIFFUSION] ** 2
 
     def variance(self, parameters, frame):
-        return parameters[WHITE] ** 2 + known_variance(frame) + self.slow_variance(parameters)
+        return own_variance(parameters, frame) + self.slow_variance(parameters)
+
+    def _states(self, parameters: Parameters, frame: Frame) -> tuple[Any, ...]:
+        """Its one block; over which steps; and that readings show its state."""
+        h, time = jnp.maximum(frame.step, 0.0), parameters[CORRELATION_TIME]
+        return [exponential(time, self.slow_variance(parameters), h)], frame.step, np.ones(1)
 
     def whiten(self, columns, extra, parameters, frame):
-        """By the Kalman filter: each reading less what those before it in its run say of it.
-
-        With a = exp(−Δt/τ) the differences eₜ = yₜ − aₜ·yₜ₋₁ hold no memory but that of the white part of the reading
-        before, so that their covariance has three diagonals. The filter's variances are its pivots: pₜ of the
-        correlated part given the readings before, sₜ = pₜ + wₜ of the reading, pₜ₊₁ = qₜ₊₁ + a²·pₜ·wₜ/sₜ; and what is
-        new in a reading is zₜ = eₜ + aₜ·wₜ₋₁/sₜ₋₁·zₜ₋₁.
-        """
-        size, tau = self.slow_variance(parameters), parameters[CORRELATION_TIME]
-        white = parameters[WHITE] ** 2 + known_variance(frame) + extra
-        white = jnp.broadcast_to(white, (frame.size,))
-        first = frame.step < 0
-        h = jnp.where(first, 0.0, frame.step) / tau
-        carry = jnp.where(first, 0.0, jnp.exp(-h))
-        # What the process gains over a step: σ²·(1 − a²), by expm1, since over short steps a is all but one and
-        # digits cancel.
-        fresh = size * jnp.where(first, 1.0, -jnp.expm1(-2 * h))
-
-        def ahead(before, reading):
-            a, q, w_before = reading
-            made = q + a * a * before * w_before / (before + w_before)
-            return made, made
-
-        # At a run's first reading a = 0: nothing is carried over, and pₜ is the stationary variance σ².
-        white_before = jnp.concatenate([white[:1], white[:-1]])
-        start = jnp.asarray(size, dtype=float)
-        _, slow = jax.lax.scan(ahead, start, (carry, fresh, white_before), unroll=4)
-        total = slow + white
-        # The recursions for variances are the same for all columns, and run once; what is new then runs through each
-        # column. |Σ| is the product of the sₜ.
-        share = jnp.concatenate([jnp.zeros(1), carry[1:] * white[:-1] / total[:-1]])
-        before = jnp.concatenate([jnp.zeros_like(columns[:1]), columns[:-1]])
-
-        def further(last, reading):
-            kept, difference = reading
-            made = difference + kept * last
-            return made, made
-
-        nothing = jnp.zeros(columns.shape[1])
-        _, new = jax.lax.scan(further, nothing, (share, columns - carry[:, None] * before))
-        log_sd = 0.5 * jnp.log(total)
-        return new * jnp.exp(-log_sd)[:, None], log_sd
+        """By the Kalman filter: each reading less what those before it in its run say of it."""
+        states = states_of(*self._states(parameters, frame))
+        return filtered(states, own_variance(parameters, frame) + extra, columns)
 
     def sample(self, key: Array, mean, parameters, frame):
         of_white, of_slow = jax.random.split(key)
-        tau, first = parameters[CORRELATION_TIME], frame.step < 0
-        h = jnp.where(first, 0.0, frame.step) / tau
-        carry = jnp.where(first, 0.0, jnp.exp(-h))
-        fresh = jnp.where(first, 1.0, jnp.sqrt(-jnp.expm1(-2 * h)))
-        push = (
-            fresh * jnp.sqrt(self.slow_variance(parameters)) * jax.random.normal(of_slow, h.shape)
-        )
-
-        def advance(state, step):
-            state = step[0] * state + step[1]
-            return state, state
-
-        _, states = jax.lax.scan(advance, jnp.zeros(()), (carry, push))
-        own = jnp.sqrt(parameters[WHITE] ** 2 + known_variance(frame))
-        return mean + own * jax.random.normal(of_white, mean.shape) + states
+        slow = drawn(of_slow, *self._states(parameters, frame))
+        own = jnp.sqrt(own_variance(parameters, frame))
+        return mean + own * jax.random.normal(of_white, mean.shape) + slow
 
     def allan_variance(self, values, variance, factors, step):
         """White noise of variance σ² has σ²/m; the correlated part, s² times `allan_of_exponential`."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._core.jit import given
-from bayescal._model.effect import Effect, Shape
+from bayescal._model.effect import Effect, Shape, matrix
 from bayescal._model.static import static
 from bayescal._model.unknown_effect import (
     process_along,
@@ -64,7 +64,7 @@ def departure(
         given(_beside, curves[0], own, at, shares),
         coefficients=standard_normals(unit, terms),
         shapes=(Shape("length", "1", *lengths), amplitude),
-        weights=process_sizes(terms),
+        weights=given(process_sizes, terms),
         measure="amplitude",
         columns=of.columns,
         varies=of.varies,
@@ -84,7 +84,7 @@ def curves_along(of: Effect) -> Basis:
     """The process along an effect's covariate, as the placeholder for that covariate has it."""
     covariate = of.departs_along
     terms, _ = resolution(covariate in ("time", "elapsed"))
-    return process_along(covariate, terms), terms, f"unknown({covariate})"
+    return given(process_along, covariate, terms), terms, f"unknown({covariate})"
 
 
 def rounded(value: float) -> float:
@@ -96,4 +96,4 @@ def _beside(
     curves: Callable[..., Any], own: Basis, at: tuple[tuple[str, float], ...], shares: Rows, r: Any
 ) -> Any:
     """The process less what the effect's columns take of it; the same of whatever size."""
-    return curves(r) - Effect.matrix(*own, r, dict(at)) @ np.array(shares)  # pyright: ignore[reportArgumentType]
+    return curves(r) - matrix(*own, r, dict(at)) @ np.array(shares)

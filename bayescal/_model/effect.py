@@ -215,11 +215,7 @@ class Effect:
             )
 
     def __getstate__(self) -> dict[str, Any]:
-        """As pickle writes it: its functions by module and name.
-
-        Raises:
-            ModelError: one of them has no name that another process could import.
-        """
+        """As pickle writes it: its functions by module and name, if another process can import them."""
         for role in FUNCTIONS:
             if not importable(getattr(self, role)) and not written_by_value():
                 raise ModelError(
@@ -275,11 +271,9 @@ class Effect:
 
     def ranging(self, ranges: Mapping[str, tuple[float, float]]) -> Effect:
         """The effect with other plausible ranges of some shapes, name → (low, high)."""
-        shapes = (
-            replace(s, low=ranges[s.name][0], high=ranges[s.name][1]) if s.name in ranges else s
-            for s in self.shapes
-        )
-        return replace(self, shapes=tuple(shapes))
+        own = {s.name: (s.low, s.high) for s in self.shapes} | dict(ranges)
+        shapes = ((s, *own[s.name]) for s in self.shapes)
+        return replace(self, shapes=tuple(replace(s, low=a, high=b) for s, a, b in shapes))
 
     def coefficient_name(self, index: int) -> str:
         part = self.coefficients[index].part
@@ -295,24 +289,23 @@ class Effect:
             ModelError: the basis has another number of columns than there are coefficients.
         """
         own = {s.name: shapes[s.name] for s in self.column_shapes}
-        return self.matrix(self.basis, len(self.coefficients), self.name, frame, own)
+        return matrix(self.basis, len(self.coefficients), self.name, frame, own)
 
-    @staticmethod
-    def matrix(
-        basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"] | float],
-        count: int,
-        name: str,
-        frame: Frame,
-        shapes: dict[str, Float[Array, ""]],
-    ) -> Float[Array, "n p"]:
-        """`evaluate` of a basis by itself: with how many coefficients, and whose it is."""
-        columns = jnp.asarray(basis(frame, **shapes), dtype=float)
-        if columns.ndim < 2:
-            columns = jnp.broadcast_to(columns, (frame.size,))[:, None]
-        if columns.shape != (frame.size, count):
-            raise ModelError(
-                f"effect {name!r}: its basis returned shape {columns.shape}; with "
-                f"{count} coefficient(s) and {frame.size} readings it must return "
-                f"{(frame.size, count)}"
-            )
-        return columns
+
+def matrix(
+    basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"] | float],
+    count: int,
+    name: str,
+    frame: Frame,
+    shapes: Mapping[str, Any],
+) -> Float[Array, "n p"]:
+    """`Effect.evaluate` of a basis by itself: with how many coefficients, and whose it is."""
+    columns = jnp.asarray(basis(frame, **shapes), dtype=float)
+    if columns.ndim < 2:
+        columns = jnp.broadcast_to(columns, (frame.size,))[:, None]
+    if columns.shape != (frame.size, count):
+        raise ModelError(
+            f"effect {name!r}: its basis returned shape {columns.shape}; with {count} coefficient(s) and "
+            f"{frame.size} readings it must return {(frame.size, count)}"
+        )
+    return columns

@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.noise_law import in_time
 from bayescal._model.parameters import CoefficientBlock, Layout
@@ -107,10 +106,6 @@ def coefficients(
     return values
 
 
-def _shapes(effect: Effect, hyper: Values) -> Values:
-    return {s.name: hyper[effect.shape_name(s)] for s in effect.shapes}
-
-
 def _members(block: CoefficientBlock, frame: Frame) -> Float[Array, "n m"]:
     """Which member of its group each reading belongs to, as an indicator matrix."""
     per = block.coefficient.per
@@ -122,12 +117,19 @@ def _columns(
     blocks: Iterable[CoefficientBlock], frame: Frame, hyper: Values
 ) -> list[tuple[CoefficientBlock, Array]]:
     """The basis column of each block, in slot units per reported unit."""
-    found, matrix = [], None
-    for b in blocks:
-        if matrix is None or matrix[0] is not b.effect:
-            matrix = (b.effect, b.effect.evaluate(frame, _shapes(b.effect, hyper)))
-        found.append((b, matrix[1][:, b.index] * b.factor))
-    return found
+    found: dict[int, Array] = {}
+    return [(b, _matrix(b, frame, hyper, found)[:, b.index] * b.factor) for b in blocks]
+
+
+def _matrix(
+    block: CoefficientBlock, frame: Frame, hyper: Values, found: dict[int, Array]
+) -> Float[Array, "n p"]:
+    """The basis of a block's effect, computed once for all its blocks."""
+    effect = block.effect
+    if id(effect) not in found:
+        shapes = {s.name: hyper[effect.shape_name(s)] for s in effect.shapes}
+        found[id(effect)] = effect.evaluate(frame, shapes)
+    return found[id(effect)]
 
 
 def _sums(
@@ -204,14 +206,12 @@ def linearise(
     terms = {b.name: column for b, column in columns}
     free = [b for b in layout.blocks if b.place in ("x", "row")]
     slopes = slot_derivatives(layout, frame, values, hyper, tuple(sorted({b.slot for b in free})))
-    in_x, in_rows = [jnp.zeros((frame.size, 0))], [jnp.zeros((frame.size, 0))]
+    jacobian = {"x": [jnp.zeros((frame.size, 0))], "row": [jnp.zeros((frame.size, 0))]}
     for b in free:
         column = (slopes[b.slot] * terms[b.name])[:, None]
-        if b.place == "row":
-            in_rows.append(column)
-        else:
-            in_x.append(column if b.coefficient.per is None else column * _members(b, frame))
-    return Linearised(output, jnp.concatenate(in_x, 1), jnp.concatenate(in_rows, 1))
+        alone = b.coefficient.per in (None, "reading")
+        jacobian[b.place].append(column if alone else column * _members(b, frame))
+    return Linearised(output, *(jnp.concatenate(parts, 1) for parts in jacobian.values()))
 
 
 def log_likelihood(
@@ -255,5 +255,4 @@ def effect_slope(
 ) -> Float[Array, "n"]:
     """∂μ by one member's coefficient of a block, as if every reading belonged to that member."""
     slope = slot_derivatives(layout, frame, values, hyper, (block.slot,))[block.slot]
-    basis = block.effect.evaluate(frame, _shapes(block.effect, hyper))
-    return slope * basis[:, block.index] * block.factor
+    return slope * _columns([block], frame, hyper)[0][1]

@@ -7,6 +7,7 @@ the mean time, the span, the start of every run): stored at the fit and never re
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -23,12 +24,9 @@ from bayescal._data.time_in_runs import causal_slope, first_times, run_codes, se
 
 configure_jax()
 
-GROUPS = (
-    "run",
-    "cell",
-    "axis",
-    "device",
-)  # that all readings have; an instrument's label columns are groups too
+# that all readings have; an instrument's label columns are groups too
+GROUPS = ("run", "cell", "axis", "device")
+BY_READING = ("columns", "labels", "rates", "codes", "record")  # of a frame: dictionaries of (n,)
 Reference = dict[str, float | dict[str, float]]
 
 
@@ -168,29 +166,20 @@ class Frame(eqx.Module):
         def some(values: Mapping[str, Any], wanted: Collection[str] = kept) -> dict[str, Any]:
             return {name: value for name, value in values.items() if name in wanted}
 
-        return Frame(
-            columns=some(self.columns),
-            labels={},
-            rates=some(self.rates),
-            codes={},
-            reference=some(self.reference, known),
-            order=self.order,
-            step=self.step,
-            record=some(self.record),
-        )
+        found = {name: some(getattr(self, name)) for name in ("columns", "rates", "record")}
+        reference = some(self.reference, known)
+        return replace(self, **found, labels={}, codes={}, reference=reference)
+
+    def reordered(self, rows: Any, order: Any, step: Any) -> Frame:
+        """These readings alone, in this order, with what is known of their time."""
+        found = {n: {k: a[rows] for k, a in getattr(self, n).items()} for n in BY_READING}
+        return replace(self, **found, order=order, step=step)
 
     def in_time(self) -> Frame:
         """The same readings in the order of time within runs, in which they then stand."""
-        order, size = self.order, self.size
-
-        def sorted_(values: Any) -> Any:
-            return values[order]
-
-        columns, labels, rates, codes, record = jax.tree.map(
-            sorted_, (self.columns, self.labels, self.rates, self.codes, self.record)
-        )
-        places = (jnp if isinstance(order, jax.Array) else np).arange(size, dtype=order.dtype)
-        return Frame(columns, labels, rates, codes, self.reference, places, self.step, record)
+        order = self.order
+        places = (jnp if isinstance(order, jax.Array) else np).arange(self.size, dtype=order.dtype)
+        return self.reordered(order, places, self.step)
 
     def with_column(self, name: str, values: Float[Array, "n"]) -> Frame:
         """The same readings with one measured column corrected (its rate stays that of the record)."""

@@ -14,11 +14,8 @@ from typing import TYPE_CHECKING, Any
 from jaxtyping import Array, Float
 
 import bayescal._model.correlated_noise  # the laws that there are: a search weighs them, files name them
-import bayescal._model.heteroscedastic_noise
-import bayescal._model.quantised_noise
-import bayescal._model.student_t_noise
-import bayescal._model.summed_noise
-import bayescal._model.white_noise  # noqa: F401
+import bayescal._model.independent_noise
+import bayescal._model.summed_noise  # noqa: F401
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.jit import importable, written_by_value
 from bayescal._data.column import Column, NominalScale
@@ -63,7 +60,6 @@ class Use:
     stimulus: str
     unit: str
     equation: Callable[[Float[Array, "n"], Slots, Frame], Float[Array, "n"]] | None = None
-
     slots: tuple[str, ...] = ()
 
 
@@ -118,26 +114,20 @@ class Instrument:
     settings: tuple[tuple[str, str | float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself.
-
-        Raises:
-            ModelError: units of an effect, its slot and its columns that do not agree, a clock in another unit than
-                seconds, a use of slots or columns that are not there.
-        """
+        """Refuse what contradicts itself: units that do not agree, a use of what is not there."""
         clock = next((c for c in self.columns if c.name == "time"), None)
         if clock is not None and clock.unit != "s":
             raise ModelError(
                 f"instrument {self.name!r}: its column 'time' is in [{clock.unit}]: declare it in [s], which lags and "
                 "times are in (a file may have its time in any unit)"
             )
-        places = {s.name for s in self.slots}
+        names = [s.name for s in self.slots]
         for effect in (*self.effects, *self.candidates):
             for coefficient in effect.coefficients:
-                if (coefficient.slot or effect.slot) in places:
+                if (coefficient.slot or effect.slot) in names:
                     factor_of(self, effect, coefficient)
         if self.use is None:
             return
-        names = [s.name for s in self.slots]
         for slot in self.use.slots:
             if slot not in names:
                 raise ModelError(
@@ -148,11 +138,7 @@ class Instrument:
             self.column(self.use.stimulus)
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """As pickle writes it: where its module holds it, and what differs from that.
-
-        Raises:
-            ModelError: no module holds an instrument of this name, and its functions cannot be imported.
-        """
+        """As pickle writes it: where its module holds it, and what differs from that."""
         module = self.response.__module__
         held = sys.modules.get(module)
         for name, value in vars(held).items() if held else ():
@@ -232,7 +218,16 @@ class Instrument:
         Raises:
             ModelError: there is no such slot.
         """
-        return slot_of(self, name)
+        for slot in self.slots:
+            if slot.name == name:
+                return slot
+        for c in self.columns:
+            if c.name == name and c.unit is not None and name != "output":
+                return Slot(name, "delta_degC" if c.unit == "degC" else c.unit, c.meaning)
+        raise ModelError(
+            f"instrument {self.name!r} has no slot {name!r}; an effect can add to "
+            f"{', '.join(s.name for s in self.slots)}, or correct a numeric column"
+        )
 
     def effect(self, name: str) -> Effect:
         """One of the instrument's own effects by canonical name, or "unknown(covariate)".
@@ -256,8 +251,8 @@ class Instrument:
     def shown_by(self, frame: Frame, more: Iterable[Effect] = ()) -> tuple[Effect, ...]:
         """Effects of the instrument, and some more, that these readings have the columns for."""
         known = {e.name: e for e in (*self.effects, *self.candidates, *more)}
-        there = {*frame.columns, *frame.codes, *(label.split("=")[0] for label in frame.labels)}
-        there.add("temperature_point")
+        labels = (label.split("=")[0] for label in frame.labels)
+        there = {*frame.columns, *frame.codes, *labels, "temperature_point"}
         return tuple(e for e in known.values() if there.issuperset(e.columns))
 
     def unknown(self, covariate: str) -> Effect:
@@ -300,19 +295,18 @@ def factor_of(instrument: Instrument, effect: Effect, coefficient: Coefficient) 
     Raises:
         ModelError: these units do not agree.
     """
-    declared = {c.name: c.unit for c in instrument.columns if c.unit not in (None, ANY)}
-    slot = slot_of(instrument, coefficient.slot or effect.slot)
-    labels = {*GROUPS, "temperature_point", *(c.name for c in instrument.columns)}
+    declared = {c.name: str(c.unit) for c in instrument.columns if c.unit not in (None, ANY)}
+    slot = instrument.slot(coefficient.slot or effect.slot)
+    known = {*GROUPS, "temperature_point", "time", "elapsed", *(c.name for c in instrument.columns)}
     named = {name: declared[name] for name in effect.columns if name in declared}
-    others = {name: unit for name, unit in declared.items() if name not in (*named, "output")}
-    shapes = tuple(s.unit for s in effect.shapes)
+    others = {unit for name, unit in declared.items() if name not in (*named, "output")}
     try:
         return basis_factor(
             coefficient.unit,
             slot.unit,
-            tuple(sorted({str(u) for u in named.values()})),
-            bool({*effect.columns} - labels - {"time", "elapsed"}),
-            (*shapes, *sorted({str(u) for u in others.values()})),
+            tuple(sorted({*named.values()})),
+            not known.issuperset(effect.columns),
+            (*(s.unit for s in effect.shapes), *sorted(others)),
         )
     except InputError as error:
         columns = ", ".join(f"{name} [{unit}]" for name, unit in named.items()) or "none"
@@ -321,19 +315,3 @@ def factor_of(instrument: Instrument, effect: Effect, coefficient: Coefficient) 
             "instrument declares, and coefficient × basis is in the unit of the slot: correct the unit of the "
             f"coefficient or of the column, or name in `columns` all that the basis takes (columns={effect.columns})"
         ) from None
-
-
-def slot_of(instrument: Instrument, name: str) -> Slot:
-    """`instrument.slot(name)`, where it is asked often: a bound method of a module takes it apart each time."""
-    for slot in instrument.slots:
-        if slot.name == name:
-            return slot
-    for column in instrument.columns:
-        if column.name == name and column.unit is not None and name != "output":
-            return Slot(
-                name, "delta_degC" if column.unit == "degC" else column.unit, column.meaning
-            )
-    raise ModelError(
-        f"instrument {instrument.name!r} has no slot {name!r}; an effect can add to "
-        f"{', '.join(s.name for s in instrument.slots)}, or correct a numeric column"
-    )

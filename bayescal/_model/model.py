@@ -15,7 +15,7 @@ from bayescal._data.unit_parsing import ANY
 from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.formula import require_units
 from bayescal._model.frame import GROUPS
-from bayescal._model.instrument import Instrument, factor_of, slot_of
+from bayescal._model.instrument import Instrument, factor_of
 from bayescal._model.noise_law import Noise
 from bayescal._model.prior import Normal
 from bayescal._model.static import static
@@ -42,7 +42,7 @@ class Model(Printed):
     def __post_init__(self) -> None:
         for effect in self.effects:
             for coefficient in effect.coefficients:
-                if slot_of(self.instrument, coefficient.slot or effect.slot).unit != ANY:
+                if self.instrument.slot(coefficient.slot or effect.slot).unit != ANY:
                     factor_of(self.instrument, effect, coefficient)
                 _require_group(self.instrument, effect, coefficient.per)
 
@@ -103,7 +103,7 @@ class Model(Printed):
                 f"effect {effect.name!r} is in the model already (it has: {', '.join(self.names)}); "
                 f"to replace it, take it away first: model - {effect.name!r}"
             )
-        return Model(self.instrument, (*self.effects, effect), self.noise, self.fixed)
+        return replace(self, effects=(*self.effects, effect))
 
     def __sub__(self, other: Effect | str) -> Model:
         """The model without an effect.
@@ -111,18 +111,12 @@ class Model(Printed):
         Raises:
             ModelError: it is not in the model.
         """
-        name = other if isinstance(other, str) else other.name
-        if name not in self.names:
-            raise ModelError(
-                f"effect {name!r} is not in the model; it has: {', '.join(self.names)}"
-            )
-        gone = next(e for e in self.effects if e.name == name)
-        lost = set(_unknowns(gone))
-        return Model(
-            self.instrument,
-            tuple(e for e in self.effects if e.name != name),
-            self.noise,
-            tuple((n, v) for n, v in self.fixed if n not in lost),
+        gone = self.effect(other if isinstance(other, str) else other.name)
+        lost = _unknowns(gone)
+        return replace(
+            self,
+            effects=tuple(e for e in self.effects if e.name != gone.name),
+            fixed=tuple((n, v) for n, v in self.fixed if n not in lost),
         )
 
     def effect(self, name: str) -> Effect:
@@ -132,7 +126,7 @@ class Model(Printed):
         raise ModelError(f"effect {name!r} is not in the model; it has: {', '.join(self.names)}")
 
     def with_noise(self, noise: Noise) -> Model:
-        return Model(self.instrument, self.effects, noise, self.fixed)
+        return replace(self, noise=noise)
 
     def fix(self, values: Mapping[str, float]) -> Model:
         """The model with some unknowns held at a value, in the unit in which each is reported.
@@ -145,15 +139,14 @@ class Model(Printed):
         self._refuse_unknown(values)
         noise = self.noise.parameters().items()
         scales = {n for n, prior in noise if not isinstance(prior, Normal)}
-        scales |= {n for e in self.effects for n in _positive(e)}
+        for e in self.effects:
+            scales |= {*_spreads(e), *(e.shape_name(s) for s in e.shapes if s.scale == "log")}
         for name, value in values.items():
             if not math.isfinite(value):
                 raise ModelError(f"{name!r} cannot be fixed to {value}: give a finite number")
             if name in scales and value <= 0:
                 raise ModelError(f"{name!r} cannot be fixed to {value}: give a positive number")
-        return Model(
-            self.instrument, self.effects, self.noise, tuple({**dict(self.fixed), **values}.items())
-        )
+        return replace(self, fixed=tuple({**dict(self.fixed), **values}.items()))
 
     def free(self, *names: str) -> Model:
         """The model with these unknowns (all, if none is named) estimated again.
@@ -162,8 +155,7 @@ class Model(Printed):
             ModelError: no unknown has that name.
         """
         self._refuse_unknown(names)
-        kept = tuple((n, v) for n, v in self.fixed if names and n not in names)
-        return Model(self.instrument, self.effects, self.noise, kept)
+        return replace(self, fixed=tuple((n, v) for n, v in self.fixed if names and n not in names))
 
     def resize(self, name: str, size: float) -> Model:
         """The model with another plausible size of an effect's first coefficient, in its unit; others in proportion.
@@ -176,13 +168,11 @@ class Model(Printed):
             stated = "; its own is taken from the readings, or flat" * (size > 0)
             raise ModelError(f"{name!r} cannot be given the plausible size {size}{stated}")
         # rounded, so that a saved size makes the same priors again
-        shares = [float(f"{c.size / first.size:.12g}") for c in effect.coefficients]
-        sized = [
-            _of_size(c, share * size) for c, share in zip(effect.coefficients, shares, strict=True)
-        ]
+        sized = (
+            _of_size(c, float(f"{c.size / first.size:.12g}") * size) for c in effect.coefficients
+        )
         made = replace(effect, coefficients=tuple(sized))
-        effects = tuple(made if e is effect else e for e in self.effects)
-        return Model(self.instrument, effects, self.noise, self.fixed)
+        return replace(self, effects=tuple(made if e is effect else e for e in self.effects))
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -246,11 +236,7 @@ Instrument.baseline = baseline  # a model has an instrument, which therefore can
 
 
 def _require_group(instrument: Instrument, effect: Effect, group: str | None) -> None:
-    """Refuse a coefficient for each member of a group that the instrument does not have.
-
-    Raises:
-        ModelError: it has none of that name.
-    """
+    """Refuse a coefficient for each member of a group that the instrument does not have."""
     if group is None or group in instrument.groups:
         return
     raise ModelError(
@@ -273,10 +259,6 @@ def _spreads(effect: Effect) -> list[str]:
     ]
 
 
-def _positive(effect: Effect) -> list[str]:
-    return [*_spreads(effect), *(effect.shape_name(s) for s in effect.shapes if s.scale == "log")]
-
-
 def _of_size(c: Coefficient, size: float) -> Coefficient:
     if c.group_sd is not None:
         return replace(c, group_sd=replace(c.group_sd, scale=size))
@@ -285,8 +267,7 @@ def _of_size(c: Coefficient, size: float) -> Coefficient:
 
 def testable(effect: Effect, readings: Measurements) -> str | None:
     """None if these readings can test the effect, else why not, for a person to read."""
-    missing = [c for c in effect.columns if not readings.has(c)]
-    if missing:
+    if missing := [c for c in effect.columns if not readings.has(c)]:
         return f"needs the column {', '.join(missing)}"
     for column in effect.varies:
         values = readings[column]

@@ -1,4 +1,4 @@
-"""What a noise law is: how readings scatter about the expected output. One class, one file; this is their interface.
+"""What a noise law is: how readings scatter about the expected output. One class each; this is their interface.
 
 A law owns its mathematics. It says its parameters with their priors and units, and in JAX, differentiable by all of
 them: the variance of each reading, its log density, how readings are drawn and, where it is Gaussian given its
@@ -69,7 +69,7 @@ class Noise(abc.ABC):
 
     known: ClassVar[
         dict[str, type[Noise]]
-    ] = {}  # by the name of the class, which a saved calibration keeps
+    ] = {}  # by its class's name, which a saved calibration keeps
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -255,11 +255,7 @@ def _with_usual_priors(law: Noise) -> Noise:
 
 
 def _refuse_unfit(kind: type[Noise]) -> None:
-    """Refuse a class that would be computed as another law than it is, or found under another's name.
-
-    Raises:
-        TypeError: it is so; says what to do.
-    """
+    """Refuse a class that would be computed as another law than it is, or found under another's name."""
     name = kind.__name__
     for base in kind.__mro__[1:]:
         if "law" in vars(base):
@@ -295,11 +291,8 @@ def offered(offer: Offer) -> Offer:
         offer: a function of the prior of `noise.white` and of the readings' frame. Defined again, as a cell of a
             notebook that is run again does, it takes the place of the one of its name.
     """
-    same = [
-        (o.__module__, o.__qualname__) == (offer.__module__, offer.__qualname__) for o in OFFERS
-    ]
-    OFFERS[:] = [o for o, again in zip(OFFERS, same, strict=True) if not again]
-    OFFERS.append(offer)
+    name = (offer.__module__, offer.__qualname__)
+    OFFERS[:] = [*(o for o in OFFERS if (o.__module__, o.__qualname__) != name), offer]
     return offer
 
 
@@ -309,6 +302,7 @@ def scores_of_tails(lower: Float[Array, "n"], left: Float[Array, "n"]) -> Float[
     return -jnp.sign(left) * ndtri(jnp.maximum(lower, NEVER))
 
 
-def known_variance(frame: Frame) -> Float[Array, "n"] | float:
-    """Variance of each reading that is known beforehand; zero where none is."""
-    return frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
+def own_variance(parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
+    """Variance of each reading by itself: that of the white part, and what is known beforehand."""
+    known = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
+    return jnp.broadcast_to(parameters[WHITE] ** 2 + known, (frame.size,))

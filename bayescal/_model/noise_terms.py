@@ -23,6 +23,7 @@ from bayescal._data.record_settings import recording
 from bayescal._model.correlated_noise import allan_of_exponential
 from bayescal._model.noise_law import WHITE
 from bayescal._model.prior import LogUniform, Normal, Positive, multiplied
+from bayescal._model.state_space import Block, exponential, pairs
 from bayescal._model.static import static
 
 Values = Mapping[str, Any]
@@ -62,20 +63,6 @@ class Bounds(NamedTuple):
     def diffusion(self) -> Positive:
         """Prior of a coefficient per √s that gives the correlated part its size at the middle of the times."""
         return multiplied(self.correlated, math.sqrt(2 / self.middle))
-
-
-class Block(NamedTuple):
-    """States of a term over the steps before n readings; all independent of each other, or a pair.
-
-    Attributes:
-        carry: what is kept of each state (n, k); or of a pair by a pair (n, 2, 2).
-        root: what is new is `root` times independent standard normal numbers (n, k); or (n, 2, 2).
-        start: stationary standard deviations (k,); or a root of the covariance (2, 2).
-    """
-
-    carry: Float[Array, "n *k"]
-    root: Float[Array, "n *k"]
-    start: Float[Array, "*k"]
 
 
 @static
@@ -129,17 +116,6 @@ class NoiseTerm(abc.ABC):
     def derived(self, values: Values, bounds: Bounds) -> dict[str, Any]:
         """Further numbers that its unknowns come to."""
         return {}
-
-
-def exponential(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
-    """Ornstein–Uhlenbeck processes of these times and variances."""
-    time, size = jnp.atleast_1d(time), jnp.sqrt(jnp.atleast_1d(variance))
-    steps = h[:, None] / time
-    # At a run's first reading the step is zero and nothing is new. The inner `where` keeps the root's slope finite
-    # there: automatic differentiation computes both branches, and 0·∞ is no number.
-    fall = jnp.where(steps > 0, -jnp.expm1(-2 * steps), 0.0)
-    root = jnp.where(fall > 0, jnp.sqrt(jnp.where(fall > 0, fall, 1.0)), 0.0)
-    return Block(jnp.exp(-steps), size * root, size)
 
 
 @static
@@ -303,9 +279,7 @@ class SmoothTerm(NoiseTerm):
         # f and g = f′/λ obey f′ = λ·g, g′ = −λ·f − 2λ·g and noise. Its matrix M has (M + λ)² = 0, so that over a step
         # x = λ·Δt exp(M·Δt) = e⁻ˣ·(1 + (M + λ)·Δt) ends after two terms: e⁻ˣ·[[1 + x, x], [−x, 1 − x]] = A.
         kept, z = jnp.exp(-x), 2 * x
-        carry = kept[:, None, None] * jnp.stack(
-            [jnp.stack([1 + x, x], -1), jnp.stack([-x, 1 - x], -1)], -2
-        )
+        carry = kept[:, None, None] * pairs(1 + x, x, -x, 1 - x)
         # What is new is 1 − A·Aᵀ, both states of variance one. Of f itself 1 − e⁻ᶻ·(1 + z + z²/2), z = 2x, of which
         # only e⁻ᶻ·(z³/6 + z⁴/24 + …) is left where z is small;
         series = z**3 / 6 * (1 + z / 4 * (1 + z / 5 * (1 + z / 6 * (1 + z / 7 * (1 + z / 8)))))
@@ -321,8 +295,7 @@ class SmoothTerm(NoiseTerm):
         rest = jnp.where(moves, slope - share**2, 1.0)
         # The slope's own part is a quarter of what is new in it where z is small: never near zero.
         last = jnp.where(moves, jnp.sqrt(rest), 0.0)
-        root = jnp.stack([jnp.stack([first, 0 * x], -1), jnp.stack([share, last], -1)], -2)
-        return Block(carry, size * root, size * jnp.eye(2))
+        return Block(carry, size * pairs(first, 0 * x, share, last), size * jnp.eye(2))
 
     def allan(self, values, bounds, m, step):
         """With c(a) that of exp(−a·k), (1 + a·k)·exp(−a·k) has c − a·∂c/∂a, the slope by a complex step; over short
@@ -373,21 +346,16 @@ class ToneTerm(NoiseTerm):
         turn = 2 * math.pi * self._frequency(values, bounds, z) * h
         c, s = jnp.cos(turn), jnp.sin(turn)
         plain = exponential(values["noise.tone.time"], values["noise.tone"] ** 2, h)
-        turned = jnp.stack([jnp.stack([c, s], -1), jnp.stack([-s, c], -1)], -2)
         root = plain.root[:, :, None] * jnp.eye(2)
-        return Block(plain.carry[:, :, None] * turned, root, plain.start * jnp.eye(2))
+        return Block(plain.carry[:, :, None] * pairs(c, s, -s, c), root, plain.start * jnp.eye(2))
 
     def allan(self, values, bounds, m, step):
         """Of a frequency that moves: the mean over the column's range."""
         places = np.linspace(-1, 1, 33) if bounds.column else [0.0]
-        found = [
-            _exponential_complex(
-                m,
-                step / values["noise.tone.time"]
-                - 2j * math.pi * step * self._frequency(values, bounds, z),
-            ).real
-            for z in places
-        ]
+        fall, found = step / values["noise.tone.time"], []
+        for z in places:
+            turn = 2j * math.pi * step * self._frequency(values, bounds, z)
+            found.append(_exponential_complex(m, fall - turn).real)
         return values["noise.tone"] ** 2 * np.mean(found, axis=0)
 
     def starts(self, step, left, z):
@@ -395,11 +363,6 @@ class ToneTerm(NoiseTerm):
 
         Each window's spectrum counts in parts of the median of all windows at its frequency: what is there in all of
         them is no line that moves, and of one that stays the neighbours are the measure.
-
-        Args:
-            step: since the reading before, s; −1 at a run's first.
-            left: of the readings in the order of time, output unit.
-            z: the column, from −1 to 1.
         """
         usual = float(np.median(step[step > 0]))
         even = np.abs(step / usual - 1) < recording().even
@@ -440,12 +403,9 @@ class ToneTerm(NoiseTerm):
 def _excess(
     left: Float[np.ndarray, "w r"], window: Float[np.ndarray, "r"], moves: bool
 ) -> Float[np.ndarray, "w f"]:
-    """Power of windows at each frequency, in parts of what is usual there in all of them; straight lines taken out.
+    """Power of windows at each frequency, in parts of what is usual there; straight lines taken out.
 
-    Args:
-        left: of the readings of each window.
-        window: weights.
-        moves: whether a line does; else what is usual at its frequency is that of the neighbours.
+    Usual is what all windows have there, if a line moves; else what the neighbours of its frequency have.
     """
     ramp = np.vander(np.linspace(-1, 1, len(window)), 2)
     flat = left - left @ ramp @ np.linalg.pinv(ramp)
@@ -480,9 +440,9 @@ class RoundedAngleTerm(NoiseTerm):
         size = values["noise.quantisation"] / bounds.shortest
         # yₜ = (εₜ − εₜ₋₁)/step: the first state is that difference, of which −εₜ₋₁ is carried; the second is εₜ
         # itself.
-        carry = jnp.broadcast_to(jnp.array([[0.0, -1.0], [0.0, 0.0]]), (*h.shape, 2, 2))
-        root = size * jnp.broadcast_to(jnp.array([[1.0, 0.0], [1.0, 0.0]]), (*h.shape, 2, 2))
-        return Block(carry, root, size * jnp.array([[1.0, 1.0], [1.0, 0.0]]))
+        zero, one = jnp.zeros_like(h), jnp.ones_like(h)
+        start = size * jnp.array([[1.0, 1.0], [1.0, 0.0]])
+        return Block(pairs(zero, -one, zero, zero), size * pairs(one, zero, one, zero), start)
 
     def allan(self, values, bounds, m, step):
         # IEEE 952: σ²(τ) = 3·Q²/τ², τ = m·step.

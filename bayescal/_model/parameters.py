@@ -19,10 +19,11 @@ from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.frame import GROUPS
-from bayescal._model.instrument import factor_of, slot_of
+from bayescal._model.instrument import factor_of
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, FlatLine, Normal, Positive
 
+Place = Literal["x", "row", "phi", "fixed"]
 HyperKind = Literal["noise", "group_sd", "shape", "promoted"]
 MOVING: tuple[HyperKind, ...] = ("shape", "promoted")  # the output's Jacobian depends on them
 Levels = Mapping[str, Sequence[str]]  # the members of each group
@@ -43,9 +44,9 @@ class CoefficientBlock:
     slot: str
     size: int
     factor: float
-    place: Literal["x", "row", "phi", "fixed"]
-    start: int = 0
-    value: float = 0.0
+    place: Place
+    start: int
+    value: float
 
     @property
     def coefficient(self) -> Coefficient:
@@ -96,9 +97,9 @@ class Layout:
         for effect in self.model.effects:
             for index, coefficient in enumerate(effect.coefficients):
                 name = effect.coefficient_name(index)
-                slot = slot_of(self.model.instrument, coefficient.slot or effect.slot)
+                slot = self.model.instrument.slot(coefficient.slot or effect.slot)
                 size = counts[coefficient.per] if coefficient.per else 1
-                place: Literal["x", "row", "phi", "fixed"] = "x"
+                place: Place = "x"
                 if name in fixed:
                     place = "fixed"
                 elif coefficient.per == "reading":
@@ -143,27 +144,17 @@ class Layout:
         for name, prior in self.model.noise.parameters().items():
             found.append(Hyper(name, self.model.noise.unit(name, unit), prior, "noise"))
         for block in self.blocks:
-            if block.coefficient.group_sd is not None and block.place != "fixed":
-                found.append(
-                    Hyper(
-                        block.group_sd_name,
-                        block.coefficient.unit,
-                        block.coefficient.group_sd,
-                        "group_sd",
-                    )
-                )
+            c = block.coefficient
+            if c.group_sd is not None and block.place != "fixed":
+                found.append(Hyper(block.group_sd_name, c.unit, c.group_sd, "group_sd"))
         for effect in self.model.effects:
             for shape in effect.shapes:
                 kind = "group_sd" if shape.name in effect.weight_shapes else "shape"
                 found.append(Hyper(effect.shape_name(shape), shape.unit, shape.prior, kind))
         for block in self.blocks:
             if block.place == "phi":
-                found += [
-                    Hyper(
-                        name, block.coefficient.unit, _promoted_prior(block.coefficient), "promoted"
-                    )
-                    for name in block.member_names()
-                ]
+                own = block.coefficient.unit, _promoted_prior(block.coefficient), "promoted"
+                found += [Hyper(name, *own) for name in block.member_names()]
         return tuple(h for h in found if h.name not in fixed)
 
     def positions(self, *kinds: HyperKind) -> list[int]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import Counter
+from collections import ChainMap, Counter
 from dataclasses import replace
 from functools import cache
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +18,10 @@ from bayescal._data import unit_conversion
 from bayescal._data.record_settings import recording
 from bayescal._model.correlated_noise import OrnsteinUhlenbeck
 from bayescal._model.frame import Frame
-from bayescal._model.noise_law import WHITE, Noise, Parameters, known_variance, offered
+from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, own_variance
 from bayescal._model.noise_terms import TERMS, Bounds, CorrelatedTerm, NoiseTerm
 from bayescal._model.prior import HalfCauchy, Positive
+from bayescal._model.state_space import States, drawn, filtered, states_of
 from bayescal._model.static import set_once
 
 OFFERED = (  # what measured records show beside white noise (IEEE 952, and a unit on a temperature ramp)
@@ -30,25 +31,6 @@ OFFERED = (  # what measured records show beside white noise (IEEE 952, and a un
     ("correlated", "smooth"),
 )
 MOST_ALIKE = 3  # Ornstein–Uhlenbeck terms: more than that no record of a day tells apart
-
-
-class States(NamedTuple):
-    """All states of a sum, a row for each reading; those of a run's first reading begin anew.
-
-    Attributes:
-        carry: what is kept over the step before: of each state (n, p), or of all by all (n, p, p).
-        fresh: covariance of what is new: (n, p) of each state, or (n, p, p).
-        shown: how much of each state a reading shows (p,).
-    """
-
-    carry: Float[Array, "n *p"]
-    fresh: Float[Array, "n *p"]
-    shown: Float[np.ndarray, "p"]
-
-    @property
-    def apart(self) -> bool:
-        """Whether no state says anything of another's future."""
-        return self.carry.ndim == 2
 
 
 class SummedNoise(Noise):
@@ -125,10 +107,7 @@ class SummedNoise(Noise):
         z = self.followed(frame)
         z = None if z is None else np.asarray(z)
         found = [part.starts(np.asarray(frame.step), left, z) for part in self.parts]
-        return [
-            {name: value for some in chosen for name, value in some.items()}
-            for chosen in itertools.product(*found)
-        ]
+        return [dict(ChainMap(*chosen)) for chosen in itertools.product(*found)]
 
     @property
     def name(self) -> str:
@@ -181,56 +160,31 @@ class SummedNoise(Noise):
         return sum((p.variance(values, self.bounds) for p in self.parts), 0.0)
 
     def variance(self, parameters, frame):
-        return parameters[WHITE] ** 2 + known_variance(frame) + self.slow_variance(parameters)
+        return own_variance(parameters, frame) + self.slow_variance(parameters)
 
     def fresh_variance(self, values, step):
         return values[WHITE] ** 2 + sum(p.fresh(values, self.bounds, step) for p in self.parts)
 
     def states(self, parameters: Parameters, step: Float[Array, "n"], z: Any = None) -> States:
         """Its states over steps, s; −1 where they begin. With the column that is followed, from −1 to 1."""
-        carry, root, shown = self._roots(parameters, step, z)
-        fresh = root**2 if root.ndim == 2 else root @ jnp.swapaxes(root, 1, 2)
-        return States(carry, fresh, shown)
+        return states_of(*self._blocks(parameters, step, z))
 
-    def _roots(
-        self, parameters: Parameters, step: Float[Array, "n"], z: Any
-    ) -> tuple[Any, Any, Any]:
-        """What is kept of the states; what is new in them, per independent standard normal number; which are shown."""
-        if z is not None:
-            parameters = {**parameters, self.column: z}
-        first = step < 0
-        h = jnp.where(first, 0.0, step)
+    def _blocks(self, parameters: Parameters, step: Float[Array, "n"], z: Any) -> tuple[Any, ...]:
+        """Of its terms; over which steps; and which of their states are shown."""
+        parameters = parameters if z is None else {**parameters, self.column: z}
+        h = jnp.maximum(step, 0.0)
         blocks = [part.block(parameters, self.bounds, h) for part in self.parts]
         shown = [_shown(p, b.start.shape[0]) for p, b in zip(self.parts, blocks, strict=True)]
-        # At a run's first reading nothing is kept and the states have their stationary covariance: runs are
-        # independent.
-        carry, root = [], []
-        for block in blocks:
-            wide = first.reshape(-1, *[1] * (block.carry.ndim - 1))
-            carry.append(jnp.where(wide, 0.0, block.carry))
-            root.append(jnp.where(wide, block.start, block.root))
-        apart = all(block.carry.ndim == 2 for block in blocks)
-        together = (lambda a: jnp.concatenate(a, 1)) if apart else _diagonal
-        return together(carry), together(root), np.concatenate(shown)
+        return blocks, step, np.concatenate(shown)
 
     def whiten(self, columns, extra, parameters, frame):
-        white = parameters[WHITE] ** 2 + known_variance(frame) + extra
-        white = jnp.broadcast_to(white, (frame.size,))
-        return filtered(self.states(parameters, frame.step, self.followed(frame)), white, columns)
+        states = self.states(parameters, frame.step, self.followed(frame))
+        return filtered(states, own_variance(parameters, frame) + extra, columns)
 
     def sample(self, key: Array, mean, parameters, frame):
         of_white, of_states = jax.random.split(key)
-        carry, root, shown = self._roots(parameters, frame.step, self.followed(frame))
-        drawn = jax.random.normal(of_states, (frame.size, len(shown)))
-        push = root * drawn if root.ndim == 2 else jnp.einsum("nij,nj->ni", root, drawn)
-
-        def advance(state, step):
-            kept, own = step
-            made = (kept * state if kept.ndim == 1 else kept @ state) + own
-            return made, made @ jnp.asarray(shown)
-
-        _, slow = jax.lax.scan(advance, jnp.zeros(len(shown)), (carry, push))
-        own = jnp.sqrt(parameters[WHITE] ** 2 + known_variance(frame))
+        slow = drawn(of_states, *self._blocks(parameters, frame.step, self.followed(frame)))
+        own = jnp.sqrt(own_variance(parameters, frame))
         return mean + own * jax.random.normal(of_white, mean.shape) + slow
 
     # what it says of a record -----------------------------------------------------------------------------------
@@ -288,101 +242,10 @@ class SummedNoise(Noise):
         return mean[asked], np.maximum(variance[asked], 0.0)
 
 
-def filtered(
-    states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]
-) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
-    """Columns as the Kalman filter whitens them, and the logarithm of each reading's standard deviation by then.
-
-    Its variances and gains hang on no column: they are found first, once for all. With P that of the states given the
-    readings before: g = P·1 over the states shown, s = 1ᵀg + w of the reading, gain g/s; P goes on as
-    A·(P − g·gᵀ/s)·Aᵀ + what is new.
-
-    Args:
-        states: of a sum.
-        white: variance w of each reading by itself.
-        columns: in the order of time within runs.
-    """
-    shown, count = jnp.asarray(states.shown), len(states.shown)
-
-    def ahead(before, reading):
-        kept, fresh, own = reading
-        if states.apart:
-            made = kept[:, None] * before * kept + jnp.diag(fresh)
-        else:
-            made = _times(_times(kept, before), kept.T) + fresh
-        column = jnp.sum(made * shown, axis=1)
-        total = jnp.sum(column * shown) + own
-        gain = column / total
-        return made - gain[:, None] * column, (gain, total)
-
-    nothing = jnp.zeros((count, count))
-    _, (gain, total) = jax.lax.scan(ahead, nothing, (states.carry, states.fresh, white), unroll=2)
-
-    def further(last, reading):
-        kept, own, row = reading
-        made = kept[:, None] * last if states.apart else _times(kept, last)
-        new = row - jnp.sum(made * shown[:, None], axis=0)
-        return made + own[:, None] * new, new
-
-    start = jnp.zeros((count, columns.shape[1]))
-    _, new = jax.lax.scan(further, start, (states.carry, gain, columns), unroll=2)
-    log_sd = 0.5 * jnp.log(total)
-    return new * jnp.exp(-log_sd)[:, None], log_sd
-
-
-def of_means(states: States, count: int, first: Float[Array, "n"]) -> States:
-    """States of the means of so many readings each, evenly spaced: exact, whatever the terms.
-
-    One state more is the sum of what readings have shown since their mean began; a mean shows it over their number.
-    Steps are taken together by squaring, which adds variances and subtracts none.
-
-    Args:
-        states: over one step, of two readings: a run's first, and one after another.
-        count: readings in each mean.
-        first: whether a run begins with a mean (n,).
-    """
-    size = len(states.shown)
-    wide = (lambda a: jax.vmap(jnp.diag)(a)) if states.apart else (lambda a: a)
-    one, fresh = wide(states.carry), wide(states.fresh)
-    shown = jnp.asarray(states.shown)
-    lift = jnp.concatenate([jnp.eye(size), shown[None]])  # the sum goes on with what is shown
-
-    # States beside the running sum S: S goes on as S + h·(A·x + new), which is one more row of a larger system.
-    def step(kept, new):
-        beside = jnp.zeros((size + 1, 1)).at[-1, 0].set(1.0)
-        return jnp.concatenate([lift @ kept, beside], 1), lift @ new @ lift.T
-
-    # (A, Q) applied twice is (A², A·Q·Aᵀ + Q): powers of two, and of these the steps that the number is made of.
-    def together(steps: int) -> tuple[Array, Array]:
-        whole, new = jnp.eye(size + 1), jnp.zeros((size + 1, size + 1))
-        power, own = step(one[1], fresh[1])
-        while steps:
-            if steps & 1:
-                whole, new = power @ whole, power @ new @ power.T + own
-            power, own = power @ power, power @ own @ power.T + own
-            steps >>= 1
-        return whole, new
-
-    started = lift @ fresh[0] @ lift.T
-    rest, of_rest = together(count - 1)
-    begun = rest @ started @ rest.T + of_rest
-    whole, new = together(count)
-    # A new mean begins with an empty sum: its column of the transition is taken out.
-    emptied = whole.at[:, -1].set(0.0)
-    begins = first[:, None, None]
-    carry = jnp.where(begins, 0.0, emptied)
-    return States(carry, jnp.where(begins, begun, new), np.append(np.zeros(size), 1 / count))
-
-
 @cache
 def _parts(terms: tuple[str, ...]) -> tuple[NoiseTerm, ...]:
-    seen: Counter[str] = Counter()
-    found = []
-    for name in terms:
-        seen[name] += 1
-        kind = TERMS[name]
-        found.append(kind(seen[name]) if kind is CorrelatedTerm else kind())
-    return tuple(found)
+    place = itertools.count(1)  # of Ornstein–Uhlenbeck terms, which are told by it
+    return tuple(CorrelatedTerm(next(place)) if t == "correlated" else TERMS[t]() for t in terms)
 
 
 def _shown(part: NoiseTerm, count: int) -> Float[np.ndarray, "k"]:
@@ -390,18 +253,6 @@ def _shown(part: NoiseTerm, count: int) -> Float[np.ndarray, "k"]:
     found = np.zeros(count)
     found[part.output if part.output is ... else list(part.output)] = 1.0
     return found
-
-
-def _diagonal(blocks: list[Array]) -> Float[Array, "n p p"]:
-    """Blocks along the diagonal; those of one row each are diagonals themselves."""
-    count = sum(b.shape[1] for b in blocks)
-    made, at = jnp.zeros((blocks[0].shape[0], count, count)), 0
-    for block in blocks:
-        size = block.shape[1]
-        wide = block if block.ndim == 3 else block[:, :, None] * jnp.eye(size)
-        made = made.at[:, at : at + size, at : at + size].set(wide)
-        at += size
-    return made
 
 
 def over_octaves(
@@ -431,8 +282,3 @@ def _of_two_or_more(scale: Positive, frame: Frame) -> list[Noise]:
     found = [over_octaves(scale, step, span, terms) for terms in OFFERED]
     column = "temperature" if "temperature" in frame.columns else ""
     return [*found, over_octaves(scale, step, span, ("correlated", "tone"), column)]
-
-
-def _times(a: Float[Array, "p q"], b: Float[Array, "q m"]) -> Float[Array, "p m"]:
-    """A product of small matrices, as one loop that the compiler fuses with its neighbours."""
-    return jnp.sum(a[:, :, None] * b[None], axis=1)

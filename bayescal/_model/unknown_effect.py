@@ -129,10 +129,10 @@ def unknown(
     return Effect(
         name or f"unknown({covariate})",
         slot,
-        process_along(covariate, terms),
+        given(process_along, covariate, terms),
         coefficients=standard_normals(unit, terms),
         shapes=(Shape("length", "1", *lengths), Shape("amplitude", unit, low, high)),
-        weights=process_sizes(terms),
+        weights=given(process_sizes, terms),
         measure="amplitude",
         columns=columns + (("time",) if derived and covariate != "elapsed" else ()),
         varies=() if covariate == "elapsed" else (measured,),
@@ -142,21 +142,13 @@ def unknown(
     )
 
 
-def process_along(covariate: str, terms: int) -> Callable[..., Any]:
+def process_along(covariate: str, terms: int, r: Any) -> Any:
     """`process_columns` along a covariate, as a basis: the same of whatever amplitude, so that one program serves."""
-    return given(_along, covariate, terms)
-
-
-def process_sizes(terms: int) -> Callable[..., Any]:
-    """`weights` of an effect whose columns are a process's, of learned length and amplitude."""
-    return given(_sizes, terms)
-
-
-def _along(covariate, terms, r):
     return process_columns(r.position(covariate), terms)
 
 
-def _sizes(terms, length, amplitude):
+def process_sizes(terms: int, length: Any, amplitude: Any) -> Any:
+    """`weights` of an effect whose columns are a process's, of learned length and amplitude."""
     return amplitude * process_weights(length, terms)
 
 
@@ -168,19 +160,10 @@ def jump(slot: str, low: float, high: float, unit: str, *, name: str = "") -> Ef
         low, high: plausible changes, in `unit`; `*OPEN` takes them from the readings.
         name: canonical; `unknown(time, jump)` if not given.
     """
-
-    return Effect(
-        name or "unknown(time, jump)",
-        slot,
-        _step,
-        coefficients=standard_normals(unit, 1),
-        shapes=(
-            Shape("place", "1", *PLACES, scale="linear", ragged=True, shared=True),
-            Shape("amplitude", unit, low, high),
-        ),
-        equation="−a/2 before one moment, a/2 after it",
-        **_IN_TIME,
-    )
+    place = Shape("place", "1", *PLACES, scale="linear", ragged=True, shared=True)
+    shapes = (place, Shape("amplitude", unit, low, high))
+    words = "−a/2 before one moment, a/2 after it"
+    return _in_time(name or "unknown(time, jump)", slot, _step, 1, shapes, words)
 
 
 @functools.cache
@@ -191,16 +174,10 @@ def cycle(slot: str, low: float, high: float, unit: str, *, name: str = "") -> E
         low, high: plausible amplitudes, in `unit`; `*OPEN` takes them from the readings.
         name: canonical; `unknown(time, cycle)` if not given.
     """
-
-    return Effect(
-        name or "unknown(time, cycle)",
-        slot,
-        _waves,
-        coefficients=standard_normals(unit, 2),
-        shapes=(Shape("cycles", "1", *CYCLES, ragged=True), Shape("amplitude", unit, low, high)),
-        equation="a·sin(2π·cycles·t + φ)",
-        **_IN_TIME,
-    )
+    cycles = Shape("cycles", "1", *CYCLES, ragged=True)
+    shapes = (cycles, Shape("amplitude", unit, low, high))
+    words = "a·sin(2π·cycles·t + φ)"
+    return _in_time(name or "unknown(time, cycle)", slot, _waves, 2, shapes, words)
 
 
 def _step(r, place):
@@ -226,12 +203,29 @@ def _too_few(readings: Measurements) -> str | None:
     return None if count >= FEWEST else f"needs {FEWEST} different times; there are {count}"
 
 
-_IN_TIME: dict[str, Any] = {  # what the two forms in time share
-    "weights": _even,
-    "measure": "amplitude",
-    "columns": ("time",),
-    "varies": ("time",),
-    "untestable": _too_few,
-    "source": SOURCE,
-}
+def _in_time(
+    name: str,
+    slot: str,
+    basis: Callable[..., Any],
+    count: int,
+    shapes: tuple[Shape, Shape],
+    equation: str,
+) -> Effect:
+    """A form in time of so many coefficients; the last of its shapes is their amplitude."""
+    return Effect(
+        name,
+        slot,
+        basis,
+        coefficients=standard_normals(shapes[-1].unit, count),
+        shapes=shapes,
+        weights=_even,
+        measure="amplitude",
+        columns=("time",),
+        varies=("time",),
+        untestable=_too_few,
+        equation=equation,
+        source=SOURCE,
+    )
+
+
 FORMS: dict[str, Callable[..., Effect]] = {"time, jump": jump, "time, cycle": cycle}

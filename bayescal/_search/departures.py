@@ -25,7 +25,6 @@ from bayescal._inference.record import Record
 from bayescal._inference.terms import ColumnsOf
 from bayescal._model.departure import Departure, Rows, curves_along, departure, rounded
 from bayescal._model.effect import Effect
-from bayescal._model.instrument import slot_of
 from bayescal._model.unknown_effect import LENGTHS, process_weights
 
 SEEN = 1e-10  # of the curves' largest square, below which a direction of them is rounding
@@ -143,7 +142,7 @@ def scored(line: LinearModel, form: Form) -> ScoredDeparture | None:
     size = contribution(line, effect.name) / steep if steep > 0 else 0.0
     if not size > 0:
         return None
-    made = form.departure(slot_of(record.instrument, effect.slot).unit, size)
+    made = form.departure(record.instrument.slot(effect.slot).unit, size)
     columns = line.whiten(slope[:, None] * record.columns(ColumnsOf.of(made), ()))
     inside = line.projected(columns)
     information = columns.T @ columns - inside.T @ inside

@@ -15,7 +15,7 @@ from scipy.special import ndtri
 from bayescal._inference.assembly import put
 from bayescal._inference.terms import ColumnsOf
 from bayescal._model.effect import Coefficient, Effect, Shape
-from bayescal._model.instrument import factor_of, slot_of
+from bayescal._model.instrument import factor_of
 from bayescal._search.structures import Structures, factors
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
@@ -94,7 +94,7 @@ class Library:
         for name, points in self.points.items():
             effect, at = self.structures.candidates[name], 0
             for i, c in enumerate(effect.coefficients):
-                slot = slot_of(instrument, c.slot or effect.slot)
+                slot = instrument.slot(c.slot or effect.slot)
                 # Chain rule: the output by the slot, and the slot by the coefficient (a factor of units, and the
                 # basis).
                 slope = slopes[slot.name] * factor_of(instrument, effect, c)

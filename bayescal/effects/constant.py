@@ -7,7 +7,8 @@ from bayescal._model.frame import Frame
 from bayescal._model.prior import Flat, HalfNormal, Normal
 
 
-def _one(r: Frame) -> float:
+def one(r: Frame) -> float:
+    """1 in every reading."""
     return 1.0
 
 
@@ -17,7 +18,7 @@ def constant(slot: str, size: float | None, unit: str, *, source: str) -> Effect
     return Effect(
         f"{slot}.constant",
         slot,
-        basis=_one,
+        basis=one,
         coefficients=(Coefficient(unit, prior),),
         equation="c",
         source=source,
@@ -30,7 +31,7 @@ def deviation(slot: str, per: Group, size: float, unit: str, *, source: str) -> 
     return Effect(
         f"{slot}.{per}",
         slot,
-        basis=_one,
+        basis=one,
         coefficients=(Coefficient(unit, Normal(0.0, size), per=per, group_sd=HalfNormal(size)),),
         columns=column,
         equation=f"d[{per}],  d ~ N(0, s²)",

@@ -18,10 +18,7 @@ from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.prior import Normal
 
 WINDOWS = (2.0, 120.0)  # s, of a rate: from a reading or two to what a lag describes
-WIDTHS = (
-    0.2,
-    5.0,
-)  # °C, within which hysteresis turns round: a chamber that holds its temperature wanders by less
+WIDTHS = (0.2, 5.0)  # °C, within which hysteresis turns round: a chamber that holds wanders by less
 
 
 def rate(slot: str, size: float, unit: str, *, source: str, column: str = "temperature") -> Effect:

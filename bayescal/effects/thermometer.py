@@ -8,14 +8,11 @@ from typing import Any
 from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.frame import Frame
 from bayescal._model.prior import HalfNormal, Normal
+from bayescal.effects.constant import one
 
 
 def _rate(column: str, r: Frame) -> Any:
     return r.rates[column]
-
-
-def _one(r: Frame) -> float:
-    return 1.0
 
 
 def thermometer(sd: float, *, source: str, column: str = "temperature") -> Effect:
@@ -27,7 +24,7 @@ def thermometer(sd: float, *, source: str, column: str = "temperature") -> Effec
     return Effect(
         f"{column}.reading",
         column,
-        basis=_one,
+        basis=one,
         coefficients=(Coefficient("delta_degC", Normal(0.0, sd), per="reading"),),
         columns=(column,),
         equation="T_true = T + e,  e ~ N(0, s²)",
@@ -50,7 +47,7 @@ def thermometer_offset(
     return Effect(
         f"{column}.{per}",
         column,
-        basis=_one,
+        basis=one,
         coefficients=(
             Coefficient("delta_degC", Normal(0.0, size), per=per, group_sd=HalfNormal(size)),
         ),

@@ -24,7 +24,7 @@ CORE = (
     "gaussian chebyshev programs terms column_products record assembly noise_on_record products density mode "
     "linear_model joint sampling least_squares"
 )
-LAWS = "white_noise heteroscedastic_noise student_t_noise quantised_noise correlated_noise"
+LAWS = "independent_noise correlated_noise"
 # What only a named option or a kind of model needs, by that: each has tests of its own.
 NEEDED_BY = {
     "noise in a column of the readings": "joint._draw_rows mode.of_single_readings "
@@ -41,7 +41,7 @@ NEEDED_BY = {
     "the module's own making": "programs.program",
     "log likelihoods of single readings, for ArviZ": "noise_on_record._densities noise_on_record.log_densities",
     "a term that something added stands for": "linear_model.LinearModel.uncertainty linear_model.LinearModel.beyond",
-    "NUTS where weights fail": "student_t_noise.StudentT.amplitudes",
+    "NUTS where weights fail": "independent_noise.StudentT.amplitudes",
     "JSON of a result": "correlated_noise.OrnsteinUhlenbeck.derived",
 }
 

@@ -1,24 +1,21 @@
-"""Correlated noise is the Gaussian process that it claims to be, and its time and size cannot run away."""
+"""The time and size of correlated noise cannot run away, and what it takes is told between readings alone."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
 
 import bayescal as bc
 from bayescal._model.correlated_noise import over_record
-from bayescal._model.frame import Frame, build_frame, reference_of
+from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.prior import LogNormal, LogUniform, Positive, multiplied
 from bayescal_models import mems_gyro, still_sensor
 
 FAST = bc.LeastSquares(draws=200)
 LAW = bc.OrnsteinUhlenbeck(1.0, 1000.0, bc.HalfCauchy(0.3), bc.HalfCauchy(0.3))
-AT = {"noise.white": 0.2, "noise.diffusion": 0.1, "noise.correlated.time": 40.0}
 SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
 WHITE, DIFFUSION, STEP = 1.0, 0.5, 10.0  # µg, µg/√s, s
 
@@ -29,57 +26,6 @@ def readings_of(instrument: bc.Instrument, runs: list[np.ndarray], **columns: An
     labels = np.repeat([str(k) for k in range(len(runs))], [len(t) for t in runs])
     more = {"temperature": np.linspace(10.0, 50.0, time.size), "output": np.zeros(time.size)}
     return bc.Measurements.from_arrays(instrument, run=labels, time=time, **{**more, **columns})
-
-
-def dense(frame: Frame, labels: np.ndarray) -> np.ndarray:
-    """The covariance by its definition."""
-    time = np.asarray(frame["time"])
-    tau = AT["noise.correlated.time"]
-    size = 0.5 * AT["noise.diffusion"] ** 2 * tau
-    within = labels[:, None] == labels
-    white = AT["noise.white"] ** 2 * np.eye(time.size)
-    return white + size * within * np.exp(-np.abs(time[:, None] - time) / tau)
-
-
-# Three readings at one time in the middle of a run, two at the start of another, one run of one reading.
-TOGETHER = [
-    np.array([0.0, 3.0, 3.0, 3.0, 50.0]),
-    np.array([100.0, 100.0, 104.0]),
-    np.array([900.0]),
-]
-
-
-def test_readings_at_one_time_share_the_correlated_part(rng) -> None:
-    data = readings_of(SENSOR, TOGETHER)
-    frame = build_frame(data, reference_of(data))
-    covariance = dense(frame, np.asarray(data["run"]))
-    at = {name: jnp.asarray(value) for name, value in AT.items()}
-    columns, extra = rng.standard_normal((frame.size, 3)), 0.01
-    white, log_sd = LAW.whiten(jnp.asarray(columns), extra, at, frame)
-    wide = covariance + extra * np.eye(frame.size)
-    np.testing.assert_allclose(white.T @ white, columns.T @ np.linalg.solve(wide, columns), 1e-9)
-    assert 2 * float(log_sd.sum()) == pytest.approx(np.linalg.slogdet(wide)[1], rel=1e-10)
-    density = LAW.log_density(jnp.asarray(columns[:, 0]), jnp.zeros(frame.size), at, frame)
-    normal: Any = stats.multivariate_normal
-    exact = normal.logpdf(columns[:, 0], np.zeros(frame.size), covariance)
-    assert float(density.sum()) == pytest.approx(exact, rel=1e-10)
-    np.testing.assert_allclose(LAW.variance(at, frame), np.diag(covariance), 1e-12)
-
-
-def test_samples_have_the_covariance(key) -> None:
-    data = readings_of(SENSOR, TOGETHER)
-    frame = build_frame(data, reference_of(data))
-    at = {name: jnp.asarray(value) for name, value in AT.items()}
-    made = jax.vmap(lambda k: LAW.sample(k, jnp.zeros(frame.size), at, frame))(
-        jax.random.split(key, 20000)
-    )
-    exact = dense(frame, np.asarray(data["run"]))
-    np.testing.assert_allclose(np.cov(np.asarray(made).T), exact, atol=4 * exact.max() / 141)
-
-
-def test_the_size_follows_from_diffusion_and_time() -> None:
-    at = {name: jnp.asarray(value) for name, value in AT.items()}
-    assert float(LAW.slow_variance(at)) == pytest.approx(0.1**2 * 20.0)
 
 
 # Priors.
@@ -190,22 +136,6 @@ def test_correlated_noise_does_not_take_the_place_of_a_constant(missing) -> None
         assert ((tau >= law.shortest) & (tau <= law.longest)).all()
         assert np.median(diffusion * np.sqrt(tau / 2)) < np.ptp(right["output"])
     assert errors[1] == pytest.approx(errors[0], rel=0.02)
-
-
-def test_a_wander_between_readings_is_that_of_the_dense_process(rng) -> None:
-    time = np.sort(rng.uniform(0, 200, 30))
-    time[5], at = time[4], np.append(rng.uniform(time[0], time[-1], 9), time[7])
-    left, white = rng.normal(size=(30, 2)), rng.uniform(0.02, 0.2, 30)
-
-    def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        size = 0.5 * AT["noise.diffusion"] ** 2 * AT["noise.correlated.time"]
-        return size * np.exp(-abs(a[:, None] - b) / AT["noise.correlated.time"])
-
-    share = covariance(at, time) @ np.linalg.inv(covariance(time, time) + np.diag(white))
-    mean, variance = LAW.slow_part(AT, time, left, white, at)
-    np.testing.assert_allclose(mean, share @ left, rtol=1e-9)
-    expected = np.diag(covariance(at, at) - share @ covariance(time, at))
-    np.testing.assert_allclose(variance, expected, rtol=1e-8)
 
 
 def test_between_fitted_readings_a_prediction_tells_the_wander_and_beyond_them_never() -> None:

@@ -1,27 +1,31 @@
-"""A sum of noise terms is the Gaussian process that it claims to be, in time linear in the readings."""
+"""Correlated noise is the Gaussian process that it claims to be, alone or in a sum, in time linear in the readings."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 
 import bayescal as bc
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.noise_law import Noise
 from bayescal._model.noise_terms import ENDLESS, FASTEST, RUNGS
-from bayescal._model.summed_noise import filtered, of_means
+from bayescal._model.state_space import filtered, of_means
 from bayescal_models import still_sensor
 
 SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
 STEP, SPAN = 2.0, 150.0  # s
 VALUES = {
     "noise.white": 0.3,
+    "noise.diffusion": 0.2,
+    "noise.correlated.time": 7.0,
     "noise.correlated1.diffusion": 0.2,
     "noise.correlated1.time": 7.0,
     "noise.correlated2.diffusion": 0.1,
@@ -37,6 +41,7 @@ VALUES = {
     "noise.tone.time": 60.0,
     "noise.quantisation": 0.35,
 }
+ALONE = ("Ornstein–Uhlenbeck",)  # the law of its own
 SUMS = [
     ("correlated",),
     ("walk",),
@@ -51,8 +56,8 @@ SUMS = [
 name_of = "+".join
 
 
-def law_of(terms: tuple[str, ...]) -> bc.SummedNoise:
-    return bc.SummedNoise(STEP, SPAN, terms)
+def law_of(terms: tuple[str, ...]) -> Any:
+    return bc.OrnsteinUhlenbeck(STEP, SPAN) if terms == ALONE else bc.SummedNoise(STEP, SPAN, terms)
 
 
 def exponential(variance: float, time: float) -> Callable[[Any], Any]:
@@ -69,6 +74,9 @@ def ladder_times() -> list[float]:
 def covariance_of(term: str, place: int = 1) -> Callable[[Any], Any]:
     """Of two readings some seconds apart, by the term's definition."""
     at = VALUES
+    if term in ALONE:
+        time = at["noise.correlated.time"]
+        return exponential(0.5 * at["noise.diffusion"] ** 2 * time, time)
     if term == "correlated":
         time = at["noise.correlated1.time"]
         for k in range(2, place + 1):
@@ -98,14 +106,14 @@ def slow_covariance(terms: tuple[str, ...], lag: np.ndarray) -> np.ndarray:
 
 
 def two_runs(seed: int = 3) -> tuple[Frame, np.ndarray, np.ndarray]:
-    """60 readings at uneven times, three of them at one; 40 in one run, 20 in the other."""
+    """60 readings at uneven times, three of them at one; 40 in one run, 19 in another, and one alone."""
     random = np.random.default_rng(seed)
     time = np.concatenate(
         [np.sort(random.uniform(0, 90, 40)), np.sort(random.uniform(200, 260, 20))]
     )
     time[5] = time[6] = time[4]
     time[21] = time[20] + 1e-4
-    labels = np.repeat(["a", "b"], [40, 20])
+    labels = np.repeat(["a", "b", "c"], [40, 19, 1])
     data = bc.Measurements.from_arrays(
         SENSOR, run=labels, time=time, temperature=np.linspace(10.0, 50.0, 60), output=np.zeros(60)
     )
@@ -116,19 +124,23 @@ def in_jax(law: Noise) -> dict[str, Any]:
     return {name: jnp.asarray(VALUES[name]) for name in law.parameters()}
 
 
-@pytest.mark.parametrize("terms", SUMS, ids=name_of)
+@pytest.mark.parametrize("terms", [ALONE, *SUMS], ids=name_of)
 def test_whitened_by_the_filter_is_whitened_by_the_dense_covariance(terms, rng) -> None:
     frame, _, _ = two_runs()
     time, codes = np.asarray(frame["time"]), np.asarray(frame.codes["run"])
     within = codes[:, None] == codes
     extra = rng.uniform(0.0, 0.1, frame.size)
     law = law_of(terms)
-    dense = within * slow_covariance(law.terms, time[:, None] - time)
-    np.testing.assert_allclose(
-        law.variance(in_jax(law), frame), np.diag(dense) + VALUES["noise.white"] ** 2, 1e-12
-    )
-    dense += np.diag(VALUES["noise.white"] ** 2 + extra)
+    dense = within * slow_covariance(terms, time[:, None] - time)
+    dense += VALUES["noise.white"] ** 2 * np.eye(frame.size)
+    np.testing.assert_allclose(law.variance(in_jax(law), frame), np.diag(dense), 1e-12)
     columns = rng.standard_normal((frame.size, 3))
+    y = jnp.asarray(columns[:, 0])
+    density = law.log_density(y, jnp.zeros(frame.size), in_jax(law), frame)
+    normal: Any = stats.multivariate_normal
+    exact = normal.logpdf(columns[:, 0], np.zeros(frame.size), dense)
+    assert float(density.sum()) == pytest.approx(exact, rel=1e-10)
+    dense += np.diag(extra)
     white, log_sd = law.whiten(jnp.asarray(columns), jnp.asarray(extra), in_jax(law), frame)
     np.testing.assert_allclose(
         white, np.linalg.solve(np.linalg.cholesky(dense), columns), rtol=1e-9, atol=1e-9
@@ -171,13 +183,20 @@ def test_slopes_of_the_log_density_are_those_of_differences(terms, rng) -> None:
         )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("terms", [("smooth", "flicker"), ("tone", "correlated")], ids=name_of)
+@pytest.mark.parametrize(
+    "terms",
+    [
+        ALONE,
+        pytest.param(("smooth", "flicker"), marks=pytest.mark.slow),
+        pytest.param(("tone", "correlated"), marks=pytest.mark.slow),
+    ],
+    ids=name_of,
+)
 def test_samples_have_the_covariance(terms, key) -> None:
     frame, _, _ = two_runs()
     time, codes = np.asarray(frame["time"]), np.asarray(frame.codes["run"])
     law = law_of(terms)
-    exact = (codes[:, None] == codes) * slow_covariance(law.terms, time[:, None] - time)
+    exact = (codes[:, None] == codes) * slow_covariance(terms, time[:, None] - time)
     exact += VALUES["noise.white"] ** 2 * np.eye(60)
     draw = jax.jit(jax.vmap(lambda k: law.sample(k, jnp.zeros(60), in_jax(law), frame)))
     made = np.asarray(draw(jax.random.split(key, 8000)))
@@ -185,7 +204,7 @@ def test_samples_have_the_covariance(terms, key) -> None:
     np.testing.assert_allclose(np.cov(made.T), exact, atol=5 * exact.max() * math.sqrt(2 / 8000))
 
 
-@pytest.mark.parametrize("terms", SUMS, ids=name_of)
+@pytest.mark.parametrize("terms", [ALONE, *SUMS], ids=name_of)
 def test_the_allan_variance_is_that_of_the_covariance(terms) -> None:
     law, factors, step = law_of(terms), 2.0 ** np.arange(6), 1.5
     values = {name: VALUES[name] for name in law.parameters()}
@@ -193,7 +212,7 @@ def test_the_allan_variance_is_that_of_the_covariance(terms) -> None:
     for m, one in zip(factors.astype(int), found, strict=True):
         time = step * np.arange(2 * m)
         weight = np.repeat([1 / m, -1 / m], m)
-        dense = slow_covariance(law.terms, time[:, None] - time) + 0.09 * np.eye(2 * m)
+        dense = slow_covariance(terms, time[:, None] - time) + 0.09 * np.eye(2 * m)
         assert one == pytest.approx(0.5 * weight @ dense @ weight, rel=1e-7)
 
 
@@ -221,7 +240,7 @@ def test_a_smooth_process_has_its_series_where_exponentials_cancel() -> None:
     assert found[0] == pytest.approx(found[1], rel=3e-4)
 
 
-@pytest.mark.parametrize("terms", SUMS, ids=name_of)
+@pytest.mark.parametrize("terms", [ALONE, *SUMS], ids=name_of)
 def test_the_slow_part_between_and_beyond_readings_is_that_of_the_dense_process(terms, rng) -> None:
     time = np.sort(rng.uniform(0, 100, 30))
     time[5] = time[4]
@@ -229,13 +248,12 @@ def test_the_slow_part_between_and_beyond_readings_is_that_of_the_dense_process(
     left, white = rng.normal(size=(30, 2)), rng.uniform(0.02, 0.2, 30)
     law = law_of(terms)
     values = {name: VALUES[name] for name in law.parameters()}
-    across = slow_covariance(law.terms, at[:, None] - time)
-    share = across @ np.linalg.inv(
-        slow_covariance(law.terms, time[:, None] - time) + np.diag(white)
-    )
+    across = slow_covariance(terms, at[:, None] - time)
+    dense = slow_covariance(terms, time[:, None] - time) + np.diag(white)
+    share = across @ np.linalg.inv(dense)
     mean, variance = law.slow_part(values, time, left, white, at)
     np.testing.assert_allclose(mean, share @ left, rtol=1e-8, atol=1e-10)
-    own = slow_covariance(law.terms, at[:, None] - at)
+    own = slow_covariance(terms, at[:, None] - at)
     np.testing.assert_allclose(variance, np.diag(own - share @ across.T), rtol=1e-7)
 
 
@@ -291,14 +309,10 @@ def test_times_are_in_order_whatever_their_coordinates(rng) -> None:
     priors = law.parameters()
     values = {n: p.value(rng.standard_normal(500) * 3) for n, p in priors.items()}
     made = law.derived(values)
-    first, second, third = (
-        values["noise.correlated1.time"],
-        made["noise.correlated2.time"],
-        made["noise.correlated3.time"],
-    )
-    assert (first >= STEP).all() and (third <= SPAN * (1 + 1e-12)).all()
-    rounding = 1 + 1e-12
-    assert (first <= second * rounding).all() and (second <= third * rounding).all()
+    times = [STEP, values["noise.correlated1.time"]]
+    times += [made["noise.correlated2.time"], made["noise.correlated3.time"], SPAN]
+    for one, longer in pairwise(times):
+        assert np.all(one <= longer * (1 + 1e-12))
 
 
 def test_a_sum_says_its_name_units_and_coefficients() -> None:
@@ -351,7 +365,7 @@ def test_means_are_whitened_by_their_dense_covariance(terms, rng) -> None:
     law, count, runs = law_of(terms), 5, (4, 3)
     time = STEP * np.arange(count * sum(runs)) + np.repeat([0.0, 500.0], count * np.array(runs))
     within = np.repeat([0, 1], count * np.array(runs))
-    dense = (within[:, None] == within) * slow_covariance(law.terms, time[:, None] - time)
+    dense = (within[:, None] == within) * slow_covariance(terms, time[:, None] - time)
     dense += VALUES["noise.white"] ** 2 * np.eye(time.size)
     average = np.kron(np.eye(sum(runs)), np.full(count, 1 / count))
     columns = rng.standard_normal((sum(runs), 2))

@@ -1,0 +1,213 @@
+"""Independent noise: white, with a scatter that follows a column, with outliers, or seen through a rounding."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.special import betainc, gammaln
+
+from bayescal._data.column import UNCERTAINTY
+from bayescal._model.frame import Frame
+from bayescal._model.noise_law import WHITE, Noise, offered, own_variance, scores_of_tails
+from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
+
+SLOPE, CURVATURE = "noise.slope", "noise.curvature"
+FREEDOM = "noise.freedom"
+LEAST_FREEDOM = 2.1  # below 2 the variance does not exist
+
+
+class White(Noise):
+    """Independent Gaussian noise of one unknown standard deviation, beside each reading's known uncertainty.
+
+    Attributes:
+        scale: prior of the standard deviation, output unit.
+    """
+
+    scale: Positive = HalfCauchy(1.0)
+    gaussian: ClassVar[bool] = True
+    law: ClassVar[str] = "white"
+    looks_like: ClassVar[str] = "white noise"
+    first: ClassVar[bool] = True
+
+    def parameters(self) -> dict[str, Positive]:
+        return {WHITE: self.scale}
+
+    @property
+    def amplitudes(self) -> tuple[str, ...]:
+        return (WHITE,)
+
+    def even(self, frame) -> bool:
+        return UNCERTAINTY not in frame.columns
+
+    def shared_variance(self, values):
+        return values[WHITE] ** 2
+
+    def variance(self, parameters, frame):
+        return own_variance(parameters, frame)
+
+
+class Heteroscedastic(Noise):
+    """Independent Gaussian noise whose standard deviation follows a column: log-linear, with a curvature.
+
+    σᵢ = σ·exp(a·zᵢ + b·(3zᵢ² − 1)/2), beside each reading's known uncertainty, z the column scaled to −1 … 1 over its
+    range at the fit; beyond that range σ stays as at its end. σ is `noise.white`, a `noise.slope`, b `noise.curvature`:
+    with a = 1 the scatter grows by e² from one end to the other.
+    Source: A. Harvey, Econometrica 44 (1976) 461 (multiplicative heteroscedasticity).
+
+    Attributes:
+        column: a numeric column, "elapsed", or a rate such as "temperature rate".
+        scale: prior of σ, output unit.
+        slope, curvature: priors of a and b.
+    """
+
+    column: str
+    scale: Positive = HalfCauchy(1.0)
+    slope: Normal = Normal(0.0, 1.0)
+    curvature: Normal = Normal(0.0, 1.0)
+    gaussian: ClassVar[bool] = True
+    law: ClassVar[str] = "heteroscedastic"
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        if self.column == "elapsed":
+            return ("time",)
+        column = self.column.removesuffix(" rate")
+        return (column,) if column == self.column else (column, "time")
+
+    @property
+    def name(self) -> str:
+        return f"{self.law}({self.column})"
+
+    @property
+    def in_words(self) -> str:
+        return f"scatter follows {self.column}"
+
+    @property
+    def amplitudes(self) -> tuple[str, ...]:
+        return (WHITE,)
+
+    def parameters(self) -> dict[str, Positive | Normal]:
+        return {WHITE: self.scale, SLOPE: self.slope, CURVATURE: self.curvature}
+
+    def unit(self, name: str, output: str) -> str:
+        return output if name == WHITE else "1"
+
+    def variance(self, parameters, frame):
+        z = jnp.clip(2 * frame.position(self.column) - 1, -1.0, 1.0)
+        # Legendre's P₁ and P₂ of z have no mean over the range: log σ is the mean of the logarithm of the scatter,
+        # and a and b change the form alone.
+        growth = parameters[SLOPE] * z + parameters[CURVATURE] * (1.5 * z**2 - 0.5)
+        return own_variance({WHITE: parameters[WHITE] * jnp.exp(growth)}, frame)
+
+
+@offered
+def _for_each_column(scale: Positive, frame: Frame) -> list[Noise]:
+    """One law for each column or rate that varies."""
+    reference = frame.reference
+    ranged = [name.removesuffix("_low") for name in reference if name.endswith("_low")]
+    varied = [n for n in ranged if float(reference[f"{n}_high"]) > float(reference[f"{n}_low"])]
+    return [Heteroscedastic(column, scale) for column in varied]
+
+
+class StudentT(Noise):
+    """Independent Student-t noise: readings with outliers.
+
+    Attributes:
+        scale: prior of the scale, output unit.
+        freedom: prior of the degrees of freedom; below 2 the variance does not exist, and 2.1 is used
+            where a variance is asked for.
+    """
+
+    scale: Positive = HalfCauchy(1.0)
+    freedom: Positive = LogNormal(8.0, 0.8)
+    gaussian: ClassVar[bool] = False
+    law: ClassVar[str] = "student_t"
+    words: ClassVar[str] = "Student-t"
+    looks_like: ClassVar[str] = "white noise with outliers (Student-t)"
+
+    @property
+    def amplitudes(self) -> tuple[str, ...]:
+        return (WHITE,)
+
+    def parameters(self) -> dict[str, Positive]:
+        return {WHITE: self.scale, FREEDOM: self.freedom}
+
+    def unit(self, name: str, output: str) -> str:
+        return "1" if name == FREEDOM else output
+
+    def variance(self, parameters, frame):
+        # Student-t of scale s and ν degrees of freedom has the variance s²·ν/(ν − 2).
+        freedom = jnp.maximum(parameters[FREEDOM], LEAST_FREEDOM)
+        return own_variance(parameters, frame) * freedom / (freedom - 2)
+
+    def log_density(self, y, mean, parameters, frame):
+        freedom, squared = parameters[FREEDOM], own_variance(parameters, frame)
+        half = 0.5 * (freedom + 1)
+        norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * jnp.log(jnp.pi * freedom * squared)
+        return norm - half * jnp.log1p((y - mean) ** 2 / (freedom * squared))
+
+    def normal_scores(self, left, parameters, frame):
+        # P(T < −t) = ½·I_{ν/(ν + t²)}(ν/2, ½)
+        freedom = parameters[FREEDOM]
+        squares = left**2 / own_variance(parameters, frame)
+        tail = 0.5 * betainc(0.5 * freedom, 0.5, freedom / (freedom + squares))
+        return scores_of_tails(tail, left)
+
+    def sample(self, key, mean, parameters, frame):
+        draws = jax.random.t(key, parameters[FREEDOM], mean.shape)
+        return mean + jnp.sqrt(own_variance(parameters, frame)) * draws
+
+
+@offered
+def _heavy_tails(scale: Positive, frame: Frame) -> list[Noise]:
+    return [StudentT(scale)]
+
+
+class Quantised(Noise):
+    """White noise seen through a converter or a printed table that rounds to `step`.
+
+    The likelihood of a printed value is the probability of the interval that rounds to it.
+
+    Attributes:
+        step: rounding step, output unit.
+        scale: prior of the standard deviation before rounding, output unit.
+    """
+
+    step: float
+    scale: Positive = HalfCauchy(1.0)
+    gaussian: ClassVar[bool] = False
+    law: ClassVar[str] = "quantised"
+    looks_like: ClassVar[str] = "rounding and white noise"
+
+    def __post_init__(self) -> None:
+        if not self.step > 0:
+            raise ValueError(f"a rounding step must be positive, not {self.step}")
+
+    def parameters(self) -> dict[str, Positive]:
+        return {WHITE: self.scale}
+
+    def variance(self, parameters, frame):
+        # A rounding error is about uniform over a step, of variance step²/12 (B. Widrow and I. Kollár, Quantization
+        # Noise, 2008).
+        return own_variance(parameters, frame) + self.step**2 / 12
+
+    def log_density(self, y, mean, parameters, frame):
+        sd = jnp.sqrt(own_variance(parameters, frame))
+        # On the side of the mean where both tails are small, so that the difference keeps its digits.
+        centre = -jnp.abs(y - mean) / sd
+        half = 0.5 * self.step / sd
+        upper = jax.scipy.stats.norm.logcdf(centre + half)
+        lower = jax.scipy.stats.norm.logcdf(centre - half)
+        # log(Φ(u) − Φ(l)) = log Φ(u) + log(1 − exp(log Φ(l) − log Φ(u))), and over the step: a density, per output
+        # unit.
+        return (
+            upper + jnp.log(-jnp.expm1(jnp.minimum(lower - upper, -1e-300))) - math.log(self.step)
+        )
+
+    def sample(self, key, mean, parameters, frame):
+        sd = jnp.sqrt(own_variance(parameters, frame))
+        exact = mean + sd * jax.random.normal(key, mean.shape)
+        return jnp.round(exact / self.step) * self.step

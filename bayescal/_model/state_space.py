@@ -1,0 +1,204 @@
+"""Correlated noise as states that go on from reading to reading, and the Kalman filter that whitens by them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+
+class Block(NamedTuple):
+    """States of a term over the steps before n readings; all independent of each other, or a pair.
+
+    Attributes:
+        carry: what is kept of each state (n, k); or of a pair by a pair (n, 2, 2).
+        root: what is new is `root` times independent standard normal numbers (n, k); or (n, 2, 2).
+        start: stationary standard deviations (k,); or a root of the covariance (2, 2).
+    """
+
+    carry: Float[Array, "n *k"]
+    root: Float[Array, "n *k"]
+    start: Float[Array, "*k"]
+
+
+def exponential(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
+    """Ornstein–Uhlenbeck processes of these times and variances."""
+    time, size = jnp.atleast_1d(time), jnp.sqrt(jnp.atleast_1d(variance))
+    steps = h[:, None] / time
+    # At a run's first reading the step is zero and nothing is new. The inner `where` keeps the root's slope finite
+    # there: automatic differentiation computes both branches, and 0·∞ is no number.
+    fall = jnp.where(steps > 0, -jnp.expm1(-2 * steps), 0.0)
+    root = jnp.where(fall > 0, jnp.sqrt(jnp.where(fall > 0, fall, 1.0)), 0.0)
+    return Block(jnp.exp(-steps), size * root, size)
+
+
+def pairs(a: Array, b: Array, c: Array, d: Array) -> Float[Array, "n 2 2"]:
+    """Matrices [[a, b], [c, d]]."""
+    return jnp.stack([a, b, c, d], -1).reshape(-1, 2, 2)
+
+
+class States(NamedTuple):
+    """All states of a sum, a row for each reading; those of a run's first reading begin anew.
+
+    Attributes:
+        carry: what is kept over the step before: of each state (n, p), or of all by all (n, p, p).
+        fresh: covariance of what is new: (n, p) of each state, or (n, p, p).
+        shown: how much of each state a reading shows (p,).
+    """
+
+    carry: Float[Array, "n *p"]
+    fresh: Float[Array, "n *p"]
+    shown: Float[np.ndarray, "p"]
+
+    @property
+    def apart(self) -> bool:
+        """Whether no state says anything of another's future."""
+        return self.carry.ndim == 2
+
+
+def joined(blocks: Sequence[Block], step: Float[Array, "n"]) -> tuple[Any, Any]:
+    """What is kept of all states; what is new in them, per independent standard normal number.
+
+    At a run's first reading, of step −1, nothing is kept and the states have their stationary covariance: runs are
+    independent.
+    """
+    carry, root = [], []
+    for block in blocks:
+        first = jnp.expand_dims(step < 0, range(1, block.carry.ndim))
+        carry.append(jnp.where(first, 0.0, block.carry))
+        root.append(jnp.where(first, block.start, block.root))
+    apart = all(block.carry.ndim == 2 for block in blocks)
+    together = (lambda a: jnp.concatenate(a, 1)) if apart else _diagonal
+    return together(carry), together(root)
+
+
+def states_of(
+    blocks: Sequence[Block], step: Float[Array, "n"], shown: Float[np.ndarray, "p"]
+) -> States:
+    """The states of blocks over steps, s; −1 where they begin."""
+    carry, root = joined(blocks, step)
+    fresh = root**2 if root.ndim == 2 else root @ jnp.swapaxes(root, 1, 2)
+    return States(carry, fresh, shown)
+
+
+def drawn(
+    key: Array, blocks: Sequence[Block], step: Float[Array, "n"], shown: Float[np.ndarray, "p"]
+) -> Float[Array, "n"]:
+    """What readings show of the states of blocks, drawn."""
+    carry, root = joined(blocks, step)
+    normal = jax.random.normal(key, (step.shape[0], len(shown)))
+    push = root * normal if root.ndim == 2 else jnp.einsum("nij,nj->ni", root, normal)
+
+    def advance(state, row):
+        kept, own = row
+        made = (kept * state if kept.ndim == 1 else kept @ state) + own
+        return made, made @ jnp.asarray(shown)
+
+    return jax.lax.scan(advance, jnp.zeros(len(shown)), (carry, push))[1]
+
+
+def filtered(
+    states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]
+) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
+    """Columns as the Kalman filter whitens them, and the logarithm of each reading's standard deviation by then.
+
+    Its variances and gains hang on no column: they are found first, once for all. With P that of the states given the
+    readings before: g = P·1 over the states shown, s = 1ᵀg + w of the reading, gain g/s; P goes on as
+    A·(P − g·gᵀ/s)·Aᵀ + what is new.
+
+    Args:
+        states: of a sum.
+        white: variance w of each reading by itself.
+        columns: in the order of time within runs.
+    """
+    shown, count = jnp.asarray(states.shown), len(states.shown)
+
+    def ahead(before, reading):
+        kept, fresh, own = reading
+        if states.apart:
+            made = kept[:, None] * before * kept + jnp.diag(fresh)
+        else:
+            made = _times(_times(kept, before), kept.T) + fresh
+        column = jnp.sum(made * shown, axis=1)
+        total = jnp.sum(column * shown) + own
+        gain = column / total
+        return made - gain[:, None] * column, (gain, total)
+
+    nothing = jnp.zeros((count, count))
+    _, (gain, total) = jax.lax.scan(ahead, nothing, (states.carry, states.fresh, white), unroll=2)
+
+    def further(last, reading):
+        kept, own, row = reading
+        made = kept[:, None] * last if states.apart else _times(kept, last)
+        new = row - jnp.sum(made * shown[:, None], axis=0)
+        return made + own[:, None] * new, new
+
+    start = jnp.zeros((count, columns.shape[1]))
+    _, new = jax.lax.scan(further, start, (states.carry, gain, columns), unroll=2)
+    log_sd = 0.5 * jnp.log(total)
+    return new * jnp.exp(-log_sd)[:, None], log_sd
+
+
+def of_means(states: States, count: int, first: Float[Array, "n"]) -> States:
+    """States of the means of so many readings each, evenly spaced: exact, whatever the terms.
+
+    One state more is the sum of what readings have shown since their mean began; a mean shows it over their number.
+    Steps are taken together by squaring, which adds variances and subtracts none.
+
+    Args:
+        states: over one step, of two readings: a run's first, and one after another.
+        count: readings in each mean.
+        first: whether a run begins with a mean (n,).
+    """
+    size = len(states.shown)
+    wide = (lambda a: jax.vmap(jnp.diag)(a)) if states.apart else (lambda a: a)
+    one, fresh = wide(states.carry), wide(states.fresh)
+    shown = jnp.asarray(states.shown)
+    lift = jnp.concatenate([jnp.eye(size), shown[None]])  # the sum goes on with what is shown
+
+    # States beside the running sum S: S goes on as S + h·(A·x + new), which is one more row of a larger system.
+    def step(kept, new):
+        beside = jnp.zeros((size + 1, 1)).at[-1, 0].set(1.0)
+        return jnp.concatenate([lift @ kept, beside], 1), lift @ new @ lift.T
+
+    # (A, Q) applied twice is (A², A·Q·Aᵀ + Q): powers of two, and of these the steps that the number is made of.
+    def together(steps: int) -> tuple[Array, Array]:
+        whole, new = jnp.eye(size + 1), jnp.zeros((size + 1, size + 1))
+        power, own = step(one[1], fresh[1])
+        while steps:
+            if steps & 1:
+                whole, new = power @ whole, power @ new @ power.T + own
+            power, own = power @ power, power @ own @ power.T + own
+            steps >>= 1
+        return whole, new
+
+    started = lift @ fresh[0] @ lift.T
+    rest, of_rest = together(count - 1)
+    begun = rest @ started @ rest.T + of_rest
+    whole, new = together(count)
+    # A new mean begins with an empty sum: its column of the transition is taken out.
+    emptied = whole.at[:, -1].set(0.0)
+    begins = first[:, None, None]
+    carry = jnp.where(begins, 0.0, emptied)
+    return States(carry, jnp.where(begins, begun, new), np.append(np.zeros(size), 1 / count))
+
+
+def _diagonal(blocks: list[Array]) -> Float[Array, "n p p"]:
+    """Blocks along the diagonal; those of one row each are diagonals themselves."""
+    count = sum(b.shape[1] for b in blocks)
+    made, at = jnp.zeros((blocks[0].shape[0], count, count)), 0
+    for block in blocks:
+        size = block.shape[1]
+        wide = block if block.ndim == 3 else block[:, :, None] * jnp.eye(size)
+        made = made.at[:, at : at + size, at : at + size].set(wide)
+        at += size
+    return made
+
+
+def _times(a: Float[Array, "p q"], b: Float[Array, "q m"]) -> Float[Array, "p m"]:
+    """A product of small matrices, as one loop that the compiler fuses with its neighbours."""
+    return jnp.sum(a[:, :, None] * b[None], axis=1)
