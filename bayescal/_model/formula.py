@@ -11,7 +11,7 @@ import inspect
 import math
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -74,47 +74,60 @@ class Dimension(NamedTuple):
         kept = tuple(sorted((n, p) for n, p in powers.items() if p))
         return Dimension(kept, self.factor * other.factor**sign)
 
+    def raised(self, power: float) -> Dimension:
+        kept = tuple((n, p * power) for n, p in self.powers if power)
+        return Dimension(kept, self.factor**power)
+
     def __str__(self) -> str:
         words = "*".join(f"{n}^{p:g}" for n, p in self.powers)
         return f"[{base_unit(words).removeprefix('delta_')}]" if words else "a plain number"
 
 
 NUMBER = Dimension((), 1.0)
+Checked = tuple[
+    FormulaNode, Dimension | None
+]  # a part, and its dimension; None for a plain literal
 
 
-def refuse(text: str, at: int, why: str) -> InputError:
-    """The refusal of a formula, with the place marked."""
-    return InputError(f"effect {text[:at]!r} ▸ {text[at:]!r}: {why}")
+class _Text:
+    """What is typed, of which a place is marked where it is refused."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+
+    def refusal(self, at: int, why: str) -> InputError:
+        return InputError(f"effect {self.text[:at]!r} ▸ {self.text[at:]!r}: {why}")
 
 
-class _Parser:
+class _Parser(_Text):
     """sum = product (± product)*, product = factor (× or ÷ factor)*, factor = ± atom, or ± atom ^ factor."""
 
     def __init__(self, text: str) -> None:
-        self.text, self.at, self.depth = text, 0, 0
+        super().__init__(text)
         if len(text) > LONGEST:
             raise InputError(f"a formula of {len(text)} characters: {LONGEST} at most")
-        self.kind, self.value, self.begins = "", "", 0
+        self.ahead, self.depth = self._tokens(), 0
         self._next()
 
     def whole(self) -> FormulaNode:
         found = self._sum()
         if self.kind != "end":
-            raise refuse(self.text, self.begins, "an operator or the end was expected")
+            raise self.refusal(self.begins, "an operator or the end was expected")
         return found
 
+    def _tokens(self) -> Iterator[tuple[str, str, int]]:
+        at = 0
+        while rest := self.text[at:].lstrip():
+            if not (found := _TOKEN.match(self.text, at)):
+                raise self.refusal(
+                    len(self.text) - len(rest), f"{rest[0]!r} has no meaning in a formula"
+                )
+            kind, at = str(found.lastgroup), found.end()
+            yield kind, found[kind], found.start(kind)
+        yield "end", "", len(self.text)
+
     def _next(self) -> None:
-        rest = self.text[self.at :]
-        if not rest.strip():
-            self.kind, self.value, self.begins = "end", "", len(self.text)
-            return
-        found = _TOKEN.match(rest)
-        if not found:
-            at = self.at + len(rest) - len(rest.lstrip())
-            raise refuse(self.text, at, f"{self.text[at]!r} has no meaning in a formula")
-        self.kind = str(found.lastgroup)
-        self.value, self.begins = found[self.kind], self.at + found.start(self.kind)
-        self.at += found.end()
+        self.kind, self.value, self.begins = next(self.ahead)
 
     def _taken(self, *signs: str) -> str:
         if self.kind == "sign" and self.value in signs:
@@ -123,35 +136,34 @@ class _Parser:
             return value
         return ""
 
-    def _sum(self) -> FormulaNode:
+    def _deeper(self, what: str, read: Callable[[], FormulaNode]) -> FormulaNode:
         self.depth += 1
         if self.depth > DEEPEST:
-            raise refuse(self.text, self.begins, f"brackets deeper than {DEEPEST}")
-        found = self._product()
-        while sign := self._taken("+", "-"):
-            found = FormulaNode(sign, (found, self._product()), found.at)
+            raise self.refusal(self.begins, f"{what} deeper than {DEEPEST}")
+        found = read()
         self.depth -= 1
         return found
 
-    def _product(self) -> FormulaNode:
-        found = self._factor()
-        while sign := self._taken("*", "/"):
-            found = FormulaNode(sign, (found, self._factor()), found.at)
+    def _chain(self, signs: str, part: Callable[[], FormulaNode]) -> FormulaNode:
+        found = part()
+        while sign := self._taken(*signs):
+            found = FormulaNode(sign, (found, part()), found.at)
         return found
 
+    def _sum(self) -> FormulaNode:
+        return self._deeper("brackets", lambda: self._chain("+-", self._product))
+
+    def _product(self) -> FormulaNode:
+        return self._chain("*/", self._factor)
+
     def _factor(self) -> FormulaNode:
-        at = self.begins
-        signs = 0
+        at, negative = self.begins, False
         while sign := self._taken("+", "-"):
-            signs += sign == "-"
+            negative ^= sign == "-"
         base = self._atom()
         if self._taken("^", "**"):
-            self.depth += 1
-            if self.depth > DEEPEST:
-                raise refuse(self.text, self.begins, f"powers deeper than {DEEPEST}")
-            base = FormulaNode("^", (base, self._factor()), base.at)
-            self.depth -= 1
-        return FormulaNode("neg", (base,), at) if signs % 2 else base
+            base = FormulaNode("^", (base, self._deeper("powers", self._factor)), base.at)
+        return FormulaNode("neg", (base,), at) if negative else base
 
     def _atom(self) -> FormulaNode:
         kind, value, at = self.kind, self.value, self.begins
@@ -160,20 +172,20 @@ class _Parser:
             self._close()
             return found
         if kind not in ("number", "name", "quoted"):
-            raise refuse(self.text, at, "a number, a name or a bracket was expected")
+            raise self.refusal(at, "a number, a name or a bracket was expected")
         self._next()
         if kind == "number":
             if not math.isfinite(float(value)):
-                raise refuse(self.text, at, f"{value} is too large")
+                raise self.refusal(at, f"{value} is too large")
             return FormulaNode("number", (float(value),), at)
         if kind == "name" and self.kind == "sign" and self.value == "(":
             return self._call(value, at)
         return FormulaNode("name", (value,), at)
 
     def _call(self, name: str, at: int) -> FormulaNode:
-        if name not in _FUNCTIONS and name not in _OF_COLUMNS:
-            known = ", ".join((*_FUNCTIONS, *_OF_COLUMNS))
-            raise refuse(self.text, at, f"there is no function {name!r}; there are {known}")
+        known = (*_FUNCTIONS, *_OF_COLUMNS)
+        if name not in known:
+            raise self.refusal(at, f"there is no function {name!r}; there are {', '.join(known)}")
         self._next()
         arguments = [self._sum()]
         while self._taken(","):
@@ -181,12 +193,12 @@ class _Parser:
         self._close()
         count = 2 if name in (*_OF_TWO, "lag") else 1
         if len(arguments) != count:
-            raise refuse(self.text, at, f"{name} takes {count} argument{'s' * (count > 1)}")
+            raise self.refusal(at, f"{name} takes {count} argument{'s' * (count > 1)}")
         return FormulaNode("call", (name, *arguments), at)
 
     def _close(self) -> None:
         if not self._taken(")"):
-            raise refuse(self.text, self.begins, "a closing bracket was expected")
+            raise self.refusal(self.begins, "a closing bracket was expected")
 
 
 def _inside(node: FormulaNode) -> Iterator[FormulaNode]:
@@ -200,45 +212,10 @@ def _names(node: FormulaNode) -> set[str]:
     return {n.parts[0] for n in _inside(node) if n.kind == "name"}
 
 
-def _bent(node: FormulaNode, unknowns: set[str]) -> Iterator[str]:
-    """Unknowns that a formula is not linear in: in a function, below a division, in a power."""
-    for n in _inside(node):
-        if n.kind == "call":
-            yield from _names(n) & unknowns
-        elif n.kind == "/":
-            yield from _names(n.parts[1]) & unknowns
-        elif n.kind == "^":
-            yield from _names(n) & unknowns
-
-
-def _linear(text: str, node: FormulaNode, unknowns: set[str]) -> dict[str, FormulaNode]:
-    """What each unknown is multiplied by; "" for what is multiplied by none."""
-    if not _names(node) & unknowns:
-        return {"": node}
-    if node.kind == "name":
-        return {node.parts[0]: FormulaNode("number", (1.0,), node.at)}
-    if node.kind == "neg":
-        inner = _linear(text, node.parts[0], unknowns)
-        return {n: FormulaNode("neg", (part,), part.at) for n, part in inner.items()}
-    a, b = (_linear(text, part, unknowns) for part in node.parts)
-    if node.kind in "+-":
-        found = dict(a)
-        for name, part in b.items():
-            signed = part if node.kind == "+" else FormulaNode("neg", (part,), part.at)
-            found[name] = (
-                FormulaNode("+", (found[name], signed), part.at) if name in found else signed
-            )
-        return found
-    if set(b) != {""} and set(a) != {""}:
-        both = sorted({*a, *b} - {""})
-        raise refuse(
-            text,
-            node.at,
-            f"{' and '.join(both)} multiply each other: only their product could be told",
-        )
-    held, free = (a, b) if set(b) == {""} else (b, a)
-    pair = {n: (part, free[""]) if held is a else (free[""], part) for n, part in held.items()}
-    return {n: FormulaNode(node.kind, parts, node.at) for n, parts in pair.items()}
+def _bent(node: FormulaNode) -> set[str]:
+    """Names that a formula is not linear in: in a function, below a division, in a power."""
+    within = [n.parts[1] if n.kind == "/" else n for n in _inside(node) if n.kind in "call/^"]
+    return set().union(*map(_names, within))
 
 
 @dataclass(frozen=True)
@@ -302,37 +279,34 @@ def _column(r: Frame, name: str) -> Any:
     return r.elapsed if name == "elapsed" else r[name]
 
 
-class _CheckedFormula:
+class _CheckedFormula(_Text):
     """Units of a formula's parts: literals take the unit that they are added to or compared with."""
 
     def __init__(
-        self, text: str, units: Mapping[str, Dimension | None], shapes: frozenset[str]
+        self, text: str, units: Mapping[str, Dimension | None], shapes: Collection[str]
     ) -> None:
-        self.text, self.units, self.shapes = text, units, shapes
+        super().__init__(text)
+        self.units, self.shapes = units, shapes
 
-    def of(self, node: FormulaNode) -> tuple[FormulaNode, Dimension | None]:
+    def of(self, node: FormulaNode) -> Checked:
         """The part with its literals in base units, and its dimension; None for a plain literal."""
         if node.kind == "number":
             return node, None
         if node.kind == "name":
             return node, self.units[node.parts[0]]
         if node.kind == "call":
-            return self._call(node)
+            return self._call(node, *node.parts)
+        (a, left), *more = (self.of(part) for part in node.parts)
         if node.kind == "neg":
-            inner, unit = self.of(node.parts[0])
-            return node._replace(parts=(inner,)), unit
+            return node._replace(parts=(a,)), left
+        ((b, right),) = more
         if node.kind == "^":
-            return self._raised(node)
-        (a, left), (b, right) = (self.of(part) for part in node.parts)
-        if node.kind in "*/":
-            sign = 1.0 if node.kind == "*" else -1.0
-            unit = (
-                None
-                if left is None and right is None
-                else (left or NUMBER).times(right or NUMBER, sign)
-            )
-            return node._replace(parts=(a, b)), unit
-        a, b, unit = self._alike(a, left, b, right, node.parts[1].at)
+            unit = self._raised(left, right, b, node.parts[1].at)
+        elif node.kind in "+-":
+            a, b, unit = self._alike(a, left, b, right, node.parts[1].at)
+        else:
+            sign, plain = (1.0 if node.kind == "*" else -1.0), left is None and right is None
+            unit = None if plain else (left or NUMBER).times(right or NUMBER, sign)
         return node._replace(parts=(a, b)), unit
 
     def _alike(
@@ -343,90 +317,73 @@ class _CheckedFormula:
         right: Dimension | None,
         at: int,
     ) -> tuple[FormulaNode, FormulaNode, Dimension | None]:
-        if left is None or right is None:
-            unit = left or right
-            factor = 1.0 if unit is None else unit.factor
-            a = _times(a, factor) if left is None else a
-            b = _times(b, factor) if right is None else b
-            return a, b, unit
-        if left.powers != right.powers:
-            raise refuse(
-                self.text, at, f"this is {right}, what it is added to or compared with {left}"
-            )
-        return a, b, left
+        """Two parts that are added or compared, plain literals in the unit of the other."""
+        if left is not None and right is not None and left.powers != right.powers:
+            why = f"this is {right}, what it is added to or compared with {left}"
+            raise self.refusal(at, why)
+        unit = left or right
+        factor = 1.0 if unit is None else unit.factor
+        return (
+            _times(a, factor) if left is None else a,
+            _times(b, factor) if right is None else b,
+            unit,
+        )
 
-    def _raised(self, node: FormulaNode) -> tuple[FormulaNode, Dimension | None]:
-        base, unit = self.of(node.parts[0])
-        exponent, of = self.of(node.parts[1])
+    def _raised(
+        self, unit: Dimension | None, of: Dimension | None, exponent: FormulaNode, at: int
+    ) -> Dimension | None:
         if of is not None and of.powers:
-            raise refuse(
-                self.text, node.parts[1].at, f"an exponent is a plain number, this is {of}"
-            )
+            raise self.refusal(at, f"an exponent is a plain number, this is {of}")
         if unit is None or not unit.powers:
-            return node._replace(parts=(base, exponent)), unit if of is None else NUMBER
+            return unit if of is None else NUMBER
         value = _literal(exponent)
         if value is None or abs(value) > 10:
-            raise refuse(
-                self.text, node.parts[1].at, f"of {unit} only a power such as 2 or 0.5 has a unit"
-            )
-        raised = Dimension(
-            tuple((n, p * value) for n, p in unit.powers if value), unit.factor**value
-        )
-        return node._replace(parts=(base, exponent)), raised
+            raise self.refusal(at, f"of {unit} only a power such as 2 or 0.5 has a unit")
+        return unit.raised(value)
 
-    def _call(self, node: FormulaNode) -> tuple[FormulaNode, Dimension | None]:
-        name, *arguments = node.parts
+    def _call(
+        self, node: FormulaNode, name: str, first: FormulaNode, *rest: FormulaNode
+    ) -> Checked:
         if name in _OF_COLUMNS:
-            column, *rest = arguments
-            unit = self.units[column.parts[0]] or Dimension.of("degC")
-            if name == "rate":
-                if unit.powers != (("K", 1.0),):
-                    raise refuse(self.text, column.at, "rate is of a temperature")
-                return node, unit.times(Dimension.of("s"), -1.0)
-            tau = self.units.get(rest[0].parts[0]) if rest[0].kind == "name" else None
-            if tau is None or rest[0].parts[0] not in self.shapes or tau.powers != (("s", 1.0),):
-                raise refuse(
-                    self.text,
-                    rest[0].at,
-                    "the second argument of lag is a time constant, such as tau",
-                )
-            return node, unit
-        made = [self.of(argument) for argument in arguments]
+            return node, self._of_past(name, first, *rest)
+        (a, unit), *more = (self.of(argument) for argument in (first, *rest))
         if name in _OF_TWO:
-            (a, left), (b, right) = made
-            a, b, unit = self._alike(a, left, b, right, arguments[1].at)
+            ((b, right),) = more
+            a, b, unit = self._alike(a, unit, b, right, rest[0].at)
             return node._replace(parts=(name, a, b)), unit
-        inner, unit = made[0]
-        node = node._replace(parts=(name, inner))
-        if name == "abs":
+        node = node._replace(parts=(name, a))
+        if name == "abs" or (name == "sqrt" and unit is None):
             return node, unit
-        if name in ("step", "sign"):
-            return node, NUMBER
         if name == "sqrt":
-            half = (
-                None
-                if unit is None
-                else Dimension(tuple((n, p / 2) for n, p in unit.powers), unit.factor**0.5)
-            )
-            return node, half
+            return node, unit and unit.raised(0.5)
         angle = (
             name in ("sin", "cos", "tan") and unit is not None and unit.powers == (("rad", 1.0),)
         )
-        if unit is not None and unit.powers and not angle:
-            raise refuse(
-                self.text,
-                arguments[0].at,
-                f"{name} takes a plain number, this is {unit}: divide it by one",
-            )
+        if name not in ("step", "sign") and unit is not None and unit.powers and not angle:
+            why = f"{name} takes a plain number, this is {unit}: divide it by one"
+            raise self.refusal(first.at, why)
         return node, NUMBER
+
+    def _of_past(self, name: str, column: FormulaNode, *rest: FormulaNode) -> Dimension:
+        unit = self.units[column.parts[0]] or Dimension.of("degC")
+        if name == "rate":
+            if unit.powers != (("K", 1.0),):
+                raise self.refusal(column.at, "rate is of a temperature")
+            return unit.times(Dimension.of("s"), -1.0)
+        (time,) = rest
+        tau = str(time.parts[0])
+        of = self.units.get(tau) if time.kind == "name" and tau in self.shapes else None
+        if of is None or of.powers != (("s", 1.0),):
+            raise self.refusal(
+                time.at, "the second argument of lag is a time constant, such as tau"
+            )
+        return unit
 
 
 def _times(node: FormulaNode, factor: float) -> FormulaNode:
-    return (
-        node
-        if factor == 1.0
-        else FormulaNode("*", (node, FormulaNode("number", (factor,), node.at)), node.at)
-    )
+    if factor == 1.0:
+        return node
+    return FormulaNode("*", (node, FormulaNode("number", (factor,), node.at)), node.at)
 
 
 def _literal(node: FormulaNode) -> float | None:
@@ -473,64 +430,7 @@ def effect(
     Raises:
         InputError: the formula is none, its units do not go together, or a size is missing; the place is marked with ▸.
     """
-    name, formula, given = _apart(name, formula, given)
-    tree = _Parser(formula).whole()
-    own = {n: v for n, v in given.items() if not re.match(r"[-+.\d]", v)}
-    columns = _columns(formula, tree, own, given, readings, instrument)
-    for node in _inside(tree):
-        if node.kind == "call" and node.parts[0] in _OF_COLUMNS:
-            of = node.parts[1]
-            if of.kind != "name" or of.parts[0] not in columns:
-                raise refuse(formula, of.at, f"{node.parts[0]} takes the name of a column")
-    unknowns = _names(tree) - set(columns)
-    if unused := sorted(set(given) - _names(tree)):
-        raise InputError(
-            f"effect {name!r}: {', '.join(unused)} is given, and does not stand in {formula!r}"
-        )
-    bent = set(_bent(tree, unknowns))
-    linear = _linear(formula, tree, unknowns - bent)
-    if "" in linear:
-        near = "" if unknowns else ": write one in front, as s * (…)"
-        raise refuse(
-            formula,
-            linear[""].at,
-            f"this is multiplied by no coefficient, whose size would be found{near}",
-        )
-    shapes = {n: _shape(formula, tree, n, given.get(n)) for n in sorted(bent)}
-    units = {n: Dimension.of(unit) if unit else None for n, (_, unit) in columns.items()}
-    units |= {n: Dimension.of(s.unit) for n, s in shapes.items()}
-    checked = _CheckedFormula(formula, units, frozenset(shapes))
-    parts = {n: checked.of(part) for n, part in linear.items()}
-    slot, slot_unit, cause = _slot(name, instrument, parts, given)
-    used = tuple((n, c, Dimension.of(u or "1").factor) for n, (c, u) in columns.items())
-    bases = tuple(part for part, _ in parts.values())
-    made = Formula("", bases, used, tuple(shapes))
-    scatter = None if readings is None else _scatter(made, readings, shapes)
-    coefficients = [
-        _coefficient(
-            formula,
-            n,
-            unit,
-            slot_unit,
-            given.get(n),
-            len(parts) > 1,
-            None if scatter is None else scatter[i],
-        )
-        for i, (n, (_, unit)) in enumerate(parts.items())
-    ]
-    text = _canonical(f"{slot}.{cause}", formula, parts, coefficients, shapes, columns)
-    needs = [c if c != "elapsed" else "time" for c, _ in columns.values()]
-    past = any(n.kind == "call" and n.parts[0] in _OF_COLUMNS for n in _inside(tree))
-    return Effect(
-        f"{slot}.{cause}",
-        slot,
-        basis=Formula(text, bases, used, tuple(shapes)),
-        coefficients=tuple(coefficients),
-        shapes=tuple(shapes.values()),
-        columns=tuple(dict.fromkeys([*needs, *["time"] * past])),
-        equation=formula,
-        source=source,
-    )
+    return _TypedLine(name, formula, given, readings, instrument).effect(source)
 
 
 def _apart(name: str, formula: str, given: Mapping[str, str]) -> tuple[str, str, dict[str, str]]:
@@ -557,150 +457,228 @@ def _apart(name: str, formula: str, given: Mapping[str, str]) -> tuple[str, str,
     return name, formula, given
 
 
-def _columns(
-    formula: str,
-    tree: FormulaNode,
-    own: Mapping[str, str],
-    given: Mapping[str, str],
-    readings: Measurements | None,
-    instrument: Instrument | None,
-) -> dict[str, tuple[str, str]]:
-    """Name in the formula → column, and its fixed unit; empty where that is not known yet.
+class _TypedLine(_Text):
+    """A formula with what is said of its names, and the readings or instrument that it is for.
 
-    Raises:
-        InputError: the readings have no such column of numbers, or its unit is not known.
+    Attributes:
+        name: of the effect.
+        given: what is said, by name.
+        tree: the formula.
+        columns: name in the formula → column, and its fixed unit; empty where that is not known yet.
+        coefficients: for each unknown that the formula is linear in, what it is multiplied by, and its dimension.
+        shapes: the other unknowns.
     """
-    there = dict(_UNITS)
-    for column in instrument.columns if instrument else ():
-        if column.unit not in (None, ANY) and column.name != "output":
-            there[column.name] = str(column.unit)
-    if readings is not None:
-        there = {
-            n: str(readings.unit(n))
-            for n in readings.columns
-            if readings.unit(n) and n != readings.output
-        }
-        there |= {"elapsed": "s"} if "time" in there else {}
-    found: dict[str, tuple[str, str]] = {}
-    for node in (n for n in _inside(tree) if n.kind == "name"):
-        called = node.parts[0]
-        said = own.get(called, called)
-        column, bracket, unit = said.partition("[")
-        column = column.strip()
-        column = column if column in there or called in own else _ALIASES.get(column, column)
-        stated = base_unit(unit.rstrip("] ")) if bracket else ""
-        if column in there:
-            if stated and Dimension.of(stated).powers != Dimension.of(there[column]).powers:
-                raise refuse(
-                    formula, node.at, f"{column} is in [{there[column]}], and not in [{stated}]"
+
+    def __init__(
+        self,
+        name: str,
+        formula: str,
+        given: Mapping[str, str],
+        readings: Measurements | None,
+        instrument: Instrument | None,
+    ) -> None:
+        self.name, formula, self.given = _apart(name, formula, given)
+        super().__init__(formula)
+        self.readings, self.instrument = readings, instrument
+        self.tree = _Parser(formula).whole()
+        self.columns = self._columns()
+        past = [
+            n.parts for n in _inside(self.tree) if n.kind == "call" and n.parts[0] in _OF_COLUMNS
+        ]
+        for function, of, *_ in past:
+            if of.kind != "name" or of.parts[0] not in self.columns:
+                raise self.refusal(of.at, f"{function} takes the name of a column")
+        self.of_past = bool(past)
+        named = _names(self.tree)
+        if unused := sorted(set(self.given) - named):
+            raise InputError(
+                f"effect {self.name!r}: {', '.join(unused)} is given, and does not stand in {formula!r}"
+            )
+        unknowns = named - set(self.columns)
+        bent = _bent(self.tree) & unknowns
+        linear = self._linear(self.tree, unknowns - bent)
+        if "" in linear:
+            near = "" if unknowns else ": write one in front, as s * (…)"
+            why = f"this is multiplied by no coefficient, whose size would be found{near}"
+            raise self.refusal(linear[""].at, why)
+        self.shapes = {n: self._shape(n) for n in sorted(bent)}
+        units = {n: Dimension.of(u) if u else None for n, (_, u) in self.columns.items()}
+        units |= {n: Dimension.of(s.unit) for n, s in self.shapes.items()}
+        checked = _CheckedFormula(formula, units, self.shapes)
+        self.coefficients = {n: checked.of(part) for n, part in linear.items()}
+
+    def effect(self, source: str) -> Effect:
+        slot, slot_unit, cause = self._slot()
+        name, basis = f"{slot}.{cause}", self._basis("")
+        scatter = None if self.readings is None else _scatter(basis, self.readings, self.shapes)
+        coefficients = tuple(
+            self._coefficient(n, unit, slot_unit, None if scatter is None else scatter[i])
+            for i, (n, (_, unit)) in enumerate(self.coefficients.items())
+        )
+        needs = ["time" if c == "elapsed" else c for c, _ in self.columns.values()]
+        return Effect(
+            name,
+            slot,
+            basis=self._basis(self._canonical(name, coefficients)),
+            coefficients=coefficients,
+            shapes=tuple(self.shapes.values()),
+            columns=tuple(dict.fromkeys([*needs, *["time"] * self.of_past])),
+            equation=self.text,
+            source=source,
+        )
+
+    def _basis(self, text: str) -> Formula:
+        used = tuple((n, c, Dimension.of(u or "1").factor) for n, (c, u) in self.columns.items())
+        parts = tuple(part for part, _ in self.coefficients.values())
+        return Formula(text, parts, used, tuple(self.shapes))
+
+    def _linear(self, node: FormulaNode, unknowns: set[str]) -> dict[str, FormulaNode]:
+        """What each unknown is multiplied by; "" for what is multiplied by none."""
+        if not _names(node) & unknowns:
+            return {"": node}
+        if node.kind == "name":
+            return {node.parts[0]: FormulaNode("number", (1.0,), node.at)}
+        a, *more = (self._linear(part, unknowns) for part in node.parts)
+        if node.kind == "neg":
+            return {n: FormulaNode("neg", (part,), part.at) for n, part in a.items()}
+        (b,) = more
+        if node.kind in "+-":
+            for name, part in b.items():
+                signed = part if node.kind == "+" else FormulaNode("neg", (part,), part.at)
+                a[name] = FormulaNode("+", (a[name], signed), part.at) if name in a else signed
+            return a
+        if set(b) == {""}:
+            return {n: FormulaNode(node.kind, (part, b[""]), node.at) for n, part in a.items()}
+        if set(a) == {""}:
+            return {n: FormulaNode(node.kind, (a[""], part), node.at) for n, part in b.items()}
+        both = " and ".join(sorted({*a, *b} - {""}))
+        raise self.refusal(node.at, f"{both} multiply each other: only their product could be told")
+
+    def _columns(self) -> dict[str, tuple[str, str]]:
+        """Names that are columns.
+
+        Raises:
+            InputError: the readings have no such column of numbers, or its unit is not known.
+        """
+        readings, given, there = self.readings, self.given, dict(_UNITS)
+        for c in self.instrument.columns if self.instrument else ():
+            if c.unit not in (None, ANY) and c.name != "output":
+                there[c.name] = str(c.unit)
+        if readings is not None:
+            units = {n: readings.unit(n) for n in readings.columns if n != readings.output}
+            there = {n: str(unit) for n, unit in units.items() if unit}
+            there |= {"elapsed": "s"} if "time" in there else {}
+        own = {n: v for n, v in given.items() if not re.match(r"[-+.\d]", v)}
+        found: dict[str, tuple[str, str]] = {}
+        for node in (n for n in _inside(self.tree) if n.kind == "name"):
+            called = node.parts[0]
+            column, bracket, unit = str(own.get(called, called)).partition("[")
+            column = column.strip()
+            column = column if column in there or called in own else _ALIASES.get(column, column)
+            stated = base_unit(unit.rstrip("] ")) if bracket else ""
+            if column in there:
+                if stated and Dimension.of(stated).powers != Dimension.of(there[column]).powers:
+                    why = f"{column} is in [{there[column]}], and not in [{stated}]"
+                    raise self.refusal(node.at, why)
+                found[called] = column, there[column]
+            elif called in own and readings is None:
+                found[called] = column, stated
+            elif called in own:
+                why = f"{column!r} is no column of numbers; there are {', '.join(there)}"
+                raise self.refusal(node.at, why)
+            elif called not in given and readings is None and given:
+                found[called] = called, ""  # a column, whose unit is looked at with the readings
+            elif called not in given and len(called) > 3 and (near := _near(called, there)):
+                raise self.refusal(node.at, f"there is no column {called!r}: is {near!r} meant?")
+        return found
+
+    def _shape(self, name: str) -> Shape:
+        said = self.given.get(name)
+        if said is None:
+            at = next(n.at for n in _inside(self.tree) if n.kind == "name" and n.parts[0] == name)
+            why = f"how large {name!r} plausibly is, is not said: {name} = 100 to 2000 s"
+            raise self.refusal(at, why)
+        if found := _RANGE.fullmatch(said):
+            low, high, unit = float(found[1]), float(found[2]), found[3]
+        elif (found := _SIZE.fullmatch(said)) and found[2] is None and float(found[1]) > 0:
+            low, high, unit = float(found[1]) / MAGNITUDE, float(found[1]) * MAGNITUDE, found[3]
+        else:
+            raise InputError(f"{name} = {said!r} is no plausible range: write it as 100 to 2000 s")
+        if not 0 < low < high:
+            raise InputError(
+                f"{name} = {said!r}: a range goes from a positive number to a larger one"
+            )
+        unit = (unit or "1").strip()
+        factor = parse(unit).factor
+        base = base_unit(unit).replace("degC", "delta_degC") if unit != "1" else "1"
+        return Shape(name, base, low * factor, high * factor)
+
+    def _slot(self) -> tuple[str, str | None, str]:
+        """The slot, its unit where it is known, and the cause."""
+        slot, _, cause = self.name.rpartition(".")
+        if self.instrument is None:
+            return slot or "bias", None, cause
+        if slot:
+            return slot, self.instrument.slot(slot).unit, cause
+        chosen = self.instrument.slots[0]
+        for name, (_, unit) in self.coefficients.items():
+            size = _SIZE.fullmatch(self.given.get(name, ""))
+            if size and size[3]:
+                whole = Dimension.of(size[3].strip()).times(unit or NUMBER).powers
+                fitting = (s for s in self.instrument.slots if Dimension.of(s.unit).powers == whole)
+                if found := next(fitting, None):
+                    chosen = found
+                    break
+        return chosen.name, chosen.unit, cause
+
+    def _coefficient(
+        self, name: str, unit: Dimension | None, slot_unit: str | None, size: float | None
+    ) -> Coefficient:
+        """A coefficient with its prior, its unit such that the product is in that of the slot."""
+        own, said = unit or NUMBER, self.given.get(name)
+        part = name if len(self.coefficients) > 1 else ""
+        if said is None:
+            if size is None or slot_unit is None:
+                raise InputError(
+                    f"effect {self.text!r}: how large {name!r} plausibly is, is not said: {name} = 0.1 mV/V"
                 )
-            found[called] = column, there[column]
-        elif called in own and readings is None:
-            found[called] = column, stated
-        elif called in own:
-            raise refuse(
-                formula,
-                node.at,
-                f"{column!r} is no column of numbers; there are {', '.join(there)}",
-            )
-        elif called not in given and readings is None and given:
-            found[called] = called, ""  # a column, whose unit is looked at with the readings
-        elif called not in given and len(called) > 3:
-            near = difflib.get_close_matches(called, there, 1, 0.8)
-            said = f"there is no column {called!r}"
-            if near:
-                raise refuse(formula, node.at, f"{said}: is {near[0]!r} meant?")
-    return found
-
-
-def _shape(formula: str, tree: FormulaNode, name: str, said: str | None) -> Shape:
-    at = next(n.at for n in _inside(tree) if n.kind == "name" and n.parts[0] == name)
-    if said is None:
-        raise refuse(
-            formula, at, f"how large {name!r} plausibly is, is not said: {name} = 100 to 2000 s"
-        )
-    if found := _RANGE.fullmatch(said):
-        low, high, unit = float(found[1]), float(found[2]), found[3]
-    elif (found := _SIZE.fullmatch(said)) and found[2] is None and float(found[1]) > 0:
-        low, high, unit = float(found[1]) / MAGNITUDE, float(found[1]) * MAGNITUDE, found[3]
-    else:
-        raise InputError(f"{name} = {said!r} is no plausible range: write it as 100 to 2000 s")
-    factor = parse(unit.strip()).factor if unit else 1.0
-    if not 0 < low < high:
-        raise InputError(f"{name} = {said!r}: a range goes from a positive number to a larger one")
-    return Shape(
-        name,
-        base_unit(unit.strip()).replace("degC", "delta_degC") if unit else "1",
-        low * factor,
-        high * factor,
-    )
-
-
-def _slot(
-    name: str,
-    instrument: Instrument | None,
-    parts: Mapping[str, tuple[FormulaNode, Dimension | None]],
-    given: Mapping[str, str],
-) -> tuple[str, str | None, str]:
-    """The slot, its unit where it is known, and the cause."""
-    slot, _, cause = name.rpartition(".")
-    if instrument is None:
-        return slot or "bias", None, cause
-    if slot:
-        return slot, instrument.slot(slot).unit, cause
-    for coefficient, (_, unit) in parts.items():
-        size = _SIZE.fullmatch(given.get(coefficient, ""))
-        if size and size[3]:
-            whole = Dimension.of(size[3].strip()).times(unit or NUMBER)
-            for one in instrument.slots:
-                if Dimension.of(one.unit).powers == whole.powers:
-                    return one.name, one.unit, cause
-    first = instrument.slots[0]
-    return first.name, first.unit, cause
-
-
-def _coefficient(
-    formula: str,
-    name: str,
-    unit: Dimension | None,
-    slot_unit: str | None,
-    said: str | None,
-    several: bool,
-    size: float | None,
-) -> Coefficient:
-    """A coefficient with its prior, its unit such that the product is in that of the slot."""
-    own = unit or NUMBER
-    part = name if several else ""
-    if said is None:
-        if size is None or slot_unit is None:
+            text = "/".join([slot_unit, *(_power_of(n, p) for n, p in own.powers)])
+            rounded = float(f"{size / coefficient_factor(text, slot_unit):.2g}")
+            return Coefficient(text, Normal(0.0, rounded), part)
+        if not (found := _SIZE.fullmatch(said)):
             raise InputError(
-                f"effect {formula!r}: how large {name!r} plausibly is, is not said: {name} = 0.1 mV/V"
+                f"{name} = {said!r} is no size with a unit: write it as 0.1 mV/V, or as 0.5 ± 0.1 mV/V"
             )
-        text = "/".join([slot_unit, *(_raised(n, p) for n, p in own.powers)])
-        return Coefficient(
-            text, Normal(0.0, float(f"{size / coefficient_factor(text, slot_unit):.2g}")), part
-        )
-    found = _SIZE.fullmatch(said)
-    if not found:
-        raise InputError(
-            f"{name} = {said!r} is no size with a unit: write it as 0.1 mV/V, or as 0.5 ± 0.1 mV/V"
-        )
-    text = (found[3] or "1").strip()
-    mean, sd = (float(found[1]), float(found[2])) if found[2] else (0.0, abs(float(found[1])))
-    if not sd > 0:
-        raise InputError(f"{name} = {said!r}: a size is not zero")
-    if slot_unit is not None:
+        text = (found[3] or "1").strip()
+        mean, sd = (float(found[1]), float(found[2])) if found[2] else (0.0, abs(float(found[1])))
+        if not sd > 0:
+            raise InputError(f"{name} = {said!r}: a size is not zero")
         whole = Dimension.of(text).times(own)
-        wanted = Dimension.of(slot_unit)
-        if whole.powers != wanted.powers:
+        if slot_unit is not None and whole.powers != (wanted := Dimension.of(slot_unit)).powers:
             raise InputError(
-                f"effect {formula!r}: {name} in {text} makes it {whole}, and it adds to what is {wanted}: correct "
+                f"effect {self.text!r}: {name} in {text} makes it {whole}, and it adds to what is {wanted}: correct "
                 f"the unit of {name}"
             )
-    return Coefficient(text, Normal(mean, sd), part)
+        return Coefficient(text, Normal(mean, sd), part)
+
+    def _canonical(self, name: str, coefficients: Sequence[Coefficient]) -> str:
+        """The whole in one line, from which it can be made again without readings."""
+        pieces = [f"{name}: {self.text}"]
+        for n, c in zip(self.coefficients, coefficients, strict=True):
+            pieces.append(f"{n} = {f'{c.mean!r} ± ' if c.mean else ''}{c.size!r} {c.unit}")
+        pieces += [f"{n} = {s.low!r} to {s.high!r} {s.unit}" for n, s in self.shapes.items()]
+        for n, (c, u) in self.columns.items():
+            if n != c or n not in _UNITS:
+                called = n if n.isidentifier() else f"`{n}`"
+                pieces.append(f"{called} = {c}" + (f" [{u}]" if u else ""))
+        return "; ".join(pieces)
 
 
-def _raised(name: str, power: float) -> str:
+def _near(name: str, known: Iterable[str]) -> str:
+    return next(iter(difflib.get_close_matches(name, known, 1, 0.8)), "")
+
+
+def _power_of(name: str, power: float) -> str:
     name = "degC" if name == "K" else name
     return name if power == 1 else f"({name}^{power:g})"
 
@@ -714,27 +692,6 @@ def _scatter(made: Formula, readings: Measurements, shapes: Mapping[str, Shape])
     sizes = np.std(columns, axis=0)
     sizes = np.where(sizes > 0, sizes, np.abs(columns).max(axis=0))
     return [spread / s if s > 0 and math.isfinite(s) else spread for s in sizes.tolist()]
-
-
-def _canonical(
-    name: str,
-    formula: str,
-    parts: Mapping[str, Any],
-    coefficients: list[Coefficient],
-    shapes: Mapping[str, Shape],
-    columns: Mapping[str, tuple[str, str]],
-) -> str:
-    """The whole in one line, from which it can be made again without readings."""
-    pieces = [
-        f"{n} = {f'{c.mean!r} ± ' if c.mean else ''}{c.size!r} {c.unit}"
-        for n, c in zip(parts, coefficients, strict=True)
-    ]
-    pieces += [f"{n} = {s.low!r} to {s.high!r} {s.unit}" for n, s in shapes.items()]
-    for n, (c, u) in columns.items():
-        if n != c or n not in _UNITS:
-            called = n if n.isidentifier() else f"`{n}`"
-            pieces.append(f"{called} = {c}" + (f" [{u}]" if u else ""))
-    return "; ".join([f"{name}: {formula}", *pieces])
 
 
 def require_units(effect_: Effect, readings: Measurements, instrument: Instrument) -> None:
