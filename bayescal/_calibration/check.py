@@ -8,9 +8,15 @@ from itertools import combinations
 import numpy as np
 from scipy.special import bdtr, kolmogorov, ndtr, smirnov, stdtr
 
-from bayescal._calibration import covariate_evidence
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, Entry, FixedComparison, Pair
+from bayescal._calibration.covariate_evidence import (
+    Covariate,
+    log_bayes_factors,
+    members,
+    smooth,
+    together,
+)
 from bayescal._calibration.fit import fit
 from bayescal._calibration.noise_in_time import allan_check
 from bayescal._calibration.settings import guarding, searching
@@ -35,36 +41,29 @@ def check(calibration: Calibration) -> Check:
     noise = float(np.sqrt(np.mean(judged.linear.variance)))
     covariates = covariates_of(judged)
     duos = _duos(covariates)
-    products = [covariate_evidence.together(a, b) for a, b in duos]
-    evidence = covariate_evidence.log_bayes_factors(judged, [*covariates, *products], noise)
-    factors, of_duos = evidence[: len(covariates)], evidence[len(covariates) :]
+    factors = log_bayes_factors(judged, covariates, noise)
+    of_duos = log_bayes_factors(judged, [together(a, b) for a, b in duos], noise)
     regions = worst_regions(judged, covariates)
     entries = [
         Entry(b.name, f, region, bool(b.levels))
         for b, f, region in zip(covariates, factors, regions, strict=True)
     ]
     pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(duos, of_duos, strict=True)]
-    pairs.sort(key=lambda p: -p.log_bayes_factor)
-    entries.sort(key=lambda e: -e.log_bayes_factor)
     loo = _leave_one_out(judged, white)
     # Where the mean is off, so are size and side of the residuals: these are judged only where it is not.
     off = max(factors, default=0.0) >= searching().strong
     return Check(
-        entries=tuple(entries),
-        pairs=tuple(pairs),
+        entries=tuple(sorted(entries, key=lambda e: -e.log_bayes_factor)),
+        pairs=tuple(sorted(pairs, key=lambda p: -p.log_bayes_factor)),
         unit=calibration.unit,
         rms=float(np.sqrt(np.mean(residual**2))),
         noise=noise,
         autocorrelation=autocorrelation(judged, white),
         scatter_with={} if off else _scatter_with(covariates, white),
-        outliers=tuple(
-            (int(i), float(loo[i])) for i in np.flatnonzero(np.abs(loo) > guarding().outlier)
-        ),
+        outliers=tuple((i, z) for i, z in enumerate(loo.tolist()) if abs(z) > guarding().outlier),
         pit_p=_uniform(ndtr(loo)),
         one_sided=1.0 if off else _one_sided(loo),
-        fixed=None
-        if free_noise is None
-        else _compare_fixed(calibration, residual, noise, free_noise),
+        fixed=_compare_fixed(calibration, residual, noise, free_noise),
         residuals=residual,
         allan=allan_check(judged),
     )
@@ -93,18 +92,22 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
 
 
 def _compare_fixed(
-    calibration: Calibration, residual: np.ndarray, noise: float, free: float
-) -> FixedComparison:
-    return FixedComparison(
-        noise=noise,
-        free_fit=free,
-        known=known_noise(calibration),
-        mean=float(residual.mean()),
-        low=float(residual.min()),
-        high=float(residual.max()),
-        rms=float(np.sqrt(np.mean(residual**2))),
-        positive=int((residual > 0).sum()),
-        count=residual.size,
+    calibration: Calibration, residual: np.ndarray, noise: float, free: float | None
+) -> FixedComparison | None:
+    return (
+        None
+        if free is None
+        else FixedComparison(
+            noise=noise,
+            free_fit=free,
+            known=known_noise(calibration),
+            mean=float(residual.mean()),
+            low=float(residual.min()),
+            high=float(residual.max()),
+            rms=float(np.sqrt(np.mean(residual**2))),
+            positive=int((residual > 0).sum()),
+            count=residual.size,
+        )
     )
 
 
@@ -124,38 +127,33 @@ def known_noise(calibration: Calibration) -> dict[str, float]:
     return found
 
 
-def covariates_of(calibration: Calibration) -> list[covariate_evidence.Covariate]:
+def covariates_of(calibration: Calibration) -> list[Covariate]:
     """Everything recorded or derived that residuals can be laid against."""
     readings, frame = calibration.readings, calibration.frame
+    left_out = {"output", "output_uncertainty", "temperature_point", *readings.no_causes}
     found = []
     for name in readings.columns:
         unit = readings.unit(name)
-        skip = name in ("output", "output_uncertainty", "temperature_point", *readings.no_causes)
-        skip = skip or unit is None
-        if not skip and np.ptp(readings[name]) > 0:
-            found.append(
-                covariate_evidence.smooth(name, readings[name], unit or "", in_time=name == "time")
-            )
+        if unit is not None and name not in left_out and np.ptp(readings[name]) > 0:
+            found.append(smooth(name, readings[name], unit, in_time=name == "time"))
     if "temperature" in frame.rates and np.ptp(np.asarray(frame.rates["temperature"])) > 0:
         rate = np.asarray(frame.rates["temperature"]) * 60
-        found.append(covariate_evidence.smooth("temperature rate", rate, "degC/min"))
+        found.append(smooth("temperature rate", rate, "degC/min"))
     if len(readings.groups("run")[0]) > 1 and "elapsed" in frame.columns:
         elapsed = np.asarray(frame.columns["elapsed"])
-        found.append(covariate_evidence.smooth("elapsed", elapsed, "s", in_time=True))
+        found.append(smooth("elapsed", elapsed, "s", in_time=True))
     for group in calibration.levels:
         levels, codes = readings.groups(group)
         if 1 < len(levels) <= MEMBERS:
-            found.append(covariate_evidence.members(group, codes, levels))
+            found.append(members(group, codes, levels))
     if not readings.has("time"):
-        found.append(
-            covariate_evidence.smooth("order", np.arange(1.0, len(readings) + 1), in_time=True)
-        )
+        found.append(smooth("order", np.arange(1.0, len(readings) + 1), in_time=True))
     return found
 
 
 def _duos(
-    covariates: list[covariate_evidence.Covariate],
-) -> list[tuple[covariate_evidence.Covariate, covariate_evidence.Covariate]]:
+    covariates: list[Covariate],
+) -> list[tuple[Covariate, Covariate]]:
     """Pairs of covariates that are not nearly one and the same."""
     varied = [b for b in covariates if not b.levels]
     rank = {b.name: _ranks(b.values) for b in varied}
@@ -178,10 +176,7 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
         standardised: its whitened residuals.
     """
     order, step = calibration.assembly.record.in_time
-    linked = step[1:] >= 0
-    if not calibration.readings.has("time"):
-        linked = np.ones(order.size - 1, bool)
-    first = np.flatnonzero(linked)
+    first = np.flatnonzero((step[1:] >= 0) | (not calibration.readings.has("time")))
     ordered = standardised[order]
     before, after = ordered[first], ordered[first + 1]
     size = float(np.linalg.norm(before) * np.linalg.norm(after))
@@ -222,9 +217,7 @@ def _of_independent_noise(directions: np.ndarray, first: np.ndarray) -> tuple[fl
     return expected, float(np.sqrt(2 * trace)) / squares
 
 
-def _scatter_with(
-    covariates: list[covariate_evidence.Covariate], standardised: np.ndarray
-) -> dict[str, float]:
+def _scatter_with(covariates: list[Covariate], standardised: np.ndarray) -> dict[str, float]:
     """Covariates along which the size of the residuals changes (rank correlation), with p-values."""
     found, sizes = {}, _ranks(np.abs(standardised))
     for block in covariates:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from dataclasses import dataclass, field
 from typing import Any
@@ -102,11 +103,10 @@ class Check(Printed):
 
     def _brief(self) -> str:
         unit = unit_label(self.unit)
-        most = max(self.entries, key=lambda e: e.log_bayes_factor, default=None)
-        worst = (
-            most and f"; most against {most.against}, log Bayes factor {most.log_bayes_factor:z.1f}"
-        )
-        return f"residuals {self.rms:.3g} {unit} rms, noise {self.noise:.3g} {unit}{worst or ''}"
+        said = f"residuals {self.rms:.3g} {unit} rms, noise {self.noise:.3g} {unit}"
+        for most in sorted(self.entries, key=lambda e: -e.log_bayes_factor)[:1]:
+            said += f"; most against {most.against}, log Bayes factor {most.log_bayes_factor:z.1f}"
+        return said
 
     def _columns(self) -> dict[str, list[Any]]:
         """A row for each covariate or group; sizes in the output's unit, places in the covariate's."""
@@ -125,32 +125,25 @@ class Check(Printed):
 
 def check_text(check: Check, most: int | None = None) -> str:
     """Where a model fails, the worst covariate first: of so many covariates at most, the others by name."""
-    unit = unit_label(check.unit)
-    rows = [
-        [
-            e.against,
-            f"{e.log_bayes_factor:z.1f}",
-            f"{e.worst.size:+.3g} {unit}",
-            f"{e.worst.z:+.1f}",
-            place_in_words(e),
-        ]
-        for e in check.entries[:most]
-    ]
+    unit, rows = unit_label(check.unit), []
+    for e in check.entries[:most]:
+        worst = f"{e.worst.size:+.3g} {unit}", f"{e.worst.z:+.1f}", place_in_words(e)
+        rows.append([e.against, f"{e.log_bayes_factor:z.1f}", *worst])
     head = ["residuals against", "log Bayes factor", "worst mean", "z", "where"]
     noise = f"judged against noise of {check.noise:.3g} {unit}"
     lines = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
     if check.fixed:
-        lines += [_fixed_text(check), ""]
+        lines += [_fixed_text(check.fixed, unit), ""]
     lines.append(table(head, rows, fold=25) if rows else "no covariate varies")
     if others := check.entries[len(rows) :]:
         named = ", ".join(e.against for e in others)
         lines.append(textwrap.fill(f"less against {named} (--verbose)", WIDTH))
+    strongest = max(searching().strong, *(e.log_bayes_factor for e in check.entries), -math.inf)
     lines += [
         f"{' and '.join(p.against)} together: interaction not explained by additive terms (log Bayes factor "
         f"{p.log_bayes_factor:.1f})"
         for p in check.pairs[:2]
-        if p.log_bayes_factor
-        > max(searching().strong, *(e.log_bayes_factor for e in check.entries))
+        if p.log_bayes_factor > strongest
     ]
     coefficient, z = check.autocorrelation
     lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
@@ -199,9 +192,7 @@ def place_in_words(entry: Entry) -> str:
     return place + (f" in run {region.group}" if region.group else "")
 
 
-def _fixed_text(check: Check) -> str:
-    f, unit = check.fixed, unit_label(check.unit)
-    assert f is not None
+def _fixed_text(f: FixedComparison, unit: str) -> str:
     known = sum(v**2 for v in f.known.values()) ** 0.5
     lines = [
         f"with the fixed coefficients: {f.positive} of {f.count} residuals are positive, "

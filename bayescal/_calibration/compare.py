@@ -7,14 +7,15 @@ Sources: Vehtari, Gelman & Gabry, Stat. Comput. 27 (2017) 1413 (PSIS-LOO); Yao e
 from __future__ import annotations
 
 import textwrap
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.evidence import pointwise_loo
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
 from bayescal._calibration.predict import predict
 from bayescal._calibration.settings import searching
@@ -29,9 +30,7 @@ FEWEST_GROUPS = (
 )
 BY_GROUPS, BY_EVIDENCE = "leave-one-group-out", "log evidence"
 BY_READINGS = "pointwise leave-one-out"
-SAME_CURVE = (
-    0.15  # largest difference, in noise standard deviations, of curves that count as the same
-)
+SAME_CURVE = 0.15  # of the noise: the largest difference of curves that count as the same
 
 
 @dataclass(frozen=True)
@@ -136,10 +135,9 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
     _refuse_different_readings(calibrations)
     loo = {name: pointwise_loo(c) for name, c in calibrations.items()}
     folds = {name: leave_one_group_out(c) for name, c in calibrations.items()}
-    grouped = all(f is not None for f in folds.values())
-    fold = next((f for f in folds.values() if f is not None), None)
-    best_loo = loo[max(names, key=lambda n: loo[n][0].sum())][0]
     left_out = [f for f in folds.values() if f is not None]
+    grouped, fold = len(left_out) == len(names), next(iter(left_out), None)
+    best_loo = max((points for points, _ in loo.values()), key=np.sum)
     best_fold = max(left_out, key=lambda f: f.log_score.sum()) if grouped else None
     weights = stacking(np.stack([loo[n][0] for n in names], axis=1))
     rows = [
@@ -163,16 +161,26 @@ def compare(calibrations: Mapping[str, Calibration] | Sequence[Calibration]) -> 
     )
 
 
+def pointwise_loo(calibration: Calibration) -> tuple[np.ndarray, float]:
+    """Expected log predictive density of each reading left out, by PSIS, and the largest Pareto k."""
+    import arviz_stats  # a second that only a comparison needs
+
+    parts = {"log_likelihood": calibration.log_likelihood(), "posterior": calibration.posterior}
+    tree = xr.DataTree.from_dict(parts)
+    with warnings.catch_warnings():  # high Pareto k: said in our own words, by model
+        warnings.simplefilter("ignore", UserWarning)
+        found: Any = arviz_stats.loo(tree, pointwise=True)  # pyright: ignore[reportPrivateImportUsage]
+    return np.asarray(found.elpd_i).ravel(), float(np.max(np.asarray(found.pareto_k)))
+
+
 def _refuse_different_readings(calibrations: Mapping[str, Calibration]) -> None:
     names = list(calibrations)
     if len(names) < 2:
         raise InputError(f"compare needs at least two calibrations, not {len(names)}")
     first = calibrations[names[0]]
     for name in names[1:]:
-        other = calibrations[name].readings["output"]
-        if other.shape != first.readings["output"].shape or not np.allclose(
-            other, first.readings["output"]
-        ):
+        own, other = first.readings["output"], calibrations[name].readings["output"]
+        if other.shape != own.shape or not np.allclose(other, own):
             raise InputError(
                 f"{names[0]!r} and {name!r} were fitted to different readings "
                 f"({first.readings.file}, {calibrations[name].readings.file}): fit both to the same"
@@ -209,11 +217,9 @@ def _row(
 
 def _error(differences: np.ndarray) -> float:
     """Standard error of a sum of differences, over what was left out."""
-    return (
-        float(np.sqrt(differences.size * differences.var(ddof=1)))
-        if differences.size > 1
-        else float("nan")
-    )
+    if differences.size < 2:
+        return float("nan")
+    return float(np.sqrt(differences.size * differences.var(ddof=1)))
 
 
 def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None) -> list[str]:
@@ -257,9 +263,7 @@ def _by_evidence(rows: list[ComparisonRow]) -> list[str]:
 
 def _named(calibrations: Sequence[Calibration]) -> dict[str, Calibration]:
     """Fits by what each adds to the effects that all share; "model 1" … where that is nothing, or the same."""
-    shared = (
-        set.intersection(*(set(c.model.names) for c in calibrations)) if calibrations else set()
-    )
+    shared = set.intersection(*(set(c.model.names) for c in calibrations)) if calibrations else ()
     named: dict[str, Calibration] = {}
     for i, c in enumerate(calibrations, start=1):
         name = " ".join(f"+ {n}" for n in c.model.names if n not in shared)
@@ -275,11 +279,8 @@ def _alike(calibrations: Mapping[str, Calibration]) -> list[str]:
         if name in named:
             continue
         noise = float(np.sqrt(np.mean(curve.sd**2)))
-        gaps = {
-            n: float(np.max(np.abs(c.mean - curve.mean)))
-            for n, c in curves.items()
-            if n not in named
-        }
+        others = {n: c for n, c in curves.items() if n not in named}
+        gaps = {n: float(np.max(np.abs(c.mean - curve.mean))) for n, c in others.items()}
         same = [n for n, gap in gaps.items() if n != name and gap < SAME_CURVE * noise]
         if same:
             named |= {name, *same}

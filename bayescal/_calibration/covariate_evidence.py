@@ -17,16 +17,11 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
 from bayescal._model.unknown_effect import process_columns, process_weights, resolution
 
-SCALES = (
-    3,
-    4,
-)  # lengths of the process over their plausible range; in time, where the range is wider
+SCALES = (3, 4)  # lengths of the process over their plausible range; in time, where that is wider
 AMPLITUDES = tuple(np.geomspace(0.15, 15.0, 7))  # in noise standard deviations
 WAVES = 2  # along each of two covariates together
 INVISIBLE = 1e-12  # I·W of a direction below this: its prior spread is lost in its uncertainty
-ROUNDING = 64 * float(
-    np.finfo(float).eps
-)  # of the largest of its group, below which it is only rounding
+ROUNDING = 64 * float(np.finfo(float).eps)  # of the largest of its group: below it is only rounding
 
 
 @dataclass(frozen=True)
@@ -88,13 +83,11 @@ def log_bayes_factors(
     found = []
     for covariate in covariates:
         u, information = calibration.linear.score(covariate.columns * noise)
-        terms = np.concatenate(
-            [
-                at_sizes(weight * u, weight[:, None] * information * weight, AMPLITUDES)
-                for weight in covariate.weights
-            ]
-        )
-        found.append(float(logsumexp(terms) - np.log(len(terms))))
+        terms = [
+            at_sizes(weight * u, weight[:, None] * information * weight, AMPLITUDES)
+            for weight in covariate.weights
+        ]
+        found.append(float(logsumexp(terms) - np.log(np.size(terms))))
     return found
 
 

@@ -95,14 +95,14 @@ def typed_effects(model: Model) -> dict[str, str]:
 def _resized(model: Model) -> dict[str, float]:
     """Plausible sizes, by effect, of the instrument's own effects where they are others than its own."""
     own = _catalogue(model.instrument)
-    return {e.name: e.coefficients[0].size for e in model.effects if e.name.endswith(FREED)} | {
-        e.name: e.coefficients[0].size
-        for e in model.effects
-        if e.name in own
-        and e.coefficients != own[e.name].coefficients
-        and replace(e, coefficients=own[e.name].coefficients, shapes=own[e.name].shapes)
-        == own[e.name]
-    }
+
+    def resized(e: Effect) -> bool:
+        known = own.get(e.name)
+        if known is None or e.coefficients == known.coefficients:
+            return e.name.endswith(FREED)
+        return replace(e, coefficients=known.coefficients, shapes=known.shapes) == known
+
+    return {e.name: e.coefficients[0].size for e in model.effects if resized(e)}
 
 
 def _catalogue(instrument: Instrument) -> dict[str, Effect]:
@@ -217,8 +217,7 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
         if (of := catalogue.get(d["of"])) is not None:
             shares, unit = tuple(map(tuple, d["shares"])), instrument.slot(of.slot).unit
             catalogue[n] = departure(of, unit, d["size"], tuple(d["at"].items()), shares)
-    missing = [n for n in described["effects"] if n not in catalogue]
-    if missing:
+    if missing := [n for n in described["effects"] if n not in catalogue]:
         raise InputError(
             f"{path.name} uses the effect {', '.join(missing)}, which {name!r} does not have. Give the file "
             "that defines it: --effects my_effects.py (in Python: load(path, effects=[…]))"

@@ -101,15 +101,17 @@ def fit(
         start=dict(start),
     )
     _refuse_nothing(calibration)
-    return _converged(calibration) if strict else calibration
+    if strict and not calibration.verdict.ok:
+        raise NotConverged(
+            f"The fit of {', '.join(model.names)} to {readings.file} did not converge: "
+            f"{' '.join(calibration.verdict.reasons)} (strict=False returns it all the same.)",
+            calibration,
+        )
+    return calibration
 
 
 def _refuse_nothing(calibration: Calibration) -> None:
-    """An effect of the user's own that adds nothing to any reading: its coefficients would stay at their priors.
-
-    Raises:
-        ModelError: its basis is zero in every reading, or the output does not depend on its slot in any.
-    """
+    """An effect of the user's own that adds nothing to any reading: its coefficients would stay at their priors."""
     instrument = calibration.model.instrument
     known = {e.name for e in (*instrument.effects, *instrument.candidates)}
     for effect in calibration.model.effects:
@@ -126,21 +128,10 @@ def _refuse_nothing(calibration: Calibration) -> None:
             )
 
 
-def _converged(calibration: Calibration) -> Calibration:
-    if not calibration.verdict.ok:
-        raise NotConverged(
-            f"The fit of {', '.join(calibration.model.names)} to {calibration.readings.file} did not converge: "
-            f"{' '.join(calibration.verdict.reasons)} (strict=False returns it all the same.)",
-            calibration,
-        )
-    return calibration
-
-
 def _reference(readings: Measurements, asked: Reference | None) -> Reference:
     """Constants of the bases: the readings' own, but for those that are asked for."""
     own = reference_of(readings)
-    strange = sorted(set(asked or {}) - set(own))
-    if strange:
+    if strange := sorted(set(asked or {}) - set(own)):
         raise InputError(
             f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: {', '.join(own)}"
         )
@@ -148,19 +139,17 @@ def _reference(readings: Measurements, asked: Reference | None) -> Reference:
 
 
 def _refuse_stuck(readings: Measurements) -> None:
-    """An output that never changes is none; nor is one that changes in its last digits alone.
-
-    Raises:
-        ModelError: it reads the same in every one of three or more readings, or nearly so.
-    """
+    """An output that never changes is none; nor is one that changes in its last digits alone."""
     output = readings["output"]
-    if len(output) > 2 and np.ptp(output) == 0:
+    if len(output) < 3:
+        return
+    if np.ptp(output) == 0:
         raise ModelError(
             f"{readings.file}: the output reads {output[0]:g} in all {len(output)} readings. Noise alone would change "
             "it: the sensor or the logger is stuck, or the column is not the output"
         )
     largest = float(np.max(np.abs(output)))
-    if len(output) > 2 and np.ptp(output) < DIGITS * largest:
+    if np.ptp(output) < DIGITS * largest:
         raise ModelError(
             f"{readings.file}: the output is {largest:.3g} and changes by {np.ptp(output):.3g} only: too few of its "
             "digits are left to calculate with. Subtract a constant from it, or give the nominal zero"

@@ -10,7 +10,6 @@ from typing import Any, Self
 import numpy as np
 import xarray as xr
 
-from bayescal._calibration.named_draws import named
 from bayescal._calibration.on_readings import Vectors, pointwise
 from bayescal._core.errors import InputError
 from bayescal._data.measurements import Measurements
@@ -22,7 +21,7 @@ from bayescal._inference.programs import padded_length
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame, Reference, build_frame
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout
+from bayescal._model.parameters import Layout, Levels
 
 PREDICTIVE_CELLS = 2_000_000  # draws × readings kept in posterior_predictive and log_likelihood
 
@@ -108,11 +107,18 @@ class Fitted:
         """Other readings as this calibration sees them: its T0, its run starts, its groups."""
         return build_frame(readings, self.reference, self.levels)
 
-    def draws(self, limit: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def draws(self, limit: int | None = None) -> Vectors:
         """Joint draws (x, rows, v) as flat arrays, evenly thinned to `limit`."""
-        x, rows, v = (flat(a) for a in (self.joint.x, self.joint.rows, self.joint.v))
-        step = 1 if limit is None else max(1, -(-len(x) // limit))
-        return x[::step], rows[::step], v[::step]
+        every = [flat(a) for a in (self.joint.x, self.joint.rows, self.joint.v)]
+        step = 1 if limit is None else max(1, -(-len(every[0]) // limit))
+        return Vectors(*(a[::step] for a in every))
+
+    def thinned(self, limit: int) -> tuple[Vectors, int]:
+        """Joint draws, each chain thinned so that draws times readings stay within a limit; and how many chains."""
+        chains, count = self.joint.x.shape[:2]
+        step = -(-count // max(1, min(count, limit // max(1, chains * len(self.readings)))))
+        kept = (flat(a[:, ::step]) for a in (self.joint.x, self.joint.rows, self.joint.v))
+        return Vectors(*kept), chains
 
     def samples(self, name: str) -> np.ndarray:
         """All draws of one unknown, in its reported unit; (draws,) or (draws, members).
@@ -135,13 +141,43 @@ class Fitted:
 
         Under correlated noise it is that of each reading given those before it in its run.
         """
-        chains, draws = self.joint.x.shape[:2]
-        keep = max(1, min(draws, limit // max(1, chains * len(self.readings))))
-        step = -(-draws // keep)
-        vectors = (flat(a[:, ::step]) for a in (self.joint.x, self.joint.rows, self.joint.v))
-        values = pointwise(self.assembly, Vectors(*vectors))
-        shaped = values.reshape(chains, -1, len(self.readings))
+        vectors, chains = self.thinned(limit)
+        shaped = pointwise(self.assembly, vectors).reshape(chains, -1, len(self.readings))
         return xr.Dataset({"output": (("chain", "draw", "reading"), shaped)})
+
+
+def named(
+    layout: Layout, levels: Levels, x: np.ndarray, rows: np.ndarray, v: np.ndarray
+) -> xr.Dataset:
+    """Draws (chains, draws, …) as one variable per unknown, in its reported unit."""
+    x, rows, v = (np.asarray(a) for a in (x, rows, v))
+    hyper = {name: np.broadcast_to(value, v.shape[:-1]) for name, value in layout.model.fixed}
+    hyper |= {h.name: np.asarray(h.prior.value(v[..., i])) for i, h in enumerate(layout.hypers)}
+    row = 0
+    found: dict[str, tuple] = {}
+    coordinates: dict[str, list[str]] = {}
+    for b in (b for b in layout.blocks if b.place != "fixed"):
+        c, dims = b.coefficient, ("chain", "draw")
+        if b.place == "row":
+            value = rows[..., row]
+            row += 1
+        elif b.place == "x":
+            value = x[..., b.start : b.start + b.size]
+        else:
+            value = np.stack([hyper[name] for name in b.member_names()], axis=-1)
+            if c.group_sd is not None:
+                value = c.mean + hyper[b.group_sd_name][..., None] * value
+        if c.per is None:
+            value = value[..., 0]
+        else:
+            dims = (*dims, c.per)
+            if c.per != "reading":
+                coordinates[c.per] = list(levels[c.per])
+        found[b.name] = (dims, value, {"units": c.unit, "effect": b.effect.name})
+    for h in layout.hypers:
+        if h.kind != "promoted":
+            found[h.name] = (("chain", "draw"), hyper[h.name], {"units": h.unit, "kind": h.kind})
+    return xr.Dataset(found, coords=coordinates)
 
 
 def flat(values: np.ndarray) -> np.ndarray:

@@ -63,11 +63,8 @@ def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> l
     first = effect.coefficients[0]
     if not effect.columns or effect.is_placeholder or first.group_sd is not None or first.flat:
         return []
-    if (
-        contribution == 0
-        or noise == 0
-        or guarding().off_scale[0] <= contribution / noise <= guarding().off_scale[1]
-    ):
+    low, high = guarding().off_scale
+    if contribution == 0 or noise == 0 or low <= contribution / noise <= high:
         return []
     shown = f"{number(contribution)} {unit_label(unit)}"
     return [
@@ -175,11 +172,7 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
         other = find_mode(assembly, [start], None, mode.point, still=0.01)
         behind = mode.log_evidence - other.log_evidence
         if far(other.v).any() and behind < guarding().modes_nearly:
-            apart = [
-                h
-                for h, away in zip([assembly.hypers[i] for i in shapes], far(other.v), strict=True)
-                if away
-            ]
+            apart = (assembly.hypers[i] for i in np.array(shapes)[far(other.v)])
             here, there = assembly.hyper(mode.v), assembly.hyper(other.v)
             values = ", ".join(
                 f"{h.name} {number(here[h.name])} or {number(there[h.name])} {h.unit}"
@@ -205,11 +198,7 @@ def _against_priors(
             continue
         if len(b.effect.coefficients) > guarding().of_a_law or b.effect.name in accepted:
             continue
-        most = (
-            guarding().conflict
-            if b.effect.name in baseline
-            else guarding().conflict * guarding().sizes
-        )
+        most = guarding().conflict * (1 if b.effect.name in baseline else guarding().sizes)
         for name in b.member_names(calibration.levels):
             where, give = stands.get(name, (c.mean, 0.0))
             away = abs(where - c.mean) / c.size
@@ -240,9 +229,7 @@ def _beyond_the_known(calibration: Fitted, accepted: Collection[str]) -> list[st
     A wrong sign or unit of an input is no missing effect, though a free curve along that input follows it.
     """
     unnamed = [e for e in calibration.model.effects if e.is_placeholder and e.name not in accepted]
-    if not unnamed:
-        return []
-    known, unit = _known_effects(calibration), unit_label(calibration.unit)
+    known, unit = _known_effects(calibration) if unnamed else 0.0, unit_label(calibration.unit)
     found = []
     for effect in unnamed:
         here = float(np.std(calibration.linear.contribution(effect.name)))
@@ -303,8 +290,6 @@ def _sizes_of_output(calibration: Fitted) -> set[str]:
     for effect in model.effects:
         for i, c in enumerate(effect.coefficients):
             if model.instrument.slot(c.slot or effect.slot).unit == calibration.unit:
-                sizes |= {
-                    f"{effect.coefficient_name(i)}.group_sd",
-                    f"{effect.name}.{effect.measure}",
-                }
+                spread = f"{effect.coefficient_name(i)}.group_sd"
+                sizes |= {spread, f"{effect.name}.{effect.measure}"}
     return sizes

@@ -101,19 +101,14 @@ def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
 
 
 class _Fold(NamedTuple):
-    """Readings left out, as the kept ones predict them.
+    """Readings left out, as the kept ones predict them."""
 
-    Attributes:
-        log_score: joint log predictive density.
-        residual: output unit.
-        squares: of the whitened residuals, rᵀr.
-        spectrum: eigenvalues λ of their covariance I + A·C·Aᵀ, of which Σλ is expected of rᵀr.
-    """
-
-    log_score: float
-    residual: np.ndarray
-    squares: float
-    spectrum: np.ndarray
+    log_score: float  # joint log predictive density
+    residual: np.ndarray  # output unit
+    squares: float  # of the whitened residuals, rᵀr
+    spectrum: (
+        np.ndarray
+    )  # eigenvalues λ of their covariance I + A·C·Aᵀ, of which Σλ is expected of rᵀr
 
     def by_chance(self, readings: int, groups: int) -> float:
         """Probability of squares as large, if what was learnt of so many readings and groups is right.

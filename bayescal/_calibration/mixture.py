@@ -17,15 +17,10 @@ from bayescal._calibration.summary import curves, summary
 from bayescal._inference.assembly import Point
 from bayescal._inference.method import CHAINS, Draws
 from bayescal._inference.trust import sampling
-from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
-from bayescal._model.model import Model
-from bayescal._model.parameters import Layout
 
 F = TypeVar("F", bound=Fitted)
-A_FIFTH = (
-    0.2  # of the standard uncertainty: a smaller change is lost in the digits that are printed
-)
+A_FIFTH = 0.2  # of the standard uncertainty: a smaller change is lost in the digits printed
 
 
 def has_effect(calibration: Fitted, name: str) -> Bool[np.ndarray, "draws"]:
@@ -77,20 +72,15 @@ def with_columns(calibration: F, columns: Iterable[str]) -> F:
         columns: of readings that are there.
     """
     there = set(columns)
-    lacking = [e for e in calibration.model.effects if not needs(e) <= there]
-    return without(calibration, [e.name for e in lacking]) if lacking else calibration
-
-
-def needs(effect: Effect) -> set[str]:
-    """Columns that an effect is computed from."""
-    return set(effect.columns)
+    lacking = [e.name for e in calibration.model.effects if not there.issuperset(e.columns)]
+    return without(calibration, lacking) if lacking else calibration
 
 
 def usual_columns(calibration: Fitted) -> set[str]:
     """Columns that effects more probable than not need; a group is none: what is used is a new member of it."""
     shares = inclusion(calibration)
     likely = (e for e in calibration.model.effects if shares[e.name] > 0.5)
-    return set().union(GROUPS, *(needs(e) for e in likely))
+    return set().union(GROUPS, *(e.columns for e in likely))
 
 
 def without(calibration: F, names: Collection[str]) -> F:
@@ -100,18 +90,13 @@ def without(calibration: F, names: Collection[str]) -> F:
     if kept.sum() < sampling().enough_of_chains:
         return calibration
     old, count = calibration.layout, CHAINS * (int(kept.sum()) // CHAINS)
-    model = calibration.model
-    effects = tuple(e for e in model.effects if e.name not in names)
-    layout = Layout(
-        Model(model.instrument, effects, model.noise, model.fixed), old.counts, old.promoted
-    )
-    places = {b.name: b for b in old.x_blocks}
-    at = [np.arange(places[b.name].start, places[b.name].start + b.size) for b in layout.x_blocks]
-    in_x = np.concatenate([np.zeros(0, int), *at])
-    hypers = {h.name: i for i, h in enumerate(old.hypers)}
-    in_v = np.array([hypers[h.name] for h in layout.hypers], dtype=int)
-    of_rows = {b.name: i for i, b in enumerate(old.row_blocks)}
-    in_rows = np.array([of_rows[b.name] for b in layout.row_blocks], dtype=int)
+    effects = tuple(e for e in calibration.model.effects if e.name not in names)
+    layout = replace(old, model=replace(calibration.model, effects=effects))
+    left = {b.name for b in layout.blocks} | {h.name for h in layout.hypers}
+    of_x = [np.full(b.size, b.name in left) for b in old.x_blocks]
+    in_x = np.flatnonzero(np.concatenate([np.zeros(0, bool), *of_x]))
+    in_v = np.flatnonzero([h.name in left for h in old.hypers])
+    in_rows = np.flatnonzero([b.name in left for b in old.row_blocks])
     pick = np.flatnonzero(kept)[:count]
     mode = calibration.mode
     joint = Draws.of(x[pick][:, in_x], rows[pick][:, :, in_rows], v[pick][:, in_v])

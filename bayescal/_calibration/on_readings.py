@@ -25,6 +25,10 @@ class Vectors(NamedTuple):
     rows: Float[np.ndarray, "b n k"]
     v: Float[np.ndarray, "b d"]
 
+    def on(self, readings: int) -> Vectors:
+        """The same for so many other readings, whose own coefficients stand at zero."""
+        return self._replace(rows=np.zeros((len(self.x), readings, self.rows.shape[2])))
+
 
 class PredictiveMoments(NamedTuple):
     """Mean and variance of the expected output over draws; mean variance of the noise, and of what is not known of a

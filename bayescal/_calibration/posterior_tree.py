@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, flat
-from bayescal._calibration.named_draws import named
-from bayescal._calibration.on_readings import Vectors, replicate
+from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, named
+from bayescal._calibration.on_readings import replicate
 from bayescal._core.atomic_file import renamed, storable
-from bayescal._data.measurements import Measurements
 from bayescal._inference.method import Draws
 from bayescal._model.parameters import CoefficientBlock, Layout
 from bayescal._model.prior import HalfCauchy, HalfNormal
@@ -35,15 +33,16 @@ def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTre
             "v": (("chain", "draw", "v_entry"), draws.v),
         }
     )
-    predictive = _predictive(c, cells)
+    units = {"units": readings.unit("output")}
+    thin, chains = c.thinned(cells)
+    made = replicate(c.assembly, thin, np.random.default_rng([c.seed, 1]))
+    made = made.reshape(chains, -1, len(readings))
     groups = {
         "posterior": c.posterior,
         "log_prior": _log_prior(layout, c.posterior, draws),
-        "posterior_predictive": _output(readings, predictive),
+        "posterior_predictive": xr.Dataset({"output": (("chain", "draw", "reading"), made, units)}),
         "sample_stats": xr.Dataset(),
-        "observed_data": xr.Dataset(
-            {"output": ("reading", readings["output"], {"units": readings.unit("output")})}
-        ),
+        "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
         "constant_data": readings.data.drop_vars("output"),
         "draws": vectors,
     }
@@ -118,22 +117,6 @@ def _slope(prior: Any, v: np.ndarray) -> np.ndarray:
     """Of a value by its coordinate: differences of the fourth order."""
     value, h = prior.value, STEP
     return (8 * (value(v + h) - value(v - h)) - (value(v + 2 * h) - value(v - 2 * h))) / (12 * h)
-
-
-def _predictive(calibration: Fitted, cells: int) -> np.ndarray:
-    """Replicated readings, draws thinned so that they stay within a stated size."""
-    draws, size = calibration.joint, len(calibration.readings)
-    chains, count = draws.x.shape[:2]
-    keep = max(1, min(count, cells // (chains * size)))
-    step = -(-count // keep)
-    thin = Vectors(*(flat(a[:, ::step]) for a in (draws.x, draws.rows, draws.v)))
-    random = np.random.default_rng([calibration.seed, 1])
-    return replicate(calibration.assembly, thin, random).reshape(chains, -1, size)
-
-
-def _output(readings: Measurements, values: np.ndarray) -> xr.Dataset:
-    attributes = {"units": readings.unit("output")}
-    return xr.Dataset({"output": (("chain", "draw", "reading"), values, attributes)})
 
 
 def _prior_draws(calibration: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.mixture import with_columns
-from bayescal._calibration.on_readings import Vectors, moments, replicate
+from bayescal._calibration.on_readings import moments, replicate
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import going_on, run_codes
 from bayescal._inference.noise_on_record import variance
@@ -113,10 +113,9 @@ def replicates(
     calibration, random = with_columns(calibration, readings.columns), np.random.default_rng(seed)
 
     def made(some: Measurements, frame: Frame) -> np.ndarray:
-        x, rows, v = calibration.draws(draws)
-        rows = np.zeros((len(x), len(some), rows.shape[2]))
         members = {per: some.groups(per)[1] for per in frame.codes}
-        return replicate(calibration.assembly_on(some, frame), Vectors(x, rows, v), random, members)
+        vectors = calibration.draws(draws).on(len(some))
+        return replicate(calibration.assembly_on(some, frame), vectors, random, members)
 
     on = _going_on(calibration, readings)
     if on is None:
@@ -131,19 +130,13 @@ def replicates(
 
 
 class _GoingOn(NamedTuple):
-    """Readings of which some go on with fitted runs.
+    """Readings of which some go on with fitted runs."""
 
-    Attributes:
-        past: which of the fitted readings are of these runs.
-        rows, others: which of the readings go on, and which do not.
-        later, whole: those that do, on the fitted clock; and behind the past.
-    """
-
-    past: np.ndarray
-    rows: np.ndarray
-    others: np.ndarray
-    later: Measurements
-    whole: Measurements
+    past: np.ndarray  # which of the fitted readings are of these runs
+    rows: np.ndarray  # which of the readings go on,
+    others: np.ndarray  # and which do not
+    later: Measurements  # those that do, on the fitted clock;
+    whole: Measurements  # and behind the past
 
 
 def _going_on(calibration: Calibration, readings: Measurements) -> _GoingOn | None:
@@ -173,16 +166,11 @@ def _predicted(
     same_record: bool,
     draws: int,
 ) -> Prediction:
-    """`predict` of a frame whose groups are known, or are not.
-
-    Args:
-        as_fitted: the readings are those fitted, with their own per-reading coefficients.
-    """
-    x, rows, v = calibration.draws(draws)
-    if not as_fitted or rows.shape[1] != len(readings):
-        rows = np.zeros((len(x), len(readings), rows.shape[2]))
-    assembly = calibration.assembly_on(readings, frame)
-    found = moments(assembly, Vectors(x, rows, v))
+    """`predict` of a frame whose groups are known, or are not; `as_fitted`: with per-reading coefficients too."""
+    vectors = calibration.draws(draws)
+    if not as_fitted or vectors.rows.shape[1] != len(readings):
+        vectors = vectors.on(len(readings))
+    found = moments(calibration.assembly_on(readings, frame), vectors)
     model_variance = found.variance + found.beside
     total = np.sqrt(model_variance + found.noise)
     residual = readings["output"] - found.mean
@@ -201,8 +189,7 @@ def _continued(
 ) -> Prediction:
     """Readings of which some go on with the fitted record: these behind it, with its past, the others alone."""
     past, rows, others, later, whole = on
-    x, own, v = calibration.draws(draws)
-    vectors = Vectors(x, np.zeros((len(x), len(whole), own.shape[2])), v)
+    vectors = calibration.draws(draws).on(len(whole))
     assembly, noise = calibration.assembly_on(whole, calibration.frame_of(whole)), None
     tail, spread = slice(len(past), None), 0.0
     if not calibration.model.noise.independent:
@@ -248,14 +235,7 @@ class _CarriedOn(NamedTuple):
     def of(
         cls, calibration: Calibration, past: np.ndarray, readings: Measurements, beyond: bool
     ) -> _CarriedOn:
-        """Of a fit's noise.
-
-        Args:
-            calibration: the fit.
-            past: which of its readings are known.
-            readings: the others.
-            beyond: also before and after a run's fitted readings, where nothing is said else.
-        """
+        """Of a fit's readings `past`, at others; `beyond`: also before and after a run's fitted readings."""
         fitted, record = calibration.readings.select(past), calibration.assembly.record
         law, values = calibration.model.noise, calibration.assembly.hyper(calibration.mode.v)
         total = variance(law, values, record)

@@ -10,7 +10,6 @@ import numpy as np
 import xarray as xr
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.fitted import PREDICTIVE_CELLS
 from bayescal._core.atomic_file import named_back
 from bayescal._core.errors import InputError
 
@@ -71,10 +70,7 @@ def variance_by_origin(
 
 
 def _places(calibration: Calibration, moving: list[int]) -> dict[str, tuple[int, float]]:
-    """Where an unknown stands in the linearised fit (x, then shapes and promoted ones), and its unit there.
-
-    Coordinates of shapes are standard normal, so a reported unit is dvalue/dv of them.
-    """
+    """Where an unknown stands in the linearised fit (x, then shapes and promoted ones), and its unit: dvalue/dv."""
     layout, v = calibration.layout, np.asarray(calibration.mode.v)
     found: dict[str, tuple[int, float]] = {}
     promoted: dict[str, str] = {}
@@ -103,25 +99,19 @@ def prior_sensitivity(calibration: Calibration) -> Any:
     """
     from arviz_stats.psense import psense_summary  # a second that only this needs
 
-    tree = calibration.tree
-    if not len(tree["log_prior"].data_vars):
+    priors, posterior = (calibration.tree[n].to_dataset() for n in ("log_prior", "posterior"))
+    if not len(priors.data_vars):
         raise InputError("every prior is flat: there is no prior to be sensitive to")
-    likelihood, sizes = calibration.log_likelihood(), tree["posterior"].sizes
-    keep = PREDICTIVE_CELLS // max(1, sizes["chain"] * len(calibration.readings))
-    step = -(-sizes["draw"] // max(1, min(sizes["draw"], keep)))
-    priors = tree["log_prior"].to_dataset()
-    posterior = tree["posterior"].to_dataset()
-    own = [  # what is held at an estimate has no distribution to move
-        n
-        for n in posterior
-        if "reading" not in posterior[n].dims
-        and float(posterior[n].std()) > 1e-12 * abs(float(posterior[n].mean()))
-    ]
-    thinned = {
-        "posterior": posterior[own].isel(draw=slice(None, None, step)),
-        "log_prior": priors[[n for n in priors if "reading" not in priors[n].dims]].isel(
-            draw=slice(None, None, step)
-        ),
-        "log_likelihood": likelihood,
-    }
-    return psense_summary(xr.DataTree.from_dict(thinned)).rename(index=named_back)
+    likelihood = calibration.log_likelihood()
+    step = -(-posterior.sizes["draw"] // likelihood.sizes["draw"])
+    priors, posterior = (
+        group.drop_vars([n for n in group.data_vars if "reading" in group[n].dims])
+        for group in (priors, posterior)
+    )
+    spread, size = posterior.std(), abs(posterior.mean())
+    moved = [n for n in posterior.data_vars if float(spread[n]) > 1e-12 * float(size[n])]
+    posterior = posterior[moved]  # what is held at an estimate has nothing to move
+    every = slice(None, None, step)
+    thinned = {"posterior": posterior.isel(draw=every), "log_prior": priors.isel(draw=every)}
+    tree = xr.DataTree.from_dict({**thinned, "log_likelihood": likelihood})
+    return psense_summary(tree).rename(index=named_back)

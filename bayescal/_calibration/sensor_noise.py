@@ -55,20 +55,11 @@ class NoiseFigure:
 
     def row(self) -> list[str]:
         """As printed."""
-        unit, si_unit = unit_label(self.unit), unit_label(self.si_unit)
+        value, si = f"{number(self.value)}", f"{number(self.si[0])}"
+        extent = f"{number(self.low)} to {number(self.high)}"
         if self.bound:
-            said = [
-                f"< {number(self.high)} {unit}",
-                "not seen",
-                f"< {number(self.si[2])} {si_unit}",
-            ]
-        else:
-            low, high = number(self.low), number(self.high)
-            said = [
-                f"{number(self.value)} {unit}",
-                f"{low} to {high}",
-                f"{number(self.si[0])} {si_unit}",
-            ]
+            value, extent, si = f"< {number(self.high)}", "not seen", f"< {number(self.si[2])}"
+        said = f"{value} {unit_label(self.unit)}", extent, f"{si} {unit_label(self.si_unit)}"
         return [f"{self.name} {self.symbol}".strip(), *(s.strip() for s in said)]
 
 
@@ -118,16 +109,10 @@ class SensorNoise(Printed):
         lines += [f"Note: {note}." for note in self.notes]
         m = self.measured
         head = ["τ [s]", "Allan deviation", "noise law", "95 % of such records"]
+        columns = (m.tau, m.deviation, self.expected, self.estimate_low, self.estimate_high)
         curve = [
             [number(t), f"{number(d)} {unit}".strip(), number(e), f"{number(a)} to {number(b)}"]
-            for t, d, e, a, b in zip(
-                m.tau,
-                m.deviation,
-                self.expected,
-                self.estimate_low,
-                self.estimate_high,
-                strict=True,
-            )
+            for t, d, e, a, b in zip(*columns, strict=True)
         ]
         return "\n\n".join([*lines, table(head, curve, left=0)])
 
@@ -170,9 +155,7 @@ class SensorNoise(Printed):
                 dict(zip(names, map(float, row), strict=True)) for row in zip(*columns, strict=True)
             ],
             "for_filter": {
-                "quantile": guarding().filter_quantile,
-                "N": n,
-                "K": k,
+                **{"quantile": guarding().filter_quantile, "N": n, "K": k},
                 "horizon": self.horizon,
             },
             "notes": list(self.notes),
@@ -240,10 +223,8 @@ def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
         if not {*one.terms} - {"quantisation"}:
             walks.append(np.resize(found.walk.draws["noise.walk"], len(own)))
             continue
-        white = (own**2)[:, None] / factors
-        lacking = (
-            guarding().filter_reaches ** 2 * one.allan_variance(factors, step) - white
-        ) / of_walk
+        reached = guarding().filter_reaches ** 2 * one.allan_variance(factors, step)
+        lacking = (reached - (own**2)[:, None] / factors) / of_walk
         needed = np.sqrt(np.maximum(np.max(lacking, axis=1), 0.0))
         walks.append(np.maximum(needed, one.draws.get("noise.walk", 0.0)))
     return np.concatenate(densities), np.concatenate(walks)
@@ -259,10 +240,8 @@ def _figures(
 
     def over_all(name: str) -> np.ndarray | None:
         having = [one.draws[name] for one in found.drawn if name in one.draws]
-        there = sum(len(h) for h in having) > 0.5 * sum(
-            len(one.draws[WHITE]) for one in found.drawn
-        )
-        return np.concatenate(having) if there else None
+        every = sum(len(one.draws[WHITE]) for one in found.drawn)
+        return np.concatenate(having) if 2 * sum(map(len, having)) > every else None
 
     white = over_all(WHITE)
     assert white is not None
@@ -301,28 +280,23 @@ def _figure(
         low, high = 0.0, np.quantile(draws, CONFIDENCE)
     factor = parse(own).factor / parse(unit).factor
     base, to_base = _base(own)
-    values = [float(v) for v in (middle, low, high)]
-    si = tuple(v * to_base for v in values)
-    value, lowest, highest = (v * factor for v in values)
-    return NoiseFigure(
-        symbol, name, unit, value, lowest, highest, base, (si[0], si[1], si[2]), bound
-    )
+    value, lowest, highest = (float(v) * factor for v in (middle, low, high))
+    si = (float(middle) * to_base, float(low) * to_base, float(high) * to_base)
+    return NoiseFigure(symbol, name, unit, value, lowest, highest, base, si, bound)
 
 
 def _base(unit: str) -> tuple[str, float]:
     """A unit in base units, in words that people use; and the factor to it."""
-    head, slash, rest = unit.partition("/Hz^0.5")
-    if not slash:
-        head, slash, rest = unit.removesuffix("/s^0.5"), unit[-6:], ""
-        if not unit.endswith("/s^0.5"):
-            head, slash = unit, ""
-    powers = dict(parse(head).powers)
-    if powers == {"ug": 1}:
-        return f"m/s^2{slash}{rest}", parse(head).factor * STANDARD_GRAVITY * 1e-6
-    if powers == {"rad": 1, "s": -1}:
-        return f"rad/s{slash}{rest}", parse(head).factor
-    if powers == {"rad": 1}:
-        return "rad", parse(head).factor
-    if powers == {"ug": 1, "s": 1}:
-        return "m/s", parse(head).factor * STANDARD_GRAVITY * 1e-6
-    return unit, 1.0
+    end = next((e for e in ("/Hz^0.5", "/s^0.5") if unit.endswith(e)), "")
+    parsed, g = parse(unit.removesuffix(end)), STANDARD_GRAVITY * 1e-6
+    known = {  # by powers of base units: in words, and the factor from the base unit
+        (("ug", 1),): (f"m/s^2{end}", g),
+        (("rad", 1), ("s", -1)): (f"rad/s{end}", 1.0),
+        (("rad", 1),): ("rad", 1.0),
+        (("s", 1), ("ug", 1)): ("m/s", g),
+    }
+    powers = tuple(sorted(parsed.powers.items()))
+    if powers not in known:
+        return unit, 1.0
+    words, factor = known[powers]
+    return words, parsed.factor * factor

@@ -6,6 +6,7 @@ The file names its instrument and effects; they are resolved against what is ins
 from __future__ import annotations
 
 import io
+import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,8 +24,7 @@ from bayescal._calibration.description import (
     name_of_today,
     of_today,
 )
-from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.named_draws import named
+from bayescal._calibration.fitted import Fitted, named
 from bayescal._core.atomic_file import (
     named_back,
     netcdf_bytes,
@@ -75,17 +75,9 @@ def save(calibration: Fitted, tree: xr.DataTree, path: Path) -> Path:
 
 
 def _mode_dataset(mode: Mode) -> xr.Dataset:
-    parts = {
-        "x": mode.point.x,
-        "rows": mode.point.rows,
-        **{k: getattr(mode, k) for k in _MODE_FIELDS},
-    }
-    return xr.Dataset(
-        {
-            name: (tuple(f"{name}_{i}" for i in range(np.ndim(value))), np.asarray(value, float))
-            for name, value in parts.items()
-        }
-    )
+    parts = mode.point._asdict() | {k: getattr(mode, k) for k in _MODE_FIELDS}
+    sizes = {n: [f"{n}_{i}" for i in range(np.ndim(value))] for n, value in parts.items()}
+    return xr.Dataset({n: (sizes[n], np.asarray(value, float)) for n, value in parts.items()})
 
 
 _MODE_FIELDS = ("v", "covariance", "log_density", "log_evidence", "change", "flat", "indefinite")
@@ -138,11 +130,7 @@ def load_calibration(
 
 @contextmanager
 def _damage_in_words(path: Path) -> Iterator[None]:
-    """A part that is not there or not as it should be: the file was changed after it was written.
-
-    Raises:
-        InputError: names the file and the part.
-    """
+    """A part that is not there or not as it should be: the file was changed after it was written."""
     try:
         yield
     except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, OSError) as error:
@@ -159,11 +147,7 @@ def _damage_in_words(path: Path) -> Iterator[None]:
 def _fields(
     tree: xr.DataTree, described: dict[str, Any], model: Model, readings: Measurements
 ) -> dict[str, Any]:
-    """The fields of a calibration, each of the size that its model and readings ask for.
-
-    Raises:
-        ValueError: one of them is not; says which.
-    """
+    """The fields of a calibration, each of the size that its model and readings ask for."""
     model.require(readings)
     bound, levels = bind(model, readings)
     _same("group sizes", described["counts"], dict(bound.counts))
@@ -179,18 +163,11 @@ def _fields(
     _arrays(tree, "posterior_predictive", {"output": (joint.x.shape[0], None, len(readings))})
     evidence = described["log_evidence"]
     return {
-        "model": model,
-        "readings": readings,
-        "joint": joint,
-        "verdict": verdict,
-        "method": described["method"],
-        "seed": described["seed"],
+        **{name: described[name] for name in ("method", "seed", "reference")},
         "start": described.get("start", {}),
-        "reference": described["reference"],
-        "levels": levels,
-        "layout": layout,
-        "mode": mode,
         "log_evidence": None if evidence is None else (evidence[0], evidence[1]),
+        **{"model": model, "readings": readings, "layout": layout, "levels": levels},
+        **{"joint": joint, "verdict": verdict, "mode": mode},
     }
 
 
@@ -202,11 +179,7 @@ def _same(what: str, written: object, expected: object) -> None:
 def _arrays(
     tree: xr.DataTree, group: str, shapes: Mapping[str, tuple[int | None, ...]], finite: bool = True
 ) -> dict[str, np.ndarray]:
-    """Variables of a group, if they are numbers of these shapes (None: any length).
-
-    Raises:
-        ValueError: one is missing, is no array of numbers, has another shape, or is not finite.
-    """
+    """Variables of a group, if they are numbers of these shapes (None: any length)."""
     data, found = tree[group].to_dataset(), {}
     for name, shape in shapes.items():
         if name not in data.data_vars:
@@ -215,9 +188,8 @@ def _arrays(
         what = f"its {group}/{name}"
         if values.dtype != np.float64:
             raise ValueError(f"{what} is of type {values.dtype}, expected float64")
-        if len(values.shape) != len(shape) or any(
-            asked not in (None, came) for asked, came in zip(shape, values.shape, strict=True)
-        ):
+        asked = itertools.zip_longest(shape, values.shape, fillvalue=-1)
+        if any(length not in (None, came) for length, came in asked):
             expected = tuple("any" if length is None else length for length in shape)
             raise ValueError(f"{what} has the shape {values.shape}, its model asks for {expected}")
         if finite and not np.isfinite(values).all():
@@ -239,11 +211,7 @@ def _draws_from(tree: xr.DataTree, layout: Layout, readings: int, finite: bool) 
 
 
 def _refuse_other_posterior(tree: xr.DataTree, expected: xr.Dataset) -> None:
-    """The posterior that a person reads is that of the draws from which everything is computed.
-
-    Raises:
-        ValueError: it is not.
-    """
+    """The posterior that a person reads is that of the draws from which everything is computed."""
     posterior = renamed(tree["posterior"].to_dataset(), named_back)
     if set(posterior.data_vars) != set(expected.data_vars):
         raise ValueError(
@@ -270,11 +238,9 @@ def _mode_from(tree: xr.DataTree, layout: Layout, readings: int, finite: bool) -
     found = _arrays(tree, "mode", shapes, finite)
     scalars = {name: () for name in _MODE_FIELDS if name not in shapes}
     found |= _arrays(tree, "mode", scalars, finite=False)
-    values = {name: np.asarray(value) for name, value in found.items()}
-    rest = {name: values[name] for name in _MODE_FIELDS}
-    return Mode(
-        Point(values["x"], values["rows"]), **{**rest, "indefinite": rest["indefinite"] > 0}
-    )
+    rest = {name: np.asarray(found[name]) for name in _MODE_FIELDS}
+    rest["indefinite"] = rest["indefinite"] > 0
+    return Mode(Point(found["x"], found["rows"]), **rest)
 
 
 def _readings_from(tree: xr.DataTree, described: dict[str, Any]) -> Measurements:
@@ -282,7 +248,6 @@ def _readings_from(tree: xr.DataTree, described: dict[str, Any]) -> Measurements
     data = tree["constant_data"].to_dataset().merge(tree["observed_data"].to_dataset())
     data = renamed(data, named_back)
     sources = tuple(Source(**s) for s in described["sources"])
-    given = described.get("nominal_scale")
-    scale = None if given is None else NominalScale(**given)
-    flags = tuple(described["flags"])
+    given, flags = described.get("nominal_scale"), tuple(described["flags"])
+    scale = given and NominalScale(**given)
     return Measurements(data=data, sources=sources, flags=flags, scale=scale)

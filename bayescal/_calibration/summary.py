@@ -24,6 +24,7 @@ Direction = Float[np.ndarray, "p"]
 
 LONGEST = 8  # terms of a combination that are written out
 TRACE = 0.01  # of the largest entry, from which a coefficient is named
+MOST_MEMBERS = 4  # of a group, that have a line each
 
 
 def calibration_text(calibration: Fitted) -> str:
@@ -32,44 +33,27 @@ def calibration_text(calibration: Fitted) -> str:
     A curve (an unknown dependence, a departure) is one line, and so are the members of a large group: single
     coefficients of these mean nothing by themselves.
     """
-    rows, listed = [], set[str]()
+    rows: dict[str, list[str]] = {}  # a row by what it is of
     coefficients, hyperparameters = summary(calibration)
-    large = _large_groups(calibration)
+    drawn, large = curves(calibration), _large_groups(calibration)
     for s in (*coefficients, *hyperparameters):
-        if s["effect"] in curves(calibration):
-            if s["effect"] not in listed:
-                rows.append(_curve_row(calibration, s["effect"]))
-                listed.add(s["effect"])
-            continue
         block = next((b for b, names in large.items() if s["name"] in names), None)
-        if block is not None:
-            if block not in listed:
-                rows.append(
-                    _group_row(block, [c for c in coefficients if c["name"] in large[block]])
-                )
-                listed.add(block)
-            continue
-        contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
-        low, high = s["interval95"]
-        ends = interval(low, high, s["mean"], s["sd"])
-        skewed = low > 0 and s["sd"] > 0.5 * s["mean"]
-        value = (
-            f"about {number(s['mean'], 2)}, skewed" if skewed else with_error(s["mean"], s["sd"])
-        )
-        rows.append([s["name"], value, unit_label(s["unit"]), ends, contraction])
+        if s["effect"] in drawn:
+            rows.setdefault(s["effect"], _curve_row(calibration, s["effect"]))
+        elif block is not None:
+            members = [c for c in coefficients if c["name"] in large[block]]
+            rows.setdefault(block, _group_row(block, members))
+        else:
+            rows[s["name"]] = _unknown_row(s)
     head = [
         *("unknown", "mean ± standard uncertainty", "unit"),
         *("95 % credible interval", "contraction"),
     ]
-    lines = [table(head, rows)] if rows else ["every unknown is fixed"]
-    fixed = ", ".join(f"{name} = {value:g}" for name, value in calibration.model.fixed)
-    if fixed:
+    lines = [table(head, [*rows.values()])] if rows else ["every unknown is fixed"]
+    if fixed := ", ".join(f"{name} = {value:g}" for name, value in calibration.model.fixed):
         lines.append(f"fixed: {fixed}")
-    at = [
-        f"{k} = {v:g} °C"
-        for k, v in calibration.reference.items()
-        if isinstance(v, float) and k.endswith("0")
-    ]
+    constants = calibration.reference.items()
+    at = [f"{k} = {v:g} °C" for k, v in constants if isinstance(v, float) and k.endswith("0")]
     if at:
         lines.append("constants hold at " + ", ".join(at))
     lines += [f"not measured: {d['in_words']}" for d in null_directions(calibration)]
@@ -77,7 +61,12 @@ def calibration_text(calibration: Fitted) -> str:
     return "\n".join([lines[0], *(textwrap.fill(line, WIDTH) for line in lines[1:])])
 
 
-MOST_MEMBERS = 4  # of a group, that have a line each
+def _unknown_row(s: dict[str, Any]) -> list[str]:
+    contraction = "–" if s["contraction"] is None else f"{s['contraction']:.3f}"
+    (low, high), mean, sd = s["interval95"], s["mean"], s["sd"]
+    skewed = low > 0 and sd > 0.5 * mean
+    value = f"about {number(mean, 2)}, skewed" if skewed else with_error(mean, sd)
+    return [s["name"], value, unit_label(s["unit"]), interval(low, high, mean, sd), contraction]
 
 
 def curves(calibration: Fitted) -> set[str]:
@@ -95,12 +84,8 @@ def curve_extent(calibration: Fitted, name: str) -> tuple[float, float, str, flo
     effect = calibration.model.effect(name)
     covariate = (effect.along or "").split(",")[0] or next(iter(effect.columns), "")
     of = derived(calibration.readings).get(covariate)
-    return (
-        float(values.std()),
-        float(values[worst]),
-        covariate,
-        None if of is None else float(of[worst]),
-    )
+    at = None if of is None else float(of[worst])
+    return float(values.std()), float(values[worst]), covariate, at
 
 
 def place_of(calibration: Fitted, covariate: str, at: float | None) -> str:
@@ -108,13 +93,8 @@ def place_of(calibration: Fitted, covariate: str, at: float | None) -> str:
     if at is None:
         return covariate
     readings = calibration.readings
-    unit = (
-        readings.unit(covariate)
-        if readings.has(covariate)
-        else "s"
-        if covariate == "elapsed"
-        else "degC/s"
-    )
+    unit = "s" if covariate == "elapsed" else "degC/s"
+    unit = readings.unit(covariate) if readings.has(covariate) else unit
     return f"{covariate} {number(at, 3)} {unit_label(unit or '1')}".rstrip()
 
 
@@ -137,14 +117,9 @@ def _large_groups(calibration: Fitted) -> dict[str, list[str]]:
 def _group_row(name: str, members: list[dict[str, Any]]) -> list[str]:
     """The members of a group: from the least to the largest."""
     means = [m["mean"] for m in members]
-    low, high = (number(v, 3) for v in (min(means), max(means)))
-    return [
-        f"{name} ({len(members)} members)",
-        f"{low} to {high}",
-        unit_label(members[0]["unit"]),
-        "–",
-        "–",
-    ]
+    extent = f"{number(min(means), 3)} to {number(max(means), 3)}"
+    unit = unit_label(members[0]["unit"])
+    return [f"{name} ({len(members)} members)", extent, unit, "–", "–"]
 
 
 def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -158,25 +133,18 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     layout, levels = calibration.layout, calibration.levels
     coefficients, hyperparameters = [], []
     for b in layout.blocks:
-        if b.place == "fixed":
+        c = b.coefficient
+        if b.place == "fixed" or c.per == "reading":
             continue
-        values = calibration.samples(b.name)
-        learned = b.coefficient.group_sd is not None or b.effect.weights is not None
-        prior = None if b.coefficient.flat or learned else b.coefficient.size
-        per = b.coefficient.per
-        if per is None:
-            coefficients.append(_row(b.name, b.effect.name, b.coefficient.unit, values, prior))
-        elif per != "reading":
-            for i, name in enumerate(b.member_names(levels)):
-                coefficients.append(
-                    _row(name, b.effect.name, b.coefficient.unit, values[:, i], prior)
-                )
-    for h in layout.hypers:
-        if h.kind != "promoted":
-            effect = "noise" if h.kind == "noise" else h.name.rpartition(".")[0]
-            hyperparameters.append(
-                _row(h.name, effect, h.unit, calibration.samples(h.name), deviation(h.prior))
-            )
+        learned = c.group_sd is not None or b.effect.weights is not None
+        prior = None if c.flat or learned else c.size
+        values = calibration.samples(b.name).reshape(-1, b.size).T
+        for name, own in zip(b.member_names(levels), values, strict=True):
+            coefficients.append(_row(name, b.effect.name, c.unit, own, prior))
+    for h in (h for h in layout.hypers if h.kind != "promoted"):
+        effect = "noise" if h.kind == "noise" else h.name.rpartition(".")[0]
+        values = calibration.samples(h.name)
+        hyperparameters.append(_row(h.name, effect, h.unit, values, deviation(h.prior)))
     return coefficients, hyperparameters
 
 
@@ -256,11 +224,8 @@ def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:
 def _deviations_words(vectors: list[np.ndarray], layout: Layout) -> dict[str, str]:
     """Of all directions among deviations of groups and unknown functions' coefficients."""
     size = np.max(np.abs(vectors), axis=0)
-    large = [
-        b
-        for b in layout.x_blocks
-        if not _single(b, layout) and size[b.start : b.start + b.size].max() > TRACE * size.max()
-    ]
+    several = (b for b in layout.x_blocks if not _single(b, layout))
+    large = [b for b in several if size[b.start : b.start + b.size].max() > TRACE * size.max()]
     names = ", ".join(dict.fromkeys(b.effect.name for b in large))
     words = (
         f"{len(vectors)} combination(s) of the single coefficients of {names}: these readings do not tell them apart; "
@@ -291,9 +256,8 @@ def _weak_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:
     sign = np.sign(vector[order[0]])
     combination = _sum([(float(sign) * round(float(vector[i]), 2), names[i]) for i in order])
     who = " and ".join(names[i] for i in order)
-    if len(order) == 1:
-        words = f"{who}: these readings say nothing of it; its interval is the prior's"
-    else:
+    words = f"{who}: these readings say nothing of it; its interval is the prior's"
+    if len(order) > 1:
         words = (
             f"{who}: only another combination of them is measured; this one keeps the prior's width"
         )

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.named_draws import named
+from bayescal._calibration.fitted import named
 from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.importance_weights import resample, smoothed

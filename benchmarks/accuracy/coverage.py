@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._calibration.named_draws import named
+from bayescal._calibration.fitted import named
 from bayescal._core.importance_weights import smoothed
 from bayescal._inference import sampled_products
 from bayescal._inference.assembly import Assembly

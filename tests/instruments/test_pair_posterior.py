@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._calibration.named_draws import named
+from bayescal._calibration.fitted import named
 from bayescal._inference import sampling
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.environment import SHARED, order_names
