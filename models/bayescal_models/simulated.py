@@ -1,11 +1,18 @@
-"""What simulators share: plausible sizes, random numbers by what they are for, refusals of what cannot be hidden."""
+"""What simulators share: plausible sizes, random numbers by what they are for, bodies of first order, refusals."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial, wraps
+from typing import Any, NamedTuple, ParamSpec
 
 import numpy as np
+from numpy.typing import NDArray
+
+import bayescal as bc
+
+Array = NDArray[np.floating[Any]]
+P = ParamSpec("P")
 
 
 class Size(NamedTuple):
@@ -39,3 +46,102 @@ def refuse_effects(effects: Mapping[str, float], known: Collection[str], where: 
             )
         if not np.isfinite(size):
             raise ValueError(f"the size of {name!r} is {size!r}: give a finite number")
+
+
+def refuse_options(
+    campaign: object,
+    *,
+    positive: Collection[str] = (),
+    not_negative: Collection[str] = (),
+    **choices: Collection[str],
+) -> None:
+    """Refuse a plan of a test whose options are out of their range.
+
+    Args:
+        campaign: the plan.
+        positive: names of options that are above 0.
+        not_negative: of options that are 0 or more.
+        choices: by name of an option, what it may be.
+
+    Raises:
+        ValueError: an option is something else.
+    """
+    for name in (*positive, *not_negative):
+        value = getattr(campaign, name)
+        if not (value > 0 if name in positive else value >= 0):
+            wanted = "a number above 0" if name in positive else "0 or more"
+            raise ValueError(f"Campaign({name}={value!r}): give {wanted}.")
+    for name, known in choices.items():
+        if (value := getattr(campaign, name)) not in known:
+            raise ValueError(f"Campaign({name}={value!r}): choose one of {', '.join(known)}.")
+
+
+def first_order_body(
+    drive: Array, time_constant: float, step: float, start: float | None = None
+) -> Array:
+    """A body of first order, τ·dT/dt = drive − T, exact for a drive that is linear between grid points.
+
+    Args:
+        drive: what it follows, any unit.
+        time_constant: τ, s.
+        step: of the grid, s.
+        start: its first value; None for that of the drive.
+    """
+    from scipy.signal import lfilter  # half a second that only a simulation needs
+
+    start = float(drive[0]) if start is None else start
+    decay = np.exp(-step / time_constant)
+    now = 1.0 - (1.0 - decay) * time_constant / step
+    push = drive - start
+    made, _ = lfilter([now, 1.0 - decay - now], [1.0, -decay], push, zi=[-now * push[0]])
+    return start + made
+
+
+def correlated(
+    generator: np.random.Generator, shape: int | tuple[int, int], time_constant: float, step: float
+) -> Array:
+    """Stationary Ornstein–Uhlenbeck records of unit variance along the last axis.
+
+    Args:
+        generator: of random numbers.
+        shape: of what is made.
+        time_constant: correlation time, s.
+        step: between neighbours, s.
+    """
+    from scipy.signal import lfilter  # half a second that only a simulation needs
+
+    decay = np.exp(-step / time_constant)
+    kicks = generator.standard_normal(shape)
+    kicks[..., 1:] *= np.sqrt(1.0 - decay**2)
+    return np.asarray(lfilter([1.0], [1.0, -decay], kicks))
+
+
+def experiments(
+    columns: Callable[..., dict[str, Any]], campaigns: Mapping[str, Any]
+) -> tuple[tuple[str, Callable[[], dict[str, Any]]], ...]:
+    """What can be done next: feasible changes of a campaign, in words, and the columns that each would record.
+
+    Args:
+        columns: of a simulated campaign.
+        campaigns: by what each is in words.
+    """
+    return tuple((n, partial(columns, seed=0, campaign=made)) for n, made in campaigns.items())
+
+
+def readings_of(
+    instrument: bc.Instrument, columns: Callable[P, Mapping[str, Any]]
+) -> Callable[P, bc.Measurements]:
+    """A simulator's columns as readings of its instrument: a function of the same arguments.
+
+    Args:
+        instrument: whose simulator it is.
+        columns: the simulator.
+    """
+
+    @wraps(columns)
+    def simulate(*args: P.args, **options: P.kwargs) -> bc.Measurements:
+        return bc.Measurements.from_arrays(instrument, **columns(*args, **options))
+
+    simulate.__name__ = simulate.__qualname__ = "simulate"
+    simulate.__annotations__["return"] = bc.Measurements
+    return simulate

@@ -10,15 +10,16 @@ import bayescal as bc
 from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import quartz_beam_accelerometer as quartz
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID
-from bayescal_models.quartz_beam_accelerometer.laws import LAWS, SIZES
-from bayescal_models.quartz_beam_accelerometer.thermal import body, make_world
+from bayescal_models.quartz_beam_accelerometer.laws import CHANCE, LAWS, SIZES
+from bayescal_models.quartz_beam_accelerometer.thermal import make_world
+from bayescal_models.simulated import first_order_body
 
 CANDIDATES = {e.name: e for e in quartz.INSTRUMENT.candidates}
 PLAIN = quartz.simulate(seed=3)
 
 
 def test_every_candidate_can_be_hidden_and_no_other_law_exists() -> None:
-    laws = {f"{slot}.{cause}" for slot in ("bias", "scale") for cause in LAWS}
+    laws = {f"{slot}.{cause}" for slot in ("bias", "scale") for cause in (*LAWS, *CHANCE)}
     assert set(CANDIDATES) == {*laws, "second_order"}
 
 
@@ -77,7 +78,9 @@ def test_circuit_and_head_follow_the_chamber_and_each_other() -> None:
 
 def test_a_body_follows_a_ramp_behind_by_its_time_constant() -> None:
     ramp = 0.02 * GRID * np.arange(2000, dtype=np.float64)  # 0.02 °C/s
-    assert ramp[-1] - body(ramp, 300.0)[-1] == pytest.approx(0.02 * 300.0, rel=1e-6)
+    assert ramp[-1] - first_order_body(ramp, 300.0, GRID)[-1] == pytest.approx(
+        0.02 * 300.0, rel=1e-6
+    )
 
 
 def test_the_beams_lag_so_that_up_and_down_ramps_differ() -> None:

@@ -8,6 +8,7 @@ import bayescal as bc
 from bayescal import effects
 from bayescal_models.differential_pair.campaign import GRAVITY, RADIUS, G
 from bayescal_models.differential_pair.environment import DEPARTURE, SHARED
+from bayescal_models.terms import one, progress, term
 
 SOURCE = "source 3; size ours"
 
@@ -40,16 +41,8 @@ def tangential(r: bc.Frame) -> Any:
     return slope(r, speed)  # r·Ω in units such that its derivative is in µg
 
 
-def _one(r: bc.Frame) -> float:
-    return 1.0
-
-
 def _outward(r: bc.Frame) -> Any:
     return direction(r) * r["acceleration"]
-
-
-def _progress(r: bc.Frame) -> Any:
-    return r.progress
 
 
 def _as_scale(readings: bc.Measurements) -> str:
@@ -60,67 +53,65 @@ def _as_scale(readings: bc.Measurements) -> str:
 
 
 def _device(
-    name: str, slot: str, size: float, unit: str, equation: str, basis=_one, **more: Any
+    name: str, size: float, unit: str, equation: str, *columns: str, basis=one, **more: Any
 ) -> bc.Effect:
-    """An effect with one coefficient for each device, their spread learned."""
-    coefficient = bc.Coefficient(
-        unit, bc.Normal(0.0, size), per="device", group_sd=bc.HalfNormal(size)
-    )
-    needs = ("device", *more.pop("columns", ()))
-    return bc.Effect(
-        name, slot, basis, (coefficient,), columns=needs, equation=equation, source=SOURCE, **more
+    """An effect with one coefficient for each device, their spread learned; where they do, accelerations must vary."""
+    return term(
+        name,
+        basis,
+        size,
+        unit,
+        per="device",
+        group_sd=bc.HalfNormal,
+        columns=("device", *columns),
+        equation=equation,
+        source=SOURCE,
+        **{"varies": ("acceleration",), **more},
     )
 
 
-SCALE = effects.deviation("scale", "device", 5000.0, "ppm", source=SOURCE)
-TEMPERATURE = effects.linear("environment", 100.0, "ug/degC", source=SOURCE)
-SECOND_ORDER = _device(
-    "scale.second_order",
-    "scale",
-    1000.0,
-    "ppm/g",
-    "K2[device]·s·a in the scale",
-    _outward,
-    columns=("group", "acceleration"),
-    varies=("acceleration",),
-)
-MISALIGNMENT = _device(
-    "misalignment.device",
-    "misalignment",
-    5.0,
-    "mrad",
-    "ε[device]·(g + r·dΩ/dt)",
-    columns=("time", "acceleration"),
-    varies=("acceleration",),
-)
-RADIUS_OF_DEVICE = _device(
-    "input.radius",
-    "input",
-    1e4,
-    "ppm",
-    "a·δr[device]/r",
-    columns=("acceleration",),
-    untestable=_as_scale,
-)
-SKEW = _device(
-    "timing.skew",
-    "timing",
-    10.0,
-    "ms",
-    "−δ[device]·da/dt",
-    columns=("time", "acceleration"),
-    varies=("acceleration",),
-)
-DRIFT = _device(
-    "bias.drift",
-    "bias",
-    100.0,
-    "ug",
-    "d[device]·(t − t̄)/(tmax − tmin)",
-    _progress,
-    columns=("time",),
-)
 BIAS = effects.deviation("bias", "device", 10000.0, "ug", source=SOURCE)
 
-BASELINE = (SCALE, SHARED, DEPARTURE)
-CANDIDATES = (TEMPERATURE, SECOND_ORDER, MISALIGNMENT, RADIUS_OF_DEVICE, SKEW, DRIFT, BIAS)
+BASELINE = (
+    effects.deviation("scale", "device", 5000.0, "ppm", source=SOURCE),
+    SHARED,
+    DEPARTURE,
+)
+CANDIDATES = (
+    effects.linear("environment", 100.0, "ug/degC", source=SOURCE),
+    _device(
+        "scale.second_order",
+        1000.0,
+        "ppm/g",
+        "K2[device]·s·a in the scale",
+        *("group", "acceleration"),
+        basis=_outward,
+    ),
+    _device(
+        "misalignment.device",
+        5.0,
+        "mrad",
+        "ε[device]·(g + r·dΩ/dt)",
+        *("time", "acceleration"),
+    ),
+    _device(
+        "input.radius",
+        1e4,
+        "ppm",
+        "a·δr[device]/r",
+        "acceleration",
+        varies=(),
+        untestable=_as_scale,
+    ),
+    _device("timing.skew", 10.0, "ms", "−δ[device]·da/dt", "time", "acceleration"),
+    _device(
+        "bias.drift",
+        100.0,
+        "ug",
+        "d[device]·(t − t̄)/(tmax − tmin)",
+        "time",
+        basis=progress,
+        varies=(),
+    ),
+    BIAS,
+)

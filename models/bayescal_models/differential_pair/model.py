@@ -30,11 +30,9 @@ Pairs are chosen by `pairing/selection.py` (`bayescal pairs FILE`), and used by 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import bayescal as bc
 from bayescal_models.differential_pair import COLUMNS, NOMINAL_SCALE
-from bayescal_models.differential_pair.campaign import Campaign, G
+from bayescal_models.differential_pair.campaign import G
 from bayescal_models.differential_pair.effects import (
     BASELINE,
     BIAS,
@@ -45,6 +43,7 @@ from bayescal_models.differential_pair.effects import (
 )
 from bayescal_models.differential_pair.environment import DEPARTURE
 from bayescal_models.differential_pair.simulator import simulated_columns
+from bayescal_models.simulated import readings_of
 
 
 def _response(slots, r):
@@ -86,26 +85,4 @@ INSTRUMENT = bc.Instrument(
     simulator=simulated_columns,
     source="source 3",
 )
-
-
-def simulate(
-    effects: Mapping[str, float] | None = None,
-    *,
-    seed: int,
-    campaign: Campaign | None = None,
-    noise_law: str = "white",
-) -> bc.Measurements:
-    """Readings of a batch with these effects hidden in it.
-
-    Args:
-        effects: canonical name → true size in the coefficient's unit: for effects with one coefficient a device
-            the standard deviation over devices, else the coefficient.
-        seed: of every random number; the same seed gives the same devices, disturbance and noise whatever the
-            effects and the profile.
-        campaign: the plan; `Campaign()` if not given.
-        noise_law: "white"; there is no other here.
-
-    Raises:
-        ValueError: an unknown effect, a size that is not finite, or another noise law.
-    """
-    return INSTRUMENT.simulate(effects, seed=seed, campaign=campaign, noise_law=noise_law)
+simulate = readings_of(INSTRUMENT, simulated_columns)

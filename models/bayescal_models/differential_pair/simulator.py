@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bayescal_models.differential_pair.campaign import GRAVITY, RADIUS, Campaign, G
 from bayescal_models.differential_pair.disturbance import departures, shared, warming
-from bayescal_models.simulated import refuse_effects
+from bayescal_models.simulated import generators, refuse_effects
 
 Array = NDArray[np.float64]
 
@@ -62,9 +62,18 @@ def simulated_columns(
     campaign: Campaign | None = None,
     noise_law: str = "white",
 ) -> dict[str, Any]:
-    """Columns of a batch with these effects hidden in it, by name, in the instrument's units.
+    """A batch with these effects hidden in it: its columns, by name, in the instrument's units.
 
-    Args and Raises: as of `simulate` in `model.py`.
+    Args:
+        effects: canonical name → true size in the coefficient's unit: for effects with one coefficient a device
+            the standard deviation over devices, else the coefficient.
+        seed: of every random number; the same seed gives the same devices, disturbance and noise whatever the
+            effects and the profile.
+        campaign: the plan; `Campaign()` if not given.
+        noise_law: "white"; there is no other here.
+
+    Raises:
+        ValueError: an unknown effect, a size that is not finite, or another noise law.
     """
     if noise_law != "white":
         raise ValueError(f"noise law {noise_law!r} is not simulated for these devices: take white")
@@ -82,8 +91,8 @@ def columns_and_truth(
     plan, sizes = campaign or Campaign(), dict(effects or {})
     refuse_effects(sizes, HIDDEN, "a batch")
     count = plan.outer + plan.inner
-    seeds = np.random.SeedSequence(seed).spawn(6)
-    devices, environment, own, hidden, noise, thermometer = map(np.random.default_rng, seeds)
+    uses = ("devices", "environment", "own", "hidden", "noise", "thermometer")
+    devices, environment, own, hidden, noise, thermometer = generators(uses, seed).values()
     fine = (np.arange(plan.samples * FINE) + 0.5) * plan.duration / (plan.samples * FINE)
 
     sensitivity = 1.0 + plan.sensitivity_spread * devices.standard_normal(count)

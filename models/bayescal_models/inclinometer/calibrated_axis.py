@@ -74,16 +74,14 @@ class CalibratedAxis:
         slots = self.slots(None, cross)
         return reading - slots["zero"] - slots["cross_axis"] * np.sin(cross)
 
-    def shares(
-        self, values: np.ndarray, own: np.ndarray, cross: np.ndarray
-    ) -> dict[str, np.ndarray]:
-        """Standard uncertainties by cause, rad, (n,) each."""
-        noise = self.calibration.samples("noise.white")
+    def shares(self, tilts: np.ndarray) -> dict[str, np.ndarray]:
+        """Standard uncertainties of tilts, (draws, n), by cause, rad, (n,) each."""
+        noise, count = self.calibration.samples("noise.white"), tilts.shape[1]
         # d(tilt)/d(reading) is 1 to within κ and the zero's slope.
         return {
-            "coefficients": values.std(axis=0),
-            "mounting": np.full(own.size, ARCSEC * self._new_members()),
-            "noise": np.full(own.size, ARCSEC * float(np.sqrt(np.mean(noise**2)))),
+            "coefficients": tilts.std(axis=0),
+            "mounting": np.full(count, ARCSEC * self._new_members()),
+            "noise": np.full(count, ARCSEC * float(np.sqrt(np.mean(noise**2)))),
         }
 
     def _new_members(self) -> float:

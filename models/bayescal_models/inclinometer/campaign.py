@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 
 from bayescal_models.inclinometer.geometry import possible
+from bayescal_models.simulated import refuse_options
 
 
 @dataclass(frozen=True)
@@ -98,14 +99,11 @@ class Campaign:
         for name, count in counts.items():
             if count < 1:
                 raise ValueError(f"Campaign({name}): {count} of them; give at least 1.")
-        for name in ("interval", "period", "lag_time", "settling_time", "reversal"):
-            if not getattr(self, name) > 0:
-                raise ValueError(
-                    f"Campaign({name}={getattr(self, name)!r}): give a number above 0."
-                )
-        for name in ("noise", "dividing", "repeatability", "swing", "pause", "device_spread"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"Campaign({name}={getattr(self, name)!r}): give 0 or more.")
+        refuse_options(
+            self,
+            positive=("interval", "period", "lag_time", "settling_time", "reversal"),
+            not_negative=("noise", "dividing", "repeatability", "swing", "pause", "device_spread"),
+        )
         if len(self.grid) and {label for label, _ in self.axes} != {"x", "y"}:
             raise ValueError("Campaign(grid=…): a verification needs the axes x and y.")
         for angle in (*self.angles, *self.grid):
@@ -159,19 +157,9 @@ def plan(campaign: Campaign) -> Plan:
             time = clock + campaign.interval * step
             clock = float(time.max()) + campaign.pause
             rows.append(([str(device + 1)] * count, *labels, *columns, time))
-    joined = [np.concatenate(parts) for parts in zip(*rows, strict=True)]
-    device, axis, run, placement, tilt, forward, turned, time = joined
-    return Plan(
-        device,
-        axis,
-        run,
-        placement=placement,
-        tilt=tilt,
-        time=time,
-        forward=forward,
-        turned=turned,
-        verification=bool(campaign.grid),
-    )
+    names = ("device", "axis", "run", "placement", "tilt", "forward", "turned", "time")
+    joined = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    return Plan(**dict(zip(names, joined, strict=True)), verification=bool(campaign.grid))
 
 
 def _zero_test(campaign: Campaign, prefix: str):

@@ -80,11 +80,8 @@ def compensate(
         InputError: unknown axis, device or law, readings of unequal length, or pairs that no tilt gives.
         ModelError: an effect in use needs a covariate that is not given, or, under the document's law, tilts.
     """
-    rx, ry = (
-        np.atleast_1d(np.asarray(reading_x, float)),
-        np.atleast_1d(np.asarray(reading_y, float)),
-    )
-    _refuse(calibration, rx, ry, law, axes, device)
+    rx, ry = (np.atleast_1d(np.asarray(r, float)) for r in (reading_x, reading_y))
+    _refuse(calibration, rx, ry, law, axes)
     calibrated = tuple(
         CalibratedAxis(calibration, axis, device, draws=draws, covariates=covariates)
         for axis in axes
@@ -95,17 +92,10 @@ def compensate(
     else:
         passes = 1
         of_x, of_y = calibrated[0].corrected(rx, ry), calibrated[1].corrected(ry, rx)
-    means = [values.mean(axis=0) for values in (of_x, of_y)]
-    shares = {
-        axis: one.shares(values, own, cross)
-        for axis, one, values, own, cross in zip(
-            axes, calibrated, (of_x, of_y), means, means[::-1], strict=True
-        )
-    }
-    total = [np.sqrt(sum(s**2 for s in shares[axis].values())) for axis in axes]
-    return Compensated(
-        means[0], means[1], sd_x=total[0], sd_y=total[1], shares=shares, passes=passes
-    )
+    each = [one.shares(values) for one, values in zip(calibrated, (of_x, of_y), strict=True)]
+    sd_x, sd_y = (np.sqrt(sum(s**2 for s in own.values())) for own in each)
+    shares = dict(zip(axes, each, strict=True))
+    return Compensated(of_x.mean(axis=0), of_y.mean(axis=0), sd_x, sd_y, shares, passes)
 
 
 def _solved(
@@ -151,17 +141,13 @@ def zero_of(
         ModelError: an effect needs a covariate that is not given.
     """
     angle = np.atleast_1d(np.asarray(placement_angle, float))
-    _refuse(calibration, 0 * angle, 0 * angle, "document", (axis, axis), device)
+    _refuse(calibration, 0 * angle, 0 * angle, "document", (axis,) * 2)
     one = CalibratedAxis(calibration, axis, device, draws=draws, covariates=covariates)
     return one.slots(None, angle)["zero"] / ARCSEC
 
 
-def _refuse(calibration, rx, ry, law, axes, device) -> None:
-    """Refuse what cannot be compensated.
-
-    Raises:
-        InputError: see `compensate`.
-    """
+def _refuse(calibration, rx, ry, law, axes) -> None:
+    """Refuse what cannot be compensated."""
     if law not in ("exact", "document"):
         raise bc.InputError(f'law={law!r} is none: choose "exact" or "document"')
     if rx.shape != ry.shape or rx.ndim != 1:
@@ -177,9 +163,6 @@ def _refuse(calibration, rx, ry, law, axes, device) -> None:
                 f"reading {row + 1} of axis {axis!r} is {reading[row]:g} rad, beyond a right angle: give radians, "
                 "such as np.deg2rad(readings)"
             )
-    for group, label in (*(("axis", a) for a in axes), ("device", device)):
-        known = calibration.levels[group]
-        if label is not None and label not in known and group == "axis":
-            raise bc.InputError(
-                f"the calibration has no {group} {label!r}; it has: {', '.join(known)}"
-            )
+    for axis in axes:
+        if axis not in (known := calibration.levels["axis"]):
+            raise bc.InputError(f"the calibration has no axis {axis!r}; it has: {', '.join(known)}")

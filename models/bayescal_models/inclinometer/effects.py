@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 
 import bayescal as bc
 from bayescal_models.inclinometer.geometry import exact_placement
+from bayescal_models.terms import centred, one, progress, term
 
 SOURCE = "source 4; size ours"
 KNOTS = np.deg2rad(np.arange(-45.0, 46.0, 15.0))  # of the spline table
@@ -47,6 +48,8 @@ SIZES = {
     "dividing.wobble": (2.0, "arcsec"),
     "dividing.face": (2.0, "arcsec"),
     "base_tilt.drift": (2.0, "arcsec"),
+    "zero.mean": (1000.0, "arcsec"),
+    "zero.placement_mean": (2.0, "arcsec/deg"),
     "zero.axis": (100.0, "arcsec"),
     "zero.placement_axis": (1.0, "arcsec/deg"),
     "zero.device": (100.0, "arcsec"),
@@ -54,60 +57,19 @@ SIZES = {
 }
 
 
-def _effect(
-    name: str,
-    basis: Callable[..., Any],
-    equation: str,
-    *,
-    slot: str | None = None,
-    parts: tuple[str, ...] = ("",),
-    per: Literal["axis", "run", "device"] | None = "axis",
-    learned: bool = False,
-    source: str = SOURCE,
-    **more: Any,
-) -> bc.Effect:
-    """An effect of one size, for each axis unless said otherwise, its spread learned or not."""
-    size, unit = SIZES[name]
-    spread = bc.HalfNormal(size) if learned else None
-    return bc.Effect(
-        name,
-        slot or name.split(".")[0],
-        basis,
-        coefficients=tuple(
-            bc.Coefficient(unit, bc.Normal(0.0, size), part=part, per=per, group_sd=spread)
-            for part in parts
-        ),
-        equation=equation,
-        source=source,
-        **more,
-    )
+def _effect(name: str, basis: Callable[..., Any], equation: str, **more: Any) -> bc.Effect:
+    """An effect of its plausible size, for each axis unless said otherwise."""
+    own = {"per": "axis", "equation": equation, "source": SOURCE}
+    return term(name, basis, *SIZES[name], **{**own, **more})
 
 
 def _placement(name: str, power: int, **more: Any) -> bc.Effect:
-    return _effect(
-        name,
-        partial(_angle_to, power),
-        "c·ω" + {1: "", 2: "²", 3: "³"}[power],
-        columns=("placement_angle",),
-        varies=("placement_angle",),
-        **more,
-    )
-
-
-def _one(r: bc.Frame) -> float:
-    return 1.0
-
-
-def _progress(r: bc.Frame) -> Any:
-    return r.progress
+    basis, sign = partial(_angle_to, power), {1: "", 2: "²", 3: "³"}[power]
+    return _effect(name, basis, f"c·ω{sign}", columns=("placement_angle",), **more)
 
 
 def _angle_to(power: int, r: bc.Frame) -> Any:
     return r["placement_angle"] ** power
-
-
-def _centred(r: bc.Frame) -> Any:
-    return r.centred("temperature")
 
 
 def _sweep(r: bc.Frame) -> Any:
@@ -158,9 +120,12 @@ def _one_way(readings: bc.Measurements) -> str | None:
     return f"needs sweeps forward and backward; these readings have {', '.join(sorted(found))} only"
 
 
-CONSTANT = _effect("zero.constant", _one, "c[axis]", source="source 4: 3 to 5 mg of bias")
+ZERO, FACE_SOURCE = "source 4: 3 to 5 mg of bias", "source 4: face vertical within 2″"
+LEARNED: dict[str, Any] = {"group_sd": bc.HalfNormal, "varies": ()}
+
+CONSTANT = _effect("zero.constant", one, "c[axis]", source=ZERO)
 LINE = _placement("zero.placement", 1, source="source 4: its two lines have 0.72 and 0.07″/deg")
-RUN = _effect("zero.run", _one, "d[run],  d ~ N(0, s²)", per="run", learned=True, columns=("run",))
+RUN = _effect("zero.run", one, "d[run],  d ~ N(0, s²)", per="run", columns=("run",), **LEARNED)
 QUADRATIC = _placement("zero.placement_quadratic", 2)
 CUBIC = _placement("zero.placement_cubic", 3)
 PROJECTION = _effect(
@@ -169,7 +134,6 @@ PROJECTION = _effect(
     "S_p·cos ω + S_d·sin ω",
     parts=("pendulum", "door"),
     columns=("placement_angle",),
-    varies=("placement_angle",),
 )
 TABLE = _effect(
     "zero.table",
@@ -177,49 +141,30 @@ TABLE = _effect(
     "natural cubic spline through departures from the line at −45°, −30° … 45°",
     parts=tuple(f"{k:g}" for k in np.rad2deg(KNOTS).round()),
     columns=("placement_angle",),
-    varies=("placement_angle",),
 )
-TEMPERATURE = _effect(
-    "zero.temperature",
-    _centred,
-    "c·(T − T0)",
-    columns=("temperature",),
-    varies=("temperature",),
-)
+TEMPERATURE = _effect("zero.temperature", centred, "c·(T − T0)", columns=("temperature",))
 HYSTERESIS = _effect(
     "zero.hysteresis",
     _sweep,
     "+c in forward sweeps, −c in backward ones",
     columns=("direction",),
+    varies=(),
     untestable=_one_way,
 )
 CROSS_AXIS = _effect(
-    "zero.cross_axis",
-    _one,
-    "m·sin ω",
-    slot="cross_axis",
-    columns=("placement_angle",),
-    varies=("placement_angle",),
+    "zero.cross_axis", one, "m·sin ω", slot="cross_axis", columns=("placement_angle",)
 )
 ELECTRICAL = _effect(
-    "zero.electrical_tilt",
-    _of_tilt_from_level,
-    "S_e·(1/cos x − 1)",
-    columns=("true_angle",),
-    varies=("true_angle",),
+    "zero.electrical_tilt", _of_tilt_from_level, "S_e·(1/cos x − 1)", columns=("true_angle",)
 )
 EXACT = _effect(
     "zero.exact_placement",
     _exact_less_linear,
     "c·(atan2(sin y, √(1 − sin²x − sin²y)) − y)",
     columns=("true_angle", "placement_angle"),
-    varies=("true_angle", "placement_angle"),
 )
 ELECTRICAL_ZERO = _effect(
-    "zero.electrical",
-    _of_tilt,
-    "S_e/cos x",
-    columns=("true_angle",),
+    "zero.electrical", _of_tilt, "S_e/cos x", columns=("true_angle",), varies=()
 )
 EXACT_PROJECTION = _effect(
     "zero.projection_exact",
@@ -227,9 +172,8 @@ EXACT_PROJECTION = _effect(
     "S_p·cos ω + S_d·sin ω,  ω = atan2(sin y, √(1 − sin²x − sin²y))",
     parts=("pendulum", "door"),
     columns=("true_angle", "placement_angle"),
-    varies=("true_angle", "placement_angle"),
 )
-SCALE = _effect("scale.constant", _one, "κ", columns=("true_angle",), varies=("true_angle",))
+SCALE = _effect("scale.constant", one, "κ", columns=("true_angle",))
 WOBBLE = _effect(
     "dividing.wobble",
     partial(_waves, (1, 2)),
@@ -237,32 +181,15 @@ WOBBLE = _effect(
     per=None,
     parts=("cos1", "sin1", "cos2", "sin2"),
     columns=("placement_angle",),
-    varies=("placement_angle",),
-    source="source 4: face vertical within 2″",
+    source=FACE_SOURCE,
 )
-FACE = _effect("dividing.face", _one, "c", per=None, source="source 4: face vertical within 2″")
-DRIFT = _effect("base_tilt.drift", _progress, "c·(t − t̄)/(tmax − tmin)", columns=("time",))
+FACE = _effect("dividing.face", one, "c", per=None, source=FACE_SOURCE)
+DRIFT = _effect("base_tilt.drift", progress, "c·(t − t̄)/(tmax − tmin)", columns=("time",))
 
 # Populations: accelerometers ("axis") and devices as draws from one, with learned spreads.
-MEAN = bc.Effect(
-    "zero.mean",
-    "zero",
-    _one,
-    coefficients=(bc.Coefficient("arcsec", bc.Normal(0.0, 1000.0)),),
-    equation="c",
-    source="source 4: 3 to 5 mg of bias",
-)
-MEAN_LINE = bc.Effect(
-    "zero.placement_mean",
-    "zero",
-    partial(_angle_to, 1),
-    coefficients=(bc.Coefficient("arcsec/deg", bc.Normal(0.0, 2.0)),),
-    columns=("placement_angle",),
-    varies=("placement_angle",),
-    equation="c·ω",
-    source=SOURCE,
-)
-AXIS = _effect("zero.axis", _one, "d[axis],  d ~ N(0, s²)", learned=True, columns=("axis",))
-AXIS_LINE = _placement("zero.placement_axis", 1, learned=True)
-DEVICE = _effect("zero.device", _one, "d[device]", per="device", learned=True, columns=("device",))
-DEVICE_LINE = _placement("zero.placement_device", 1, per="device", learned=True)
+MEAN = _effect("zero.mean", one, "c", per=None, source=ZERO)
+MEAN_LINE = _placement("zero.placement_mean", 1, per=None)
+AXIS = _effect("zero.axis", one, "d[axis],  d ~ N(0, s²)", columns=("axis",), **LEARNED)
+AXIS_LINE = _placement("zero.placement_axis", 1, group_sd=bc.HalfNormal)
+DEVICE = _effect("zero.device", one, "d[device]", per="device", columns=("device",), **LEARNED)
+DEVICE_LINE = _placement("zero.placement_device", 1, per="device", group_sd=bc.HalfNormal)

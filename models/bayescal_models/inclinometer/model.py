@@ -63,16 +63,14 @@ Sizes are prior standard deviations for a first calibration, ours where no sourc
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import jax.numpy as jnp
 
 import bayescal as bc
 from bayescal_models.inclinometer import COLUMNS, effects
 from bayescal_models.inclinometer.campaign import Campaign
-from bayescal_models.inclinometer.experiments import EXPERIMENTS
 from bayescal_models.inclinometer.geometry import ARCSEC, sensed
 from bayescal_models.inclinometer.simulator import simulated_columns
+from bayescal_models.simulated import experiments, readings_of
 
 
 def _response(slots, r):
@@ -146,29 +144,19 @@ INSTRUMENT = bc.Instrument(
         ("projection, exact geometry", _exact_projection),
     ),
     simulator=simulated_columns,
-    experiments=EXPERIMENTS,
+    experiments=experiments(
+        simulated_columns,
+        {
+            "the same again": Campaign(),
+            "four mountings of each axis": Campaign(runs=4),
+            "±75° by 5°": Campaign(angles=tuple(float(a) for a in range(-75, 76, 5))),
+            "±45° by 1°": Campaign(angles=tuple(float(a) for a in range(-45, 46))),
+            "forward sweeps alone": Campaign(backward=False),
+            "the laboratory's temperature varied by 8 °C": Campaign(swing=8.0),
+            "ten minutes at each angle": Campaign(interval=600.0),
+        },
+    ),
     use=bc.Use("true_angle", "rad", slots=("zero", "scale", "cross_axis")),
     source="source 4",
 )
-
-
-def simulate(
-    effects: Mapping[str, float] | None = None,
-    *,
-    seed: int,
-    campaign: Campaign | None = None,
-) -> bc.Measurements:
-    """Readings of a campaign with these effects hidden in it.
-
-    The same seed gives the same noise whatever the effects.
-
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficients, which all have that size;
-            effects on an accelerometer come at its own `share` of it.
-        seed: seed of every random number.
-        campaign: the test; the default is source 4's zero test.
-
-    Raises:
-        ValueError: an unknown effect, or a size that is no number.
-    """
-    return INSTRUMENT.simulate(effects, seed=seed, campaign=campaign)
+simulate = readings_of(INSTRUMENT, simulated_columns)

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from bayescal_models import simulated
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign, Plan, plan
 from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement, sensed
 
@@ -21,31 +22,19 @@ PHASES = (0.0, 0.7)  # rad, where temperature and the base's settling start: not
 
 @dataclass(frozen=True)
 class _World:
-    """What is true at each reading, one entry each.
+    """What is true at each reading, one entry each."""
 
-    Attributes:
-        accelerometer: arrays of its constants, by name.
-        share: multiple at which hidden effects come.
-        tilt: true, along the axis, rad.
-        cross: true tilt of the other axis, or true placement angle, rad.
-        placement: placement angle that the zero follows, rad.
-        warmth: hinge temperature − mean, °C.
-        settled: part of the base's tilting that has happened, from −½ to ½.
-        sweep: direction of the sweep, turning round gradually.
-    """
-
-    accelerometer: Accelerometer
-    share: np.ndarray
-    tilt: np.ndarray
-    cross: np.ndarray
-    placement: np.ndarray
-    warmth: np.ndarray
-    settled: np.ndarray
-    sweep: np.ndarray
+    accelerometer: Accelerometer  # arrays of its constants
+    share: np.ndarray  # multiple at which hidden effects come
+    tilt: np.ndarray  # true, along the axis, rad
+    cross: np.ndarray  # true tilt of the other axis, or true placement angle, rad
+    placement: np.ndarray  # placement angle that the zero follows, rad
+    warmth: np.ndarray  # hinge temperature − mean, °C
+    settled: np.ndarray  # part of the base's tilting that has happened, from −½ to ½
+    sweep: np.ndarray  # direction of the sweep, turning round gradually
 
 
-@dataclass
-class _Sum:
+class _Sum(NamedTuple):
     """What effects add up to: angles in arcsec, κ in ppm."""
 
     zero: Any = 0.0
@@ -92,19 +81,22 @@ def simulated_columns(
     seed: int,
     campaign: Campaign | None = None,
 ) -> dict[str, Any]:
-    """Columns of a campaign with these effects hidden in it, by name, in the instrument's units.
+    """A campaign with these effects hidden in it: its columns, by name, in the instrument's units.
 
-    Args and Raises: as of `simulate` in `model.py`.
+    The same seed gives the same noise whatever the effects.
+
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficients, which all have that size;
+            effects on an accelerometer come at its own `share` of it.
+        seed: of every random number.
+        campaign: the test; the default is source 4's zero test.
+
+    Raises:
+        ValueError: an unknown effect, or a size that is no number.
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
-    for name, size in effects.items():
-        if name not in _LAWS:
-            raise ValueError(f"no law for {name!r} here: choose among {', '.join(_LAWS)}")
-        if not np.isfinite(size):
-            raise ValueError(f"the size of {name!r} is {size!r}: give a number")
-    names = ("noise", "run", "table", "thermometer", "device")
-    seeds = np.random.SeedSequence(seed).spawn(len(names))
-    random = {n: np.random.default_rng(s) for n, s in zip(names, seeds, strict=True)}
+    simulated.refuse_effects(effects, _LAWS, "a test of the inclinometer")
+    random = simulated.generators(("noise", "run", "table", "thermometer", "device"), seed)
     laid = plan(campaign)
     temperature, world = _world(campaign, laid, random)
     output = _reading(campaign, laid, world, effects, _repeated(campaign, laid, random["run"]))
@@ -145,16 +137,11 @@ def _world(
         placement = exact_placement(laid.tilt, cross, np)
     turning = 1 - 2 * np.exp(-laid.turned / campaign.reversal)
     own, share = _accelerometers(campaign, laid, random["device"])
-    sweep = laid.forward * turning
     world = _World(
-        own,
-        share,
-        tilt=laid.tilt,
-        cross=cross,
-        placement=placement,
+        *(own, share, laid.tilt, cross, placement),
         warmth=warmth,
         settled=settled,
-        sweep=sweep,
+        sweep=laid.forward * turning,
     )
     return MEAN_TEMPERATURE + thermometer + noise, world
 
@@ -190,9 +177,8 @@ def _reading(
     one = world.accelerometer
     total = _Sum(one.mechanical(world.placement) + mounted, one.electrical, one.scale)
     for name, size in effects.items():
-        part = _LAWS[name](world, size)
-        for key, value in vars(part).items():
-            setattr(total, key, getattr(total, key) + value)
+        parts = zip(total, _LAWS[name](world, size), strict=True)
+        total = _Sum(*(whole + part for whole, part in parts))
     tilt = world.tilt + ARCSEC * total.rig
     sine = sensed(
         np.sin(tilt),

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayescal_models.mems_gyro.resonance import Resonance
-
-Array = NDArray[np.floating[Any]]
+from bayescal_models.simulated import Array, refuse_options
 
 GRID = 1.0
 """Step of the grid on which a test is simulated, s."""
@@ -99,14 +96,12 @@ class Campaign:
     def __post_init__(self) -> None:
         positive = ("dwell", "runs", "chamber_time", "chamber_ramp", "logging_interval", "average")
         positive += ("sensitivity", "package_time", "lag_time", "board_time", "warm_up_time")
-        for name in (*positive, "wander_time", "period"):
-            if not getattr(self, name) > 0:
-                raise ValueError(
-                    f"Campaign({name}={getattr(self, name)!r}): give a number above 0."
-                )
-        for name in ("pause", "noise", "wander", "thermometer_noise"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"Campaign({name}={getattr(self, name)!r}): give 0 or more.")
+        refuse_options(
+            self,
+            positive=(*positive, "wander_time", "period"),
+            not_negative=("pause", "noise", "wander", "thermometer_noise"),
+            law=("line", "resonance"),
+        )
         if not 0 <= self.step_fraction <= 1:
             raise ValueError(
                 f"Campaign(step_fraction={self.step_fraction!r}): give a share from 0 to 1."
@@ -123,8 +118,6 @@ class Campaign:
                 f"Campaign(noise_degrees={self.noise_degrees!r}): Student-t noise has a standard "
                 "deviation only above 2 degrees of freedom; give more than 2."
             )
-        if self.law not in ("line", "resonance"):
-            raise ValueError(f"Campaign(law={self.law!r}): choose 'line' or 'resonance'.")
         if not self.temperatures or self.rate_input == ():
             raise ValueError(
                 "Campaign: `temperatures` and `rate_input` need at least one value each; "

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayescal_models.mems_gyro.campaign import GRID, Array, Campaign
+from bayescal_models.mems_gyro.campaign import GRID, Campaign
+from bayescal_models.simulated import Array, correlated, first_order_body
 
 
 @dataclass(frozen=True)
@@ -64,16 +65,16 @@ def make_world(campaign: Campaign, generators: Mapping[str, np.random.Generator]
     powered = (time > starts[run]) & (time <= starts[run] + campaign.run_duration)
     ambient = _ambient(campaign, time)
     logged = _logged(campaign)
-    moist = 45.0 + 5.0 * wander(generators["humidity"], length, correlation_time=2400.0)
+    moist = 45.0 + 5.0 * correlated(generators["humidity"], length, 2400.0, GRID)
     return World(
         time=time,
         ambient=ambient,
-        package=first_order_body(ambient, campaign.package_time),
-        die=first_order_body(ambient, campaign.lag_time),
+        package=first_order_body(ambient, campaign.package_time, GRID),
+        die=first_order_body(ambient, campaign.lag_time, GRID),
         board=first_order_body(
-            ambient + campaign.board_heating * powered, campaign.board_time, start=ambient[0]
+            ambient + campaign.board_heating * powered, campaign.board_time, GRID, start=ambient[0]
         ),
-        warmth=first_order_body(powered.astype(float), campaign.warm_up_time, start=0.0),
+        warmth=first_order_body(powered.astype(float), campaign.warm_up_time, GRID, start=0.0),
         rate=np.where(powered, _input_rate(campaign, time - starts[run], run), 0.0),
         humidity=np.clip(moist, 2.0, 98.0),
         turn_on=generators["run"].standard_normal(campaign.runs)[run],
@@ -92,7 +93,7 @@ def _ambient(campaign: Campaign, time: Array) -> Array:
             begin.append(start + campaign.run_duration)
             goals.append(campaign.set_points(k + 1)[0])
     air = ramp_limited(time, begin, goals, campaign.chamber_ramp)
-    return first_order_body(air, campaign.chamber_time)
+    return first_order_body(air, campaign.chamber_time, GRID)
 
 
 def _input_rate(campaign: Campaign, since_start: Array, run: NDArray[np.intp]) -> Array:
@@ -108,37 +109,6 @@ def _logged(campaign: Campaign) -> NDArray[np.intp]:
     since_start = campaign.logging_interval * np.arange(1, samples + 1)
     at = np.rint((campaign.run_starts[:, None] + since_start) / GRID).astype(np.intp)
     return at.reshape(-1, round(campaign.average / campaign.logging_interval))
-
-
-def first_order_body(drive: Array, time_constant: float, start: float | None = None) -> Array:
-    """Temperature of a body that follows `drive`: `τ·dT/dt = drive − T`, on the grid.
-
-    Exact for a drive that is linear between grid points.
-
-    Args:
-        drive: temperature that drives the body, °C (or any unit, which the body then has).
-        time_constant: τ, s.
-        start: first value of the body; None starts it soaked at the first value of `drive`.
-    """
-    from scipy.signal import lfilter  # half a second that only a simulation needs
-
-    start = float(drive[0]) if start is None else start
-    decay = np.exp(-GRID / time_constant)
-    now = 1.0 - (1.0 - decay) * time_constant / GRID
-    before = 1.0 - decay - now
-    departure = drive - start
-    body, _ = lfilter([now, before], [1.0, -decay], departure, zi=[-now * departure[0]])
-    return start + body
-
-
-def wander(generator: np.random.Generator, length: int, correlation_time: float) -> Array:
-    """Stationary Ornstein-Uhlenbeck record of unit variance; `correlation_time` in s."""
-    from scipy.signal import lfilter  # half a second that only a simulation needs
-
-    decay = np.exp(-GRID / correlation_time)
-    kicks = generator.standard_normal(length)
-    kicks[1:] *= np.sqrt(1.0 - decay**2)
-    return np.asarray(lfilter([1.0], [1.0, -decay], kicks))
 
 
 def ramp_limited(

@@ -17,79 +17,21 @@ import bayescal as bc
 from bayescal import effects
 from bayescal_models.mems_gyro import THERMOMETER_SD
 from bayescal_models.mems_gyro.laws import SIZES
+from bayescal_models.terms import centred, one, term
 
 SOURCE = "source 1; size ours"
 RESONANCE_SOURCE = "source 1; values of K_ET, r and Q ours"
 MINUTE = 60.0
 
 
-def _size(name: str) -> tuple[float, str]:
-    return SIZES[name].value, SIZES[name].unit
-
-
-def _one(r):
-    return 1.0
-
-
 def _board(r):
     return r.centred("board_temperature")
 
 
-def _centred(r):
-    return r.centred()
-
-
 CONSTANT = effects.constant("bias", 50.0, "deg/s", source=SOURCE)
-LINE = effects.linear("bias", *_size("bias.temperature"), source=SOURCE)
-QUADRATIC = effects.quadratic("bias", *_size("bias.temperature_quadratic"), source=SOURCE)
-CUBIC = effects.cubic("bias", *_size("bias.temperature_cubic"), source=SOURCE)
-RATE = effects.rate("bias", *_size("bias.rate"), source=SOURCE)
-LAG = effects.thermal_lag(
-    "bias",
-    *_size("bias.thermal_lag"),
-    low=MINUTE,
-    high=20 * MINUTE,
-    start=0.1,
-    start_unit="deg/s",
-    source=SOURCE,
-)
-REFERENCE = bc.Effect(
-    "bias.reference_voltage",
-    "bias",
-    basis=_board,
-    coefficients=(
-        bc.Coefficient("deg/s/degC", bc.Normal(0.0, _size("bias.reference_voltage")[0])),
-    ),
-    columns=("board_temperature",),
-    varies=("board_temperature",),
-    equation="c·(T_board − T_board,0)",
-    source="source 1 names the reference voltage and the electronics as possible causes; size ours",
-)
-WARM_UP = effects.warm_up(
-    "bias", *_size("bias.warm_up"), low=2 * MINUTE, high=40 * MINUTE, source=SOURCE
-)
-DRIFT = effects.drift("bias", *_size("bias.drift"), source=SOURCE)
-RUN = effects.deviation("bias", "run", *_size("bias.run"), source=SOURCE)
-SCALE = bc.Effect(
-    "scale.constant",
-    "scale",
-    basis=_one,
-    coefficients=(bc.Coefficient("ppm", bc.Normal(0.0, 10000.0)),),
-    columns=("rate_input",),
-    varies=("rate_input",),
-    equation="c",
-    source="ours: 1 % of scale factor",
-)
-SCALE_TEMPERATURE = bc.Effect(
-    "scale.temperature",
-    "scale",
-    basis=_centred,
-    coefficients=(bc.Coefficient("ppm/degC", bc.Normal(0.0, _size("scale.temperature")[0])),),
-    columns=("temperature", "rate_input"),
-    varies=("temperature", "rate_input"),
-    equation="c·(T − T0)",
-    source=SOURCE,
-)
+LINE = effects.linear("bias", *SIZES["bias.temperature"], source=SOURCE)
+QUADRATIC = effects.quadratic("bias", *SIZES["bias.temperature_quadratic"], source=SOURCE)
+CUBIC = effects.cubic("bias", *SIZES["bias.temperature_cubic"], source=SOURCE)
 THERMOMETER = effects.thermometer(THERMOMETER_SD, source="source 1: thermometer good to 0.5 °C")
 
 
@@ -110,22 +52,14 @@ def _held_force(r, k_drive, k_sense, ratio, quality):
 
 
 def _resonance(name: str, basis, equation: str) -> bc.Effect:
-    return bc.Effect(
-        name,
-        "bias",
-        basis=basis,
-        coefficients=(bc.Coefficient("deg/s", bc.Normal(0.0, 500.0)),),
-        shapes=(
-            bc.Shape("k_drive", "1/degC", 6e-5, 1e-4),
-            bc.Shape("k_sense", "1/degC", 6e-5, 1e-4),
-            bc.Shape("ratio", "1", 1.01, 1.10, scale="linear"),
-            bc.Shape("quality", "1", 300.0, 30000.0),
-        ),
-        columns=("temperature",),
-        varies=("temperature",),
-        equation=equation,
-        source=RESONANCE_SOURCE,
+    shapes = (
+        bc.Shape("k_drive", "1/degC", 6e-5, 1e-4),
+        bc.Shape("k_sense", "1/degC", 6e-5, 1e-4),
+        bc.Shape("ratio", "1", 1.01, 1.10, scale="linear"),
+        bc.Shape("quality", "1", 300.0, 30000.0),
     )
+    more = {"columns": ("temperature",), "equation": equation, "source": RESONANCE_SOURCE}
+    return term(name, basis, 500.0, "deg/s", shapes=shapes, **more)
 
 
 RESONANCE = _resonance(
@@ -139,12 +73,43 @@ BASELINE = (CONSTANT, LINE)
 CANDIDATES = (
     QUADRATIC,
     CUBIC,
-    RATE,
-    LAG,
-    REFERENCE,
-    WARM_UP,
-    DRIFT,
-    RUN,
-    SCALE,
-    SCALE_TEMPERATURE,
+    effects.rate("bias", *SIZES["bias.rate"], source=SOURCE),
+    effects.thermal_lag(
+        "bias",
+        *SIZES["bias.thermal_lag"],
+        low=MINUTE,
+        high=20 * MINUTE,
+        start=0.1,
+        start_unit="deg/s",
+        source=SOURCE,
+    ),
+    term(
+        "bias.reference_voltage",
+        _board,
+        *SIZES["bias.reference_voltage"],
+        columns=("board_temperature",),
+        equation="c·(T_board − T_board,0)",
+        source="source 1 names the reference voltage and the electronics as possible causes; size ours",
+    ),
+    effects.warm_up(
+        "bias", *SIZES["bias.warm_up"], low=2 * MINUTE, high=40 * MINUTE, source=SOURCE
+    ),
+    effects.drift("bias", *SIZES["bias.drift"], source=SOURCE),
+    effects.deviation("bias", "run", *SIZES["bias.run"], source=SOURCE),
+    term(
+        "scale.constant",
+        one,
+        *SIZES["scale.constant"],
+        columns=("rate_input",),
+        equation="c",
+        source="ours: 1 % of scale factor",
+    ),
+    term(
+        "scale.temperature",
+        centred,
+        *SIZES["scale.temperature"],
+        columns=("temperature", "rate_input"),
+        equation="c·(T − T0)",
+        source=SOURCE,
+    ),
 )

@@ -23,14 +23,12 @@ them with data-sheet values.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import bayescal as bc
 from bayescal_models.mems_gyro import COLUMNS, NOMINAL_SCALE, VOLTAGE_STEP, effects
 from bayescal_models.mems_gyro.campaign import Campaign
 from bayescal_models.mems_gyro.effects import CUBIC, LINE, QUADRATIC, RESONANCE, THERMOMETER
-from bayescal_models.mems_gyro.experiments import EXPERIMENTS
 from bayescal_models.mems_gyro.simulator import simulated_columns
+from bayescal_models.simulated import experiments, readings_of
 
 
 def _response(slots, r):
@@ -75,28 +73,23 @@ INSTRUMENT = bc.Instrument(
         ),
     ),
     simulator=simulated_columns,
-    experiments=EXPERIMENTS,
+    experiments=experiments(
+        simulated_columns,
+        {
+            "the same again": Campaign(),
+            "twice as many runs": Campaign(runs=6),
+            "steps four times as long": Campaign(dwell=1200.0, average=120.0),
+            "steps of one minute": Campaign(dwell=60.0, average=10.0),
+            "one temperature, held for an hour": Campaign(
+                temperatures=(50.0, 55.0), dwell=3600.0, average=120.0
+            ),
+            "every run upwards": Campaign(alternate=False),
+            "power left on between runs for a minute": Campaign(pause=60.0),
+            "six hours between runs": Campaign(pause=21600.0),
+            "turned at ±100 °/s": Campaign(rate_input=(0.0, 100.0, -100.0)),
+        },
+    ),
     use=bc.Use("rate_input", "deg/s"),
     source="source 1",
 )
-
-
-def simulate(
-    effects: Mapping[str, float] | None = None,
-    *,
-    seed: int,
-    campaign: Campaign | None = None,
-    noise_law: str = "white",
-) -> bc.Measurements:
-    """Readings of a stepped-chamber campaign with these effects hidden in it.
-
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficient.
-        seed: seed of every random number.
-        campaign: plan of the test; the default has three runs between 30 and 80 °C.
-        noise_law: "white", "student_t" or "ornstein_uhlenbeck".
-
-    Raises:
-        ValueError: an unknown effect or noise law.
-    """
-    return INSTRUMENT.simulate(effects, seed=seed, campaign=campaign, noise_law=noise_law)
+simulate = readings_of(INSTRUMENT, simulated_columns)

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayescal_models import simulated
-from bayescal_models.mems_gyro.campaign import Array, Campaign
-from bayescal_models.mems_gyro.chamber import World, make_world, wander
+from bayescal_models.mems_gyro.campaign import GRID, Campaign
+from bayescal_models.mems_gyro.chamber import World, make_world
 from bayescal_models.mems_gyro.laws import LAWS
+from bayescal_models.simulated import Array
 
 NOISE_LAWS = ("white", "student_t", "ornstein_uhlenbeck")
 
@@ -41,9 +42,16 @@ def simulated_columns(
     campaign: Campaign | None = None,
     noise_law: str = "white",
 ) -> dict[str, NDArray[Any]]:
-    """Columns of a campaign with effects hidden in it, by name: what the instrument makes readings of.
+    """A stepped-chamber campaign with these effects hidden in it: its columns, by name, of which readings are made.
 
-    Args and Raises: as of `simulate_arrays`; the default campaign has three runs between 30 and 80 °C.
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficient.
+        seed: of every random number.
+        campaign: plan of the test; the default has three runs between 30 and 80 °C.
+        noise_law: "white", "student_t" or "ornstein_uhlenbeck"; see `simulate_arrays`.
+
+    Raises:
+        ValueError: an unknown effect or noise law, or a size that is not finite.
     """
     made = simulate_arrays(campaign or Campaign(), effects, seed=seed, noise_law=noise_law)
     headers = {"humidity": "humidity [%]"}  # no column of the instrument's own
@@ -106,7 +114,7 @@ def simulate_arrays(
     if campaign.rate_input is not None:
         contributions["rate_input"] = world.average(world.rate)
     for name, size in effects.items():
-        contributions[name] = world.average(LAWS[name](size, campaign, world))
+        contributions[name] = world.average(size * LAWS[name](campaign, world))
     noise_free = np.sum(list(contributions.values()), axis=0)
     output = _rounded(noise_free + _noise(campaign, world, generators, noise_law), campaign)
 
@@ -172,7 +180,9 @@ def _noise(
         return white
     slow = np.empty(readings)
     for k in range(campaign.runs):  # the correlated noise starts anew at each power-on
-        record = wander(generators["wander"], len(world.time), campaign.wander_time)
+        record = simulated.correlated(
+            generators["wander"], len(world.time), campaign.wander_time, GRID
+        )
         slow[world.run == k] = world.average(record)[world.run == k]
     return white + campaign.wander * slow
 

@@ -16,6 +16,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from bayescal_models.ng_accelerometer.sizes import DEGREE, HOUR
+from bayescal_models.simulated import refuse_options
 
 GRID = 10.0
 """Step of the grid on which the test is integrated, s."""
@@ -143,11 +144,8 @@ class Campaign:
                 f"Campaign(reading_time={self.reading_time:g}): must be a positive multiple of "
                 f"{GRID:g} s, the step of the simulation"
             )
-        for name in ("soak", "move_time", "pause", "noise", "thermometer_noise", "chamber_wander"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"Campaign({name}={getattr(self, name)}): must not be negative")
-        if not self.ramp > 0:
-            raise ValueError(f"Campaign(ramp={self.ramp}): must be positive, °C/min")
+        times = ("soak", "move_time", "pause", "noise", "thermometer_noise", "chamber_wander")
+        refuse_options(self, positive=("ramp",), not_negative=times)
         for tilt, position in self.set_ups or [(tilt, math.pi / 2) for tilt in self.tilts]:
             asked = abs(1e6 * math.sin(tilt) * math.sin(position))
             if asked > self.full_scale:

@@ -91,12 +91,10 @@ def classical_estimates(
         if positions == 4:
             own &= (np.abs(turned[:, None] - QUARTERS) < SAME).any(axis=1)
         found.append(_cell(name, turned[own], readings["tilt"][own], readings["output"][own]))
-    used = found[0][2]
+    bias, scale, used = (np.array(values) for values in zip(*found, strict=True))
     temperature = np.array([readings["temperature"][cell == k].mean() for k in range(len(names))])
-    bias = np.array([row[0] for row in found])
-    scale = np.array([row[1] for row in found])
     return ClassicalEstimates(
-        used,
+        int(used[0]),
         names,
         temperature,
         bias=bias,

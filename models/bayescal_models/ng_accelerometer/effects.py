@@ -6,20 +6,23 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 import bayescal as bc
 from bayescal import effects
-from bayescal_models.ng_accelerometer.hysteresis import hysteresis
 from bayescal_models.ng_accelerometer.rig.tidal_constituents import TIDE
 from bayescal_models.ng_accelerometer.sizes import BASELINE_SIZES, HOUR, SIZES
+from bayescal_models.terms import centred, one, progress, term
 
 SOURCE = "PHYSICS §1 after source 0; size ours"
 MINUTE = 60.0
 SIDES = ("parallel", "perp")
 HARMONICS = (2, 3)  # the first is a base tilt
 LOBES = tuple(f"{wave}{m}" for m in HARMONICS for wave in ("cos", "sin"))
+DEAD_BAND = 1.0  # °C: a chamber that holds its temperature wanders by 0.1 °C (source 0)
 POSITION, TEMPERATURE = "position_angle", "temperature"
 
 
@@ -37,24 +40,49 @@ def tides(r: bc.Frame) -> Float[Array, "n 20"]:
     return jnp.stack([*waves, *waves], axis=1)
 
 
-def _one(r: bc.Frame) -> float:
-    return 1.0
+def direction(r: bc.Frame) -> Float[Array, "n"]:
+    """Sign of the last change of temperature within the run, 0 before the first.
+
+    A change is one by more than the dead band from where the temperature last stood: between readings at soaked
+    temperature points this is the sign of (this cell − previous cell).
+    """
+    temperature, first = r.record["temperature"][r.order], r.step < 0
+
+    def advance(state, row):
+        stood, sign = state
+        now, begins = row
+        moved = jnp.abs(now - stood) > DEAD_BAND
+        sign = jnp.where(begins, 0.0, jnp.where(moved, jnp.sign(now - stood), sign))
+        return (jnp.where(begins | moved, now, stood), sign), sign
+
+    start = (temperature[0], jnp.zeros(()))
+    _, signs = jax.lax.scan(advance, start, (temperature, first))
+    return jnp.zeros_like(signs).at[r.order].set(signs)
+
+
+def one_direction(readings: bc.Measurements) -> str | None:
+    """Why readings do not show hysteresis: their temperature never rises, or never falls."""
+    rises = falls = False
+    _, run = readings.groups("run")
+    for k in np.unique(run):
+        path = readings["temperature"][run == k][np.argsort(readings["time"][run == k])]
+        stood = path[0]
+        for now in path:
+            if abs(now - stood) > DEAD_BAND:
+                rises, falls = rises or now > stood, falls or now < stood
+                stood = now
+    if rises and falls:
+        return None
+    seen = "only rises" if rises else "only falls" if falls else "stands still"
+    return f"needs temperature to rise and to fall within runs, by over {DEAD_BAND:g} °C; it {seen}"
 
 
 def _ones(count: int, r: bc.Frame) -> Float[Array, "n k"]:
     return jnp.ones((r.size, count))
 
 
-def _centred(r: bc.Frame) -> Float[Array, "n"]:
-    return r.centred()
-
-
 def _laboratory(r: bc.Frame) -> Float[Array, "n"]:
     return r.centred("lab_temperature")
-
-
-def _progress(r: bc.Frame) -> Float[Array, "n"]:
-    return r.progress
 
 
 def _turned_by_temperature(r: bc.Frame) -> Float[Array, "n 4"]:
@@ -66,67 +94,32 @@ def _once_round(r: bc.Frame) -> Float[Array, "n 2"]:
 
 
 def _on_both_sides(basis: Callable[[bc.Frame], Any], r: bc.Frame) -> Float[Array, "n 2"]:
-    return jnp.stack([basis(r)] * 2, axis=1)
+    return jnp.stack([jnp.broadcast_to(basis(r), (r.size,))] * 2, axis=1)
 
 
 def _effect(
     name: str,
-    slot: str,
     basis: Callable[[bc.Frame], Any],
     columns: tuple[str, ...],
     equation: str,
-    *,
-    parts: tuple[str, ...] = ("",),
-    varies: tuple[str, ...] | None = None,
-    source: str = SOURCE,
+    **more: Any,
 ) -> bc.Effect:
-    """An effect whose coefficients, one for each part, are all of one size."""
-    size, unit = SIZES.get(name) or BASELINE_SIZES[name]
-    return bc.Effect(
-        name,
-        slot,
-        basis=basis,
-        coefficients=tuple(bc.Coefficient(unit, bc.Normal(0.0, size), part=p) for p in parts),
-        columns=columns,
-        varies=columns if varies is None else varies,
-        equation=equation,
-        source=source,
-    )
+    """An effect of its plausible size."""
+    own = {"columns": columns, "equation": equation, "source": SOURCE}
+    return term(name, basis, *(SIZES.get(name) or BASELINE_SIZES[name]), **{**own, **more})
 
 
-def _base(name: str, basis: Callable[[bc.Frame], Any], column: str, equation: str) -> bc.Effect:
+def _base(
+    name: str,
+    basis: Callable[[bc.Frame], Any],
+    columns: tuple[str, ...],
+    equation: str,
+    **more: Any,
+) -> bc.Effect:
     """An effect on both components of the base tilt, found or dropped together."""
-    size, unit = SIZES[name]
-    return bc.Effect(
-        name,
-        "base_tilt_parallel",
-        basis=partial(_on_both_sides, basis),
-        coefficients=tuple(
-            bc.Coefficient(unit, bc.Normal(0.0, size), part=side, slot=f"base_tilt_{side}")
-            for side in SIDES
-        ),
-        columns=(column,),
-        varies=(column,),
-        equation=f"{equation}, one c for each component",
-        source=SOURCE,
-    )
-
-
-def _run_slope() -> bc.Effect:
-    name = "fixture_tilt.run_temperature"
-    size, unit = SIZES[name]
-    return bc.Effect(
-        name,
-        "fixture_tilt",
-        basis=_centred,
-        coefficients=(
-            bc.Coefficient(unit, bc.Normal(0.0, size), per="run", group_sd=bc.HalfNormal(size)),
-        ),
-        columns=("run", "temperature"),
-        varies=("temperature",),
-        equation="d[run]·(T − T0),  d ~ N(0, s²)",
-        source=SOURCE,
-    )
+    slots = tuple(f"base_tilt_{side}" for side in SIDES)
+    on_both = partial(_on_both_sides, basis)
+    return _effect(name, on_both, columns, equation, parts=SIDES, slots=slots, **more)
 
 
 def _tide() -> bc.Effect:
@@ -156,84 +149,47 @@ def _constant(slot: str, source: str = SOURCE) -> bc.Effect:
     return effects.constant(slot, *BASELINE_SIZES[f"{slot}.constant"], source=source)
 
 
-def _cells(name: str, parts: tuple[str, ...] = ("",)) -> bc.Effect:
-    """A deviation of each cell whose spread is known to an order of magnitude or two."""
-    size, unit = BASELINE_SIZES[name]
-    slots = [f"base_tilt_{p}" if p else name.removesuffix(".cell") for p in parts]
-    return bc.Effect(
-        name,
-        slots[0],
-        basis=partial(_ones, len(parts)),
-        coefficients=tuple(
-            bc.Coefficient(
-                unit,
-                bc.Normal(0.0, size),
-                part=part,
-                slot=slot,
-                per="cell",
-                group_sd=bc.HalfCauchy(size),
-            )
-            for part, slot in zip(parts, slots, strict=True)
-        ),
-        columns=("temperature_point",),
-        equation="d[cell],  d ~ N(0, s²)",
-        source=SOURCE,
+# A deviation of each cell has a spread that is known to an order of magnitude or two.
+_CELLS: dict[str, Any] = {"per": "cell", "group_sd": bc.HalfCauchy}
+_OF_CELLS = (("temperature_point",), "d[cell],  d ~ N(0, s²)")
+
+
+def _cells(slot: str) -> bc.Effect:
+    return _effect(
+        f"{slot}.cell", partial(_ones, 1), *_OF_CELLS, slots=(slot,), varies=(), **_CELLS
     )
 
 
-BASE_CONSTANT = bc.Effect(
-    "base_tilt.constant",
-    "base_tilt_parallel",
-    basis=partial(_ones, len(SIDES)),
-    coefficients=tuple(
-        bc.Coefficient(
-            BASELINE_SIZES["base_tilt.constant"].unit,
-            bc.Normal(0.0, BASELINE_SIZES["base_tilt.constant"].value),
-            part=side,
-            slot=f"base_tilt_{side}",
-        )
-        for side in SIDES
-    ),
-    equation="c, one for each component",
-    source=SOURCE,
-)
-TILT_SETTING = _effect(
-    "tilt.setting",
-    "base_tilt_perp",
-    _one,
-    ("tilt",),
-    "c, added to γ as γ2⊥ is",
-    varies=(),
-    source="source 0: the table's angles are good to 1″",
-)
 THERMOMETER = effects.thermometer(0.002, source="ours: 2 mK of an averaged temperature")
 
 BASELINE = (
     _constant("bias"),
     effects.linear("bias", *BASELINE_SIZES["bias.temperature"], source=SOURCE),
-    _cells("bias.cell"),
+    _cells("bias"),
     _constant("scale"),
     effects.linear("scale", *BASELINE_SIZES["scale.temperature"], source=SOURCE),
-    _cells("scale.cell"),
+    _cells("scale"),
     _constant("fixture_tilt", "source 0: within 2′, taken as 95 %"),
-    _cells("fixture_tilt.cell"),
-    BASE_CONSTANT,
-    _cells("base_tilt.cell", SIDES),
+    _cells("fixture_tilt"),
+    _base("base_tilt.constant", one, (), "c, one for each component"),
+    _base("base_tilt.cell", one, *_OF_CELLS, varies=(), **_CELLS),
     _constant("rotation"),
-    TILT_SETTING,
+    _effect(
+        "tilt.setting",
+        one,
+        ("tilt",),
+        "c, added to γ as γ2⊥ is",
+        slot="base_tilt_perp",
+        varies=(),
+        source="source 0: the table's angles are good to 1″",
+    ),
 )
-
-
-def _polynomials() -> tuple[bc.Effect, ...]:
-    return tuple(
+CANDIDATES = (
+    *(
         power(slot, *SIZES[f"{slot}.temperature_{order}"], source=SOURCE)
         for slot in ("bias", "scale")
         for order, power in (("quadratic", effects.quadratic), ("cubic", effects.cubic))
-    )
-
-
-CANDIDATES = (
-    *_polynomials(),
+    ),
     effects.drift("bias", *SIZES["bias.drift"], source=SOURCE),
     effects.warm_up("bias", *SIZES["bias.warm_up"], low=2 * MINUTE, high=3 * HOUR, source=SOURCE),
     effects.deviation("bias", "run", *SIZES["bias.run"], source=SOURCE),
@@ -248,13 +204,26 @@ CANDIDATES = (
         start_unit="ug",
         source=SOURCE,
     ),
-    hysteresis(SOURCE),
+    _effect(
+        "bias.hysteresis",
+        direction,
+        ("time", TEMPERATURE),
+        f"c·sign(T − T of the previous cell),  0 in the first; dead band {DEAD_BAND:g} °C",
+        untestable=one_direction,
+    ),
     effects.linear("fixture_tilt", *SIZES["fixture_tilt.temperature"], source=SOURCE),
     effects.deviation("fixture_tilt", "run", *SIZES["fixture_tilt.run"], source=SOURCE),
-    _run_slope(),
+    _effect(
+        "fixture_tilt.run_temperature",
+        centred,
+        ("run", TEMPERATURE),
+        "d[run]·(T − T0),  d ~ N(0, s²)",
+        per="run",
+        group_sd=bc.HalfNormal,
+        varies=(TEMPERATURE,),
+    ),
     _effect(
         "fixture_tilt.position",
-        "fixture_tilt",
         _turned_by_temperature,
         (POSITION, TEMPERATURE),
         "(T − T0)·Σ(c·cos mθ + s·sin mθ),  m = 2, 3",
@@ -263,25 +232,29 @@ CANDIDATES = (
     _base(
         "base_tilt.lab_temperature",
         _laboratory,
-        "lab_temperature",
-        "c·(L − L0)",
+        ("lab_temperature",),
+        "c·(L − L0), one c for each component",
     ),
-    _base("base_tilt.temperature", _centred, TEMPERATURE, "c·(T − T0)"),
+    _base(
+        "base_tilt.temperature",
+        centred,
+        (TEMPERATURE,),
+        "c·(T − T0), one c for each component",
+    ),
     _tide(),
-    _base("base_tilt.drift", _progress, "time", "c·(t − t̄)/(tmax − tmin)"),
-    _effect("second_order", "second_order", _one, (POSITION,), "K2"),
-    _effect("third_order", "third_order", _one, (POSITION,), "K3"),
-    _effect("cross_coupling", "cross_coupling", _one, (POSITION,), "Kip"),
-    _effect(
-        "cross_coupling.temperature",
-        "cross_coupling",
-        _centred,
-        (POSITION, TEMPERATURE),
-        "c·(T − T0)",
+    _base(
+        "base_tilt.drift",
+        progress,
+        ("time",),
+        "c·(t − t̄)/(tmax − tmin), one c for each component",
+        varies=("time",),
     ),
+    _effect("second_order", one, (POSITION,), "K2"),
+    _effect("third_order", one, (POSITION,), "K3"),
+    _effect("cross_coupling", one, (POSITION,), "Kip"),
+    _effect("cross_coupling.temperature", centred, (POSITION, TEMPERATURE), "c·(T − T0)"),
     _effect(
         "rotation.harmonic",
-        "rotation",
         _once_round,
         (POSITION,),
         "c·cos θ + s·sin θ, dividing error of the table",
@@ -290,10 +263,10 @@ CANDIDATES = (
     ),
     _effect(
         "rotation.wobble",
-        "fixture_tilt",
         turned,
         (POSITION,),
         "Σ(c·cos mθ + s·sin mθ),  m = 2, 3, wobble of the spindle",
+        slot="fixture_tilt",
         parts=LOBES,
     ),
 )

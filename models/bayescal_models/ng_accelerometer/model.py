@@ -69,14 +69,16 @@ Noise: white, of unknown size (0.05 to 5 µg; source 0 gives 3 ng/√Hz for the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import bayescal as bc
 from bayescal_models.ng_accelerometer import COLUMNS, NOMINAL_SCALE, effects
-from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A, Campaign
-from bayescal_models.ng_accelerometer.experiments import EXPERIMENTS
+from bayescal_models.ng_accelerometer.campaign import Campaign
 from bayescal_models.ng_accelerometer.rig.geometry import accelerations
 from bayescal_models.ng_accelerometer.simulator import simulated_columns
+from bayescal_models.ng_accelerometer.sizes import DEGREE, HOUR
+from bayescal_models.simulated import experiments, readings_of
+
+TILT = 0.45 * DEGREE
+OVER = 180 * DEGREE - TILT
 
 
 def _response(slots, r):
@@ -140,31 +142,22 @@ INSTRUMENT = bc.Instrument(
         ),
     ),
     simulator=simulated_columns,
-    experiments=EXPERIMENTS,
+    experiments=experiments(
+        simulated_columns,
+        {
+            "the same again": Campaign(),
+            "twice as many runs": Campaign(runs=6),
+            "every second run downwards": Campaign(alternate=True),
+            "each cell at two tilts, 0.45° and 0.30°": Campaign(tilts=(TILT, 0.30 * DEGREE)),
+            "each cell at 0.45° and −0.45°": Campaign(tilts=(TILT, -TILT)),
+            "the face turned over in each cell": Campaign(tilts=(TILT, OVER)),
+            "24 positions": Campaign(positions=24),
+            "three hours' soak": Campaign(soak=3 * HOUR),
+            "ten days between runs": Campaign(pause=240 * HOUR),
+            "the laboratory's temperature varied by 3 °C": Campaign(laboratory_daily=3.0),
+        },
+    ),
     use=bc.Use("acceleration", "ug", _in_use, ("bias", "scale", "second_order", "third_order")),
     source="source 0",
 )
-
-
-def simulate(
-    effects: Mapping[str, float] | None = None,
-    *,
-    seed: int,
-    campaign: Campaign = INSTRUMENT_A,
-) -> bc.Measurements:
-    """Readings of a test with these effects hidden in it.
-
-    The same seed gives the same noise, the same weather and the same scatter whatever the effects, so two
-    simulations differ by the effects alone.
-
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficients, all of which take it (see
-            `laws.py` for the two components of the base tilt, and for the tide). The instrument's own line,
-            constants and scatter are there too, as `campaign.truth` has them unless given here.
-        seed: seed of every random number.
-        campaign: plan of the test.
-
-    Raises:
-        ValueError: an unknown effect, or a size that is no number.
-    """
-    return INSTRUMENT.simulate(effects, seed=seed, campaign=campaign)
+simulate = readings_of(INSTRUMENT, simulated_columns)

@@ -47,9 +47,20 @@ def simulated_columns(
     seed: int,
     campaign: Campaign = INSTRUMENT_A,
 ) -> dict[str, Any]:
-    """Columns of a test with these effects hidden in it, by name, in the instrument's units.
+    """A test with these effects hidden in it: its columns, by name, in the instrument's units.
 
-    Args and Raises: as of `simulate` in `model.py`.
+    The same seed gives the same noise, the same weather and the same scatter whatever the effects, so two
+    simulations differ by the effects alone.
+
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficients, all of which take it (see
+            `laws.py` for the two components of the base tilt, and for the tide). The instrument's own line,
+            constants and scatter are there too, as `campaign.truth` has them unless given here.
+        seed: of every random number.
+        campaign: plan of the test.
+
+    Raises:
+        ValueError: an unknown effect, or a size that is no number.
     """
     made = simulate_arrays(effects, seed=seed, campaign=campaign)
     world, temperature = made.world, made.world.device.mean(axis=1)

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bayescal_models.simulated import refuse_options
+
 GRID = 5.0
 """Step on which temperatures are integrated, s."""
 
@@ -92,21 +94,14 @@ class Campaign:
 
     def __post_init__(self) -> None:
         positive = ("soak", "position_time", "interval", "average", "chamber_speed", "air_time")
-        for name in (
-            *positive,
-            "circuit_time",
-            "head_time",
-            "beam_time",
-            "lag_time",
-            "warm_up_time",
-        ):
-            if not getattr(self, name) > 0:
-                raise ValueError(
-                    f"Campaign({name}={getattr(self, name)!r}): give a number above 0."
-                )
-        for name in ("repeats", "hold", "pause", "noise", "thermometer_noise"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"Campaign({name}={getattr(self, name)!r}): give 0 or more.")
+        positive += ("circuit_time", "head_time", "beam_time", "lag_time", "warm_up_time")
+        refuse_options(
+            self,
+            positive=positive,
+            not_negative=("repeats", "hold", "pause", "noise", "thermometer_noise"),
+            device=DEVICES,
+            noise_law=NOISE_LAWS,
+        )
         if not 0 <= self.coupling < 1:
             raise ValueError(
                 f"Campaign(coupling={self.coupling!r}): give a share from 0 to below 1."
@@ -121,15 +116,6 @@ class Campaign:
             )
         if any(not speed > 0 for speed in self.ramp_speeds):
             raise ValueError(f"Campaign(ramp_speeds={self.ramp_speeds!r}): give speeds above 0.")
-        self._check_times()
-        for name, known in (("device", DEVICES), ("noise_law", NOISE_LAWS)):
-            if getattr(self, name) not in known:
-                raise ValueError(
-                    f"Campaign({name}={getattr(self, name)!r}): choose one of {', '.join(known)}."
-                )
-
-    def _check_times(self) -> None:
-        """A reading's average fits between readings, and is a whole number of grid steps."""
         for name in ("interval", "position_time"):
             if self.average > getattr(self, name):
                 raise ValueError(

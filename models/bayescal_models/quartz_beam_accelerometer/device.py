@@ -18,11 +18,13 @@ from types import MappingProxyType
 import numpy as np
 
 from bayescal_models.quartz_beam_accelerometer import SCALE_FACTOR
-from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
-from bayescal_models.quartz_beam_accelerometer.thermal import Array, World, body
+from bayescal_models.quartz_beam_accelerometer.campaign import GRID, Campaign
+from bayescal_models.quartz_beam_accelerometer.thermal import World
+from bayescal_models.simulated import Array, first_order_body
 
 BEAM_FREQUENCY = 40_000.0  # Hz, of one beam
 BEAM_TEMPCO = -20e-6  # 1/°C, of one beam's frequency: what makes the sum a thermometer
+POWERS = ("constant_head", *(f"temperature_head{n}" for n in ("", "_quadratic", "_cubic")))
 LAG_MISMATCH = 0.005  # by how much one beam lags more than the other, relative
 
 CUBIC: Mapping[str, float] = MappingProxyType(
@@ -58,22 +60,12 @@ def truth(campaign: Campaign, world: World, coefficients: Mapping[str, float]) -
     if campaign.device == "beams":
         return _beams(campaign, world)
     change = world.head - campaign.T0
-    powers = {
-        "constant_head": np.ones_like(change),
-        "temperature_head": change,
-        "temperature_head_quadratic": change**2,
-        "temperature_head_cubic": change**3,
-    }
-    sums = {
-        slot: world.average(
-            sum(
-                (coefficients[f"{slot}.{n}"] * p for n, p in powers.items()),
-                start=np.zeros_like(change),
-            )
-        )
+    bias, scale = (
+        np.polynomial.polynomial.polyval(change, [coefficients[f"{slot}.{n}"] for n in POWERS])
         for slot in ("bias", "scale")
-    }
-    return Truth(sums["bias"], sums["scale"], world.average(_sum_of_frequencies(change, change)))
+    )
+    both = _sum_of_frequencies(change, change)
+    return Truth(world.average(bias), world.average(scale), world.average(both))
 
 
 def _relative(change: Array, tempco: float, curvature: float, cubic: float) -> Array:
@@ -83,22 +75,22 @@ def _relative(change: Array, tempco: float, curvature: float, cubic: float) -> A
 
 def _sum_of_frequencies(first: Array, second: Array) -> Array:
     curvature = -0.02e-6  # 1/°C²: about quartz's
-    both = _relative(first, BEAM_TEMPCO, curvature, 0.0) + _relative(
-        second, BEAM_TEMPCO, curvature, 0.0
-    )
-    return BEAM_FREQUENCY * (2.0 + both)
+    one, other = (_relative(beam, BEAM_TEMPCO, curvature, 0.0) for beam in (first, second))
+    return BEAM_FREQUENCY * (2.0 + (one + other))
 
 
 def _beams(campaign: Campaign, world: World) -> Truth:
-    beam = body(world.head, campaign.beam_time)
-    other = body(world.head, campaign.beam_time * (1 + LAG_MISMATCH))
+    beam, other = (
+        first_order_body(world.head, campaign.beam_time * slower, GRID)
+        for slower in (1, 1 + LAG_MISMATCH)
+    )
     first, second = beam - campaign.T0, other - campaign.T0
     per_ug = SCALE_FACTOR * 1e-6
     unlike = (1.375e-7, 0.9e-9, 0.8e-11)  # 1/°C and powers: 55 µg/°C, 0.36 µg/°C², 0.0032 µg/°C³
     common = (BEAM_TEMPCO, -0.02e-6, 0.0)
     pulled = _relative(first, *(c + u for c, u in zip(common, unlike, strict=True)))
     pushed = _relative(second, *common)
-    uneven = world.circuit - world.head
+    uneven = world.uneven
     stress = 10.0 * uneven * (1 + 0.01 * (world.head - campaign.T0))
     phase = 4.0 * (world.circuit - campaign.T0)
     joint = 20.0 * np.tanh((beam - 50.0) / 20.0)

@@ -11,19 +11,24 @@ from collections.abc import Callable
 from functools import cache, partial  # equal models then share one compiled program
 from typing import Any
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+
 import bayescal as bc
 from bayescal import effects
-from bayescal_models.quartz_beam_accelerometer.hysteresis import hysteresis
 from bayescal_models.quartz_beam_accelerometer.laws import SECOND_ORDER, SHARE, UNIT, size
+from bayescal_models.terms import one, term
 
 SLOTS = ("bias", "scale")
 SOURCE = "source 2; size ours"
 OURS = "ours"
-CONSTANT = {"bias": 20_000.0, "scale": 5000.0}  # µg, ppm
 MINUTE = 60.0
 THERMOMETERS = ("temperature_circuit", "temperature_head")
 FREQUENCY_SUM = 80_000.0  # Hz at 15 °C, nominal; ours
 FREQUENCY_TEMPCO = -1.6  # Hz/°C, nominal; ours
+SLIP = 1.0  # °C, width of the play
+SEEN = 0.02  # share of the readings that a direction must have to count as one
 
 
 def circuit(r: bc.Frame) -> Any:
@@ -39,10 +44,6 @@ def head(r: bc.Frame) -> Any:
 def gradient(r: bc.Frame) -> Any:
     """δt = t1 − t2, °C."""
     return r["temperature_circuit"] - r["temperature_head"]
-
-
-def _one(r: bc.Frame) -> float:
-    return 1.0
 
 
 def _power(of: Callable[[bc.Frame], Any], order: int, r: bc.Frame) -> Any:
@@ -66,6 +67,34 @@ def _shown(nominal: float, tempco: float, r: bc.Frame) -> Any:
     return (r["frequency_sum"] - nominal) / tempco
 
 
+def _slipped(r: bc.Frame) -> Any:
+    """(t2 − seat)/width, the seat dragged along within ±width, anew in each run: from −1 to 1."""
+    here = r["temperature_head"][r.order]
+    begins = r.step < 0
+
+    def advance(seat, row):
+        now, begin = row
+        seat = jnp.where(begin, now, jnp.clip(seat, now - SLIP, now + SLIP))
+        return seat, (now - seat) / SLIP
+
+    _, strain = jax.lax.scan(advance, here[0], (here, begins))
+    return jnp.zeros_like(strain).at[r.order].set(strain)
+
+
+def _one_way(readings: bc.Measurements) -> str | None:
+    """Why readings cannot show hysteresis: the head's temperature goes one way only."""
+    _, run = readings.groups("run")
+    rises = falls = 0
+    for k in np.unique(run):
+        chosen = np.flatnonzero(run == k)
+        order = chosen[np.argsort(readings["time"][chosen], kind="stable")]
+        change = np.diff(readings["temperature_head"][order])
+        rises, falls = rises + (change > 0.05).sum(), falls + (change < -0.05).sum()
+    if min(rises, falls) >= SEEN * len(readings):
+        return None
+    return "needs temperature_head to rise and to fall within runs; it goes one way only"
+
+
 POWERS = ("", "_quadratic", "_cubic", "_quartic", "_quintic")
 SIGNS = ("", "²", "³", "⁴", "⁵")
 
@@ -76,20 +105,19 @@ def _effect(
     basis: Callable[..., Any],
     columns: tuple[str, ...],
     equation: str,
-    along: str = "",
+    *,
+    like: str = "",
+    **more: Any,
 ) -> bc.Effect:
-    value, unit = size(slot, cause)
+    """An effect of the plausible size of `like`, another cause, or of its own."""
     needed = (*columns, "acceleration") if slot == "scale" else columns
-    return bc.Effect(
+    return term(
         f"{slot}.{cause}",
-        slot,
-        basis=basis,
-        coefficients=(bc.Coefficient(unit, bc.Normal(0.0, value)),),
+        basis,
+        *size(slot, like or cause),
         columns=needed,
-        varies=tuple(c for c in needed if c != "time"),
         equation=equation,
-        source=SOURCE,
-        along=along,
+        **{"source": SOURCE, "along": "", **more},
     )
 
 
@@ -107,7 +135,6 @@ def polynomial(slot: str, of: str, orders: range) -> tuple[bc.Effect, ...]:
         "temperature_head": (head, ("temperature_head",), "(t2 − T0)"),
         "gradient": (gradient, THERMOMETERS, "(t1 − t2)"),
     }[of]
-    along = of if of in THERMOMETERS else ""
     return tuple(
         _effect(
             slot,
@@ -115,7 +142,7 @@ def polynomial(slot: str, of: str, orders: range) -> tuple[bc.Effect, ...]:
             partial(_power, quantity, n),
             columns,
             f"c·{sign}{SIGNS[n - 1]}",
-            along,
+            along=of if of in THERMOMETERS else "",
         )
         for n in orders
     )
@@ -124,16 +151,7 @@ def polynomial(slot: str, of: str, orders: range) -> tuple[bc.Effect, ...]:
 @cache
 def constant(slot: str, where: str) -> bc.Effect:
     """The document's zero-order coefficient of a thermometer: `*.constant_circuit` or `*.constant_head`."""
-    return bc.Effect(
-        f"{slot}.constant_{where}",
-        slot,
-        basis=_one,
-        coefficients=(bc.Coefficient(UNIT[slot], bc.Normal(0.0, CONSTANT[slot])),),
-        columns=("acceleration",) if slot == "scale" else (),
-        varies=("acceleration",) if slot == "scale" else (),
-        equation="c",
-        source=SOURCE,
-    )
+    return _effect(slot, f"constant_{where}", one, (), "c", like="constant", along=None)
 
 
 @cache
@@ -146,7 +164,7 @@ def rates(slot: str) -> tuple[bc.Effect, ...]:
             partial(_rate, f"temperature_{name}"),
             ("time", f"temperature_{name}"),
             f"c·d{sign}/dt",
-            f"temperature_{name} rate",
+            along=f"temperature_{name} rate",
         )
         for name, sign in (("circuit", "t1"), ("head", "t2"))
     )
@@ -158,38 +176,22 @@ def crossed(slot: str, by: str = "head") -> tuple[bc.Effect, ...]:
 
     The document leaves open which thermometer t is; those of the circuit carry `_circuit` in their names.
     """
-    of, sign, column = (
-        (head, "t2", THERMOMETERS[1]) if by == "head" else (circuit, "t1", THERMOMETERS[0])
-    )
-    made = (
+    of, sign = (head, "t2") if by == "head" else (circuit, "t1")
+    bases = {
+        "rate": (partial(_times_rate, of, f"temperature_{by}"), ("time",), f"d{sign}/dt"),
+        "gradient": (partial(_times_gradient, of), (), "(t1 − t2)"),
+    }
+    suffix = "" if by == "head" else "_circuit"
+    return tuple(
         _effect(
             slot,
-            "temperature_x_rate",
-            partial(_times_rate, of, column),
-            ("time", *THERMOMETERS),
-            f"c·({sign} − T0)·d{sign}/dt",
-        ),
-        _effect(
-            slot,
-            "temperature_x_gradient",
-            partial(_times_gradient, of),
-            THERMOMETERS,
-            f"c·({sign} − T0)·(t1 − t2)",
-        ),
-    )
-    return made if by == "head" else tuple(_renamed(e, f"{e.name}_circuit") for e in made)
-
-
-def _renamed(effect: bc.Effect, name: str) -> bc.Effect:
-    return bc.Effect(
-        name,
-        effect.slot,
-        basis=effect.basis,
-        coefficients=effect.coefficients,
-        columns=effect.columns,
-        varies=effect.varies,
-        equation=effect.equation,
-        source=effect.source,
+            f"temperature_x_{name}{suffix}",
+            basis,
+            (*time, *THERMOMETERS),
+            f"c·({sign} − T0)·{factor}",
+            like=f"temperature_x_{name}",
+        )
+        for name, (basis, time, factor) in bases.items()
     )
 
 
@@ -219,17 +221,18 @@ def frequency_sum(
         tempco: of the sum, Hz/°C; turns it into an apparent temperature, so that sizes keep their meaning.
     """
     shown = partial(_shown, nominal, tempco)
-    made = []
-    for n in orders:
-        like = _effect(
+    return tuple(
+        _effect(
             slot,
-            "temperature_head" + POWERS[n - 1],
+            f"frequency_sum{POWERS[n - 1]}",
             partial(_power, shown, n),
             ("frequency_sum",),
             f"c·((F − F0)/F'){SIGNS[n - 1]},  F0 = {nominal:g} Hz, F' = {tempco:g} Hz/°C",
+            like=f"temperature_head{POWERS[n - 1]}",
+            along=None,
         )
-        made.append(_renamed(like, f"{slot}.frequency_sum{POWERS[n - 1]}"))
-    return tuple(made)
+        for n in orders
+    )
 
 
 @cache
@@ -247,7 +250,16 @@ def temporal(slot: str) -> tuple[bc.Effect, ...]:
             source=OURS,
             column="temperature_head",
         ),
-        hysteresis(slot),
+        _effect(
+            slot,
+            "hysteresis",
+            _slipped,
+            ("time", "temperature_head"),
+            f"c·(t2 − s)/w,  s dragged along within ±w = {SLIP:g} °C: the direction of the last change",
+            untestable=_one_way,
+            source=OURS,
+            along=None,
+        ),
         effects.warm_up(
             slot, *size(slot, "warm_up"), low=2 * MINUTE, high=60 * MINUTE, source=OURS
         ),
@@ -265,13 +277,12 @@ BASELINE = tuple(
         *polynomial(slot, "temperature_head", range(1, 4)),
     )
 )
-K2 = bc.Effect(
+K2 = term(
     "second_order",
-    "second_order",
-    basis=_one,
-    coefficients=(bc.Coefficient("ug/g^2", bc.Normal(0.0, SECOND_ORDER)),),
+    one,
+    SECOND_ORDER,
+    "ug/g^2",
     columns=("acceleration",),
-    varies=("acceleration",),
     equation="K2·a²",
     source="IEEE Std 1293; size ours",
 )

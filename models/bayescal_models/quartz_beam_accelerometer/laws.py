@@ -1,7 +1,7 @@
 """What can be hidden in a simulated quartz beam accelerometer: sizes, and one small physical law per cause.
 
-A law gives what one unit of the effect does to each reading; the same laws act on bias (µg) and scale factor
-(ppm). They work on the world's own temperatures and heat flows, not on the columns of a fitted model's bases.
+A law gives what one unit of the effect does, step by step of the world; the same laws act on bias (µg) and scale
+factor (ppm). They work on the world's own temperatures and heat flows, not on the columns of a fitted model's bases.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
-from bayescal_models.quartz_beam_accelerometer.thermal import Array, World, body
-from bayescal_models.simulated import Size
+from bayescal_models.quartz_beam_accelerometer.campaign import GRID, Campaign
+from bayescal_models.quartz_beam_accelerometer.thermal import World
+from bayescal_models.simulated import Array, Size, first_order_body
 
 KELVIN = 273.15
 EINSTEIN = 400.0  # K, of the oscillators whose energy bends the circuit's tempco; ours
@@ -55,8 +55,13 @@ SHARE = {"bias": 1.0, "scale": 0.1}
 UNIT = {"bias": "ug", "scale": "ppm"}
 
 
+CONSTANT = {"bias": 20_000.0, "scale": 5000.0}  # µg, ppm
+
+
 def size(slot: str, cause: str) -> tuple[float, str]:
     """Plausible size of `slot.cause`, and its unit."""
+    if cause == "constant":
+        return CONSTANT[slot], UNIT[slot]
     return SIZES[cause].value * SHARE[slot], UNIT[slot] + SIZES[cause].unit
 
 
@@ -79,61 +84,7 @@ def _energy(change: Array, T0: float) -> Array:
     return 2.0 * (level(at + change) - level(at) - slope * change) / curvature
 
 
-def _circuit(world: World, campaign: Campaign, chance: Chance) -> Array:
-    """A resistor of the drive circuit has a tempco."""
-    return world.average(world.circuit - campaign.T0)
-
-
-def _circuit_quadratic(world: World, campaign: Campaign, chance: Chance) -> Array:
-    return world.average(_energy(world.circuit - campaign.T0, campaign.T0))
-
-
-def _circuit_cubic(world: World, campaign: Campaign, chance: Chance) -> Array:
-    """Two leakages, one growing with heat and one with cold, less what is linear in them."""
-    part = (world.circuit - campaign.T0) / LEAKAGE
-    return world.average(6.0 * LEAKAGE**3 * (np.sinh(part) - part))
-
-
-def _gradient(world: World, campaign: Campaign, chance: Chance) -> Array:
-    """Heat flowing from circuit to head strains the mount."""
-    return world.average(world.circuit - world.head)
-
-
-def _gradient_quadratic(world: World, campaign: Campaign, chance: Chance) -> Array:
-    """An unevenly warm plate bows, whichever side is warmer, and stiffens as it does."""
-    part = (world.circuit - world.head) / BOW
-    return world.average(2.0 * BOW**2 * (np.sqrt(1.0 + part**2) - 1.0))
-
-
-def _gradient_cubic(world: World, campaign: Campaign, chance: Chance) -> Array:
-    uneven = world.circuit - world.head
-    return world.average(uneven**3 / (1.0 + (uneven / BOW) ** 2))
-
-
-def _rate_circuit(world: World, campaign: Campaign, chance: Chance) -> Array:
-    """The heat that flows into the circuit board strains it: its true heating rate, °C/min."""
-    return world.average(world.circuit_rate)
-
-
-def _rate_head(world: World, campaign: Campaign, chance: Chance) -> Array:
-    return world.average(world.head_rate)
-
-
-def _temperature_x_rate(world: World, campaign: Campaign, chance: Chance) -> Array:
-    """Strain by heat flow, through a mismatch of expansions that grows with temperature."""
-    return world.average((world.head - campaign.T0) * world.head_rate)
-
-
-def _temperature_x_gradient(world: World, campaign: Campaign, chance: Chance) -> Array:
-    return world.average((world.head - campaign.T0) * (world.circuit - world.head))
-
-
-def _thermal_lag(world: World, campaign: Campaign, chance: Chance) -> Array:
-    """The resonators are not at the temperature of the head's thermometer."""
-    return world.average(body(world.head, campaign.lag_time) - world.head)
-
-
-def _hysteresis(world: World, campaign: Campaign, chance: Chance) -> Array:
+def _hysteresis(world: World, campaign: Campaign) -> Array:
     """Joints stick, each up to its own strain, then slip along: plays of several widths (Prandtl, Ishlinskii)."""
     total = np.zeros(world.head.size)
     for width in SLIPS:
@@ -142,49 +93,52 @@ def _hysteresis(world: World, campaign: Campaign, chance: Chance) -> Array:
             seat = min(max(seat, here - width), here + width)
             strain[i] = (here - seat) / width
         total += strain / len(SLIPS)
-    return world.average(total)
+    return total
 
 
-def _warm_up(world: World, campaign: Campaign, chance: Chance) -> Array:
-    """The oscillators are off when cold and right when they have warmed."""
-    return world.average(1.0 - world.warmth)
+def _leakages(world: World, campaign: Campaign) -> Array:
+    """Two leakages, one growing with heat and one with cold, less what is linear in them."""
+    part = (world.circuit - campaign.T0) / LEAKAGE
+    return 6.0 * LEAKAGE**3 * (np.sinh(part) - part)
 
 
-def _drift(world: World, campaign: Campaign, chance: Chance) -> Array:
-    """Ageing, logarithmic in time, one over the whole test."""
-    return world.average(np.log2(1.0 + world.time / world.time[-1]))
-
-
-def _run(world: World, campaign: Campaign, chance: Chance) -> Array:
-    """Turn-on repeatability."""
-    return chance.run[world.run]
-
-
-def _cell(world: World, campaign: Campaign, chance: Chance) -> Array:
-    """The fixture settles anew at each soak."""
-    cell = world.cell
-    return np.where(cell >= 0, chance.cell[np.maximum(cell, 0)], 0.0)
-
-
-Law = Callable[[World, Campaign, Chance], Array]
+Law = Callable[[World, Campaign], Array]
 LAWS: Mapping[str, Law] = MappingProxyType(
     {
-        "temperature_circuit": _circuit,
-        "temperature_circuit_quadratic": _circuit_quadratic,
-        "temperature_circuit_cubic": _circuit_cubic,
-        "gradient": _gradient,
-        "gradient_quadratic": _gradient_quadratic,
-        "gradient_cubic": _gradient_cubic,
-        "rate_circuit": _rate_circuit,
-        "rate_head": _rate_head,
-        "temperature_x_rate": _temperature_x_rate,
-        "temperature_x_gradient": _temperature_x_gradient,
-        "thermal_lag": _thermal_lag,
+        # a resistor of the drive circuit has a tempco
+        "temperature_circuit": lambda w, c: w.circuit - c.T0,
+        "temperature_circuit_quadratic": lambda w, c: _energy(w.circuit - c.T0, c.T0),
+        "temperature_circuit_cubic": _leakages,
+        # heat flowing from circuit to head strains the mount
+        "gradient": lambda w, c: w.uneven,
+        # an unevenly warm plate bows, whichever side is warmer, and stiffens as it does
+        "gradient_quadratic": lambda w, c: (
+            2.0 * BOW**2 * (np.sqrt(1.0 + (w.uneven / BOW) ** 2) - 1.0)
+        ),
+        "gradient_cubic": lambda w, c: w.uneven**3 / (1.0 + (w.uneven / BOW) ** 2),
+        # the heat that flows into the circuit board strains it: its true heating rate, °C/min
+        "rate_circuit": lambda w, c: w.circuit_rate,
+        "rate_head": lambda w, c: w.head_rate,
+        # strain by heat flow, through a mismatch of expansions that grows with temperature
+        "temperature_x_rate": lambda w, c: (w.head - c.T0) * w.head_rate,
+        "temperature_x_gradient": lambda w, c: (w.head - c.T0) * w.uneven,
+        # the resonators are not at the temperature of the head's thermometer
+        "thermal_lag": lambda w, c: first_order_body(w.head, c.lag_time, GRID) - w.head,
         "hysteresis": _hysteresis,
-        "warm_up": _warm_up,
-        "drift": _drift,
-        "run": _run,
-        "cell": _cell,
+        # the oscillators are off when cold and right when they have warmed
+        "warm_up": lambda w, c: 1.0 - w.warmth,
+        # ageing, logarithmic in time, one over the whole test
+        "drift": lambda w, c: np.log2(1.0 + w.time / w.time[-1]),
     }
 )
-"""Every cause that can be hidden in bias or scale factor."""
+"""Every cause that can be hidden in bias or scale factor, beside chance."""
+
+CHANCE: Mapping[str, Callable[[World, Chance], Array]] = MappingProxyType(
+    {
+        # turn-on repeatability
+        "run": lambda w, chance: chance.run[w.run],
+        # the fixture settles anew at each soak
+        "cell": lambda w, chance: np.where(w.cell >= 0, chance.cell[np.maximum(w.cell, 0)], 0.0),
+    }
+)
+"""What is there by chance: of each reading, in standard deviations."""

@@ -46,13 +46,11 @@ named; a user replaces them with data-sheet values.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import bayescal as bc
 from bayescal_models.quartz_beam_accelerometer import COLUMNS, NOMINAL_SCALE, PER_G, effects
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
-from bayescal_models.quartz_beam_accelerometer.experiments import EXPERIMENTS
 from bayescal_models.quartz_beam_accelerometer.simulator import simulated_columns
+from bayescal_models.simulated import experiments, readings_of
 
 
 def _response(slots, r):
@@ -127,30 +125,22 @@ INSTRUMENT = bc.Instrument(
         ("two thermometers, t1 in the products", lambda: two_thermometers("circuit")),
     ),
     simulator=simulated_columns,
-    experiments=EXPERIMENTS,
+    experiments=experiments(
+        simulated_columns,
+        {
+            "the same again": Campaign(),
+            "ramps of 0.5 and 4 °C/min": Campaign(
+                ramp_speeds=(0.5, 4.0), interval=120.0, average=120.0
+            ),
+            "four tumbles": Campaign(repeats=4),
+            "ramps at five attitudes": Campaign(attitudes=(1.0, 0.5, 0.0, -0.5, -1.0)),
+            "held for two hours at each end of a ramp": Campaign(
+                hold=7200.0, interval=120.0, average=120.0
+            ),
+            "a minute without power between runs": Campaign(pause=60.0),
+        },
+    ),
     use=bc.Use("acceleration", "ug"),
     source="source 2",
 )
-
-
-def simulate(
-    effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
-) -> bc.Measurements:
-    """Readings of a campaign with these effects hidden in it.
-
-    The same seed gives the same noise and the same turn-on offsets whatever the effects.
-
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficient; for an effect with learned
-            deviations (`*.run`, `*.cell`) their standard deviation. The cubic device's own coefficients (about
-            T0 = `campaign.T0`) may be replaced by name.
-        seed: seed of every random number.
-        campaign: plan of the test.
-
-    Returns:
-        Readings; `output` in µg of the nominal scale factor.
-
-    Raises:
-        ValueError: no law for an effect of that name, or a size that is no number.
-    """
-    return INSTRUMENT.simulate(effects, seed=seed, campaign=campaign)
+simulate = readings_of(INSTRUMENT, simulated_columns)

@@ -10,8 +10,9 @@ import numpy as np
 from bayescal_models import simulated
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
 from bayescal_models.quartz_beam_accelerometer.device import CUBIC, Truth, truth
-from bayescal_models.quartz_beam_accelerometer.laws import LAWS, Chance
-from bayescal_models.quartz_beam_accelerometer.thermal import Array, World, make_world
+from bayescal_models.quartz_beam_accelerometer.laws import CHANCE, LAWS, Chance
+from bayescal_models.quartz_beam_accelerometer.thermal import World, make_world
+from bayescal_models.simulated import Array
 
 WANDER_TIME = 300.0  # s
 CHANCES = ("noise", "wander", "thermometers", "bias", "scale", "frequency")
@@ -20,11 +21,19 @@ CHANCES = ("noise", "wander", "thermometers", "bias", "scale", "frequency")
 def simulated_columns(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> dict[str, Any]:
-    """Columns of a campaign with these effects hidden in it, by name, in the instrument's units.
+    """A campaign with these effects hidden in it: its columns, by name, in the instrument's units.
 
     The same seed gives the same noise and the same turn-on offsets whatever the effects.
 
-    Args and Raises: as of `simulate` in `model.py`.
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficient; for an effect with learned
+            deviations (`*.run`, `*.cell`) their standard deviation. The cubic device's own coefficients (about
+            T0 = `campaign.T0`) may be replaced by name.
+        seed: of every random number.
+        campaign: plan of the test.
+
+    Raises:
+        ValueError: no law for an effect of that name, or a size that is no number.
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
     world, true = _true(campaign, effects, seed)
@@ -63,7 +72,7 @@ def true_values(
 
 
 def _true(campaign: Campaign, effects: Mapping[str, float], seed: int) -> tuple[World, Truth]:
-    known = [f"{slot}.{cause}" for slot in ("bias", "scale") for cause in LAWS]
+    known = [f"{slot}.{cause}" for slot in ("bias", "scale") for cause in (*LAWS, *CHANCE)]
     known += ["second_order", *(CUBIC if campaign.device == "cubic" else ())]
     simulated.refuse_effects(effects, known, f"a {campaign.device!r} device")
     world, generators = make_world(campaign), simulated.generators(CHANCES, seed)
@@ -73,7 +82,9 @@ def _true(campaign: Campaign, effects: Mapping[str, float], seed: int) -> tuple[
     for name, size in effects.items():
         slot, _, cause = name.partition(".")
         if cause in LAWS:
-            sums[slot] = sums[slot] + size * LAWS[cause](world, campaign, chances[slot])
+            sums[slot] = sums[slot] + size * world.average(LAWS[cause](world, campaign))
+        elif cause in CHANCE:
+            sums[slot] = sums[slot] + size * CHANCE[cause](world, chances[slot])
     return world, Truth(sums["bias"], sums["scale"], device.frequency_sum)
 
 
@@ -89,19 +100,12 @@ def _noise(
     white = campaign.noise * generators["noise"].standard_normal(world.run.size)
     if campaign.noise_law == "white":
         return white
-    time, slow = world.average(world.time), np.empty(world.run.size)
-    for run in range(int(world.run.max()) + 1):
-        chosen = world.run == run
-        slow[chosen] = _wander(generators["wander"], time[chosen])
+    # An Ornstein–Uhlenbeck record of unit variance at the readings' times, anew in each run.
+    step = np.diff(world.average(world.time), prepend=-np.inf)
+    step[np.diff(world.run, prepend=-1) != 0] = np.inf
+    decay = np.exp(-step / WANDER_TIME)
+    kicks = np.sqrt(1.0 - decay**2) * generators["wander"].standard_normal(world.run.size)
+    slow, now = np.empty(world.run.size), 0.0
+    for i, kick in enumerate(kicks):
+        slow[i] = now = decay[i] * now + kick
     return white + campaign.noise * slow
-
-
-def _wander(generator: np.random.Generator, time: Array) -> Array:
-    """An Ornstein–Uhlenbeck record of unit variance at these times, s."""
-    kicks = generator.standard_normal(time.size)
-    made, now = np.empty(time.size), 0.0
-    for i, step in enumerate(np.diff(time, prepend=-np.inf)):
-        decay = np.exp(-step / WANDER_TIME)
-        now = decay * now + np.sqrt(1.0 - decay**2) * kicks[i]
-        made[i] = now
-    return made

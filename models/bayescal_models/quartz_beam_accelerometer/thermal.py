@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID, POSITIONS, Campaign
-
-Array = NDArray[np.float64]
+from bayescal_models.simulated import Array, first_order_body
 
 
 @dataclass(frozen=True)
@@ -50,30 +49,17 @@ class World:
         return values[self.samples].mean(axis=1)
 
     @property
+    def uneven(self) -> Array:
+        """Circuit less head, °C, (m,)."""
+        return self.circuit - self.head
+
+    @property
     def cell(self) -> NDArray[np.intp]:
         """Number of each reading's cell (run and soak temperature), −1 on ramps, (n,)."""
         soaked = ~np.isnan(self.point)
         pairs = np.column_stack([self.run, np.where(soaked, self.point, 0.0)])
         _, codes = np.unique(pairs, axis=0, return_inverse=True)
         return np.where(soaked, codes.ravel(), -1)
-
-
-def body(drive: Array, time_constant: float, start: float | None = None) -> Array:
-    """A body of first order, τ·dT/dt = drive − T, exact for a drive that is linear between grid points.
-
-    Args:
-        drive: what it follows, any unit.
-        time_constant: τ, s.
-        start: its first value; None for that of the drive.
-    """
-    from scipy.signal import lfilter  # half a second that only a simulation needs
-
-    first = float(drive[0]) if start is None else start
-    decay = np.exp(-GRID / time_constant)
-    now = 1.0 - (1.0 - decay) * time_constant / GRID
-    push = drive - first
-    made, _ = lfilter([now, 1.0 - decay - now], [1.0, -decay], push, zi=[-now * push[0]])
-    return first + np.asarray(made)
 
 
 @dataclass
@@ -106,14 +92,14 @@ def make_world(campaign: Campaign) -> World:
     plan = _planned(campaign)
     time = GRID * np.arange(int(np.ceil(plan.now / GRID)) + 1, dtype=np.float64)
     knots, goals = np.array(plan.knots).T
-    air = body(np.interp(time, knots, goals), campaign.air_time)
+    air = first_order_body(np.interp(time, knots, goals), campaign.air_time, GRID)
     powered = np.zeros(time.size)
     for on, off in plan.power:
         powered[(time > on) & (time <= off)] = 1.0
     around_circuit = air + campaign.self_heating * powered
-    circuit = body(around_circuit, campaign.circuit_time, start=air[0])
+    circuit = first_order_body(around_circuit, campaign.circuit_time, GRID, start=air[0])
     around_head = (1 - campaign.coupling) * air + campaign.coupling * circuit
-    head = body(around_head, campaign.head_time)
+    head = first_order_body(around_head, campaign.head_time, GRID)
     ends, run, point, acceleration = (
         np.array(column) for column in zip(*plan.readings, strict=True)
     )
@@ -125,7 +111,7 @@ def make_world(campaign: Campaign) -> World:
         head=head,
         circuit_rate=60.0 * (around_circuit - circuit) / campaign.circuit_time,
         head_rate=60.0 * (around_head - head) / campaign.head_time,
-        warmth=body(powered, campaign.warm_up_time),
+        warmth=first_order_body(powered, campaign.warm_up_time, GRID),
         samples=last[:, None] - np.arange(count)[::-1],
         run=run.astype(np.intp),
         point=point,

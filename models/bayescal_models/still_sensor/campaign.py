@@ -6,8 +6,11 @@ A chamber whose air follows its ramps with a lag, gone through once in each run.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+
+from bayescal_models.simulated import first_order_body
 
 RAMPS = ((0.0, 25.0), (10.0, -15.0), (25.0, 65.0), (40.0, 25.0))  # min, °C: cooled, heated, cooled
 PAUSE = 3600.0  # s between runs
@@ -47,9 +50,9 @@ def make_world(runs: int, turn_on: np.ndarray) -> tuple[np.ndarray, World]:
         runs: how many times the ramps are gone through.
         turn_on: one standard normal number for each run, (runs,).
     """
-    minutes, goals = np.array(RAMPS).T
+    (minutes, goals), body = np.array(RAMPS).T, partial(first_order_body, step=1.0)
     second = np.arange(60.0 * minutes[-1] + 1)
-    one = _body(np.interp(second, 60 * minutes, goals), CHAMBER_TIME)
+    one = body(np.interp(second, 60 * minutes, goals), CHAMBER_TIME)
     temperature, time = np.tile(one, (runs, 1)), np.tile(second, (runs, 1))
     elapsed = time + np.arange(runs)[:, None] * (second[-1] + PAUSE)
     rate = 60 * np.gradient(one)
@@ -57,20 +60,10 @@ def make_world(runs: int, turn_on: np.ndarray) -> tuple[np.ndarray, World]:
         time=time,
         departure=temperature - round(float(one.mean())),
         rate=np.tile(rate, (runs, 1)),
-        direction=np.tile(_body(np.sign(rate), REVERSAL_TIME), (runs, 1)),
-        behind=np.tile(_body(one, LAG_TIME) - one, (runs, 1)),
-        far_behind=np.tile(_body(one, SLOW_TIME) - one, (runs, 1)),
+        direction=np.tile(body(np.sign(rate), REVERSAL_TIME), (runs, 1)),
+        behind=np.tile(body(one, LAG_TIME) - one, (runs, 1)),
+        far_behind=np.tile(body(one, SLOW_TIME) - one, (runs, 1)),
         turn_on=turn_on[:, None],
         progress=(elapsed - elapsed.mean()) / np.ptp(elapsed),
     )
     return temperature, world
-
-
-def _body(drive: np.ndarray, time_constant: float) -> np.ndarray:
-    """A body that follows `drive` from equilibrium: τ·dT/dt = drive − T, exact on lines."""
-    from scipy.signal import lfilter  # half a second that only a simulation needs
-
-    decay = np.exp(-1 / time_constant)
-    now = 1 - (1 - decay) * time_constant
-    push = [now, 1 - decay - now]
-    return drive[0] + lfilter(push, [1, -decay], drive - drive[0])

@@ -43,9 +43,7 @@ from bayescal_models.still_sensor.simulator import simulated_columns
 
 MINUTE = 60.0
 SETTINGS = {"unit", "size", "constant", "span", "pace"}
-LEAST_TEMPERATURE_RANGE = (
-    0.1  # °C: what a good chamber holds, so no temperature model can be seen in less
-)
+LEAST_TEMPERATURE_RANGE = 0.1  # °C: what a good chamber holds: no temperature model is seen in less
 
 
 def _at_rest(slots, r):

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bayescal_models.simulated import correlated, refuse_effects
 from bayescal_models.still_sensor.campaign import PAUSE, World, make_world
 
 NOISE_LAWS = ("white", "ornstein_uhlenbeck")
@@ -49,8 +50,7 @@ def simulated_columns(
     Args and Raises: as of `simulate` in `model.py`.
     """
     sizes = {**BASELINE, **(effects or {})}
-    if unknown := sorted(set(sizes) - set(_LAWS)):
-        raise ValueError(f"no law for {', '.join(unknown)}: choose among {', '.join(_LAWS)}")
+    refuse_effects(sizes, _LAWS, "a sensor at rest")
     if noise_law not in NOISE_LAWS:
         raise ValueError(f"noise law {noise_law!r} is not one of {', '.join(NOISE_LAWS)}")
     if runs < 1 or interval < 1:
@@ -61,7 +61,7 @@ def simulated_columns(
     true = sum(parts, start=np.zeros_like(world.time))
     scatter = NOISE * rng.standard_normal(true.shape)
     if noise_law == "ornstein_uhlenbeck":
-        scatter += NOISE * _wander(rng, true.shape)
+        scatter += NOISE * correlated(rng, true.shape, WANDER_TIME, 1.0)
     logged = slice(0, None, interval)
     start = np.arange(runs)[:, None] * (world.time[0, -1] + PAUSE)
     labels = np.repeat(np.arange(1, runs + 1), world.time[0, logged].size).astype(str)
@@ -71,13 +71,3 @@ def simulated_columns(
         "temperature": temperature[:, logged].ravel(),
         f"output [{unit}]": (true + scatter)[:, logged].ravel(),
     }
-
-
-def _wander(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """Ornstein–Uhlenbeck records of unit variance, one a row."""
-    from scipy.signal import lfilter  # half a second that only a simulation needs
-
-    decay = np.exp(-1 / WANDER_TIME)
-    kicks = rng.standard_normal(shape)
-    kicks[:, 1:] *= np.sqrt(1 - decay**2)
-    return np.asarray(lfilter([1.0], [1.0, -decay], kicks, axis=1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,6 +76,19 @@ class Pair:
         return f"{self.outer} with {self.inner}"
 
 
+_CELLS: dict[str, Callable[[Pair], str]] = {  # of the printed table, by their heads
+    "outer": lambda p: p.outer,
+    "inner": lambda p: p.inner,
+    "P(best)": lambda p: f"{p.probability_residual:.2f}",
+    "P(ratios)": lambda p: f"{p.probability_ratio_variance:.2f}",
+    "P(raw)": lambda p: f"{p.probability_ratio_variance_raw:.2f}",
+    "residual": lambda p: f"{p.expected_residual:.0f}",
+    "loss": lambda p: f"{p.expected_loss:.0f}",
+    "λbd": lambda p: f"{p.ratio.median:.3f}",
+    "95 %": lambda p: f"{p.ratio.low:.3f} to {p.ratio.high:.3f}",
+}
+
+
 @dataclass(frozen=True)
 class PairTable:
     """Every pair, the best of them, and the best disjoint set; prints itself.
@@ -118,19 +131,9 @@ class PairTable:
 
     def __str__(self) -> str:
         best = self.of(*self.best)
-        head = (
-            "outer",
-            "inner",
-            "P(best)",
-            "P(ratios)",
-            "P(raw)",
-            "residual",
-            "loss",
-            "λbd",
-            "95 %",
-        )
-        rows = [head, *(_row(pair) for pair in self.pairs[:SHOWN])]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
+        shown = [[cell(pair) for cell in _CELLS.values()] for pair in self.pairs[:SHOWN]]
+        rows = [[*_CELLS], *shown]
+        widths = [max(len(row[i]) for row in rows) for i in range(len(_CELLS))]
         lines = [
             "  ".join(
                 cell.ljust(w) if i < 2 else cell.rjust(w)
@@ -159,23 +162,12 @@ class PairTable:
 
 
 def _pair_data(pair: Pair) -> dict[str, Any]:
-    def plain(value: float) -> float | None:
-        return float(value) if np.isfinite(value) else None
-
-    return {
-        "outer": pair.outer,
-        "inner": pair.inner,
-        "probability_residual": pair.probability_residual,
-        "probability_ratio_variance": pair.probability_ratio_variance,
-        "probability_ratio_variance_raw": pair.probability_ratio_variance_raw,
-        "expected_residual": pair.expected_residual,
-        "expected_loss": pair.expected_loss,
-        "unit": UNIT,
-        "ratio_variance": plain(pair.ratio_variance),
-        "ratio_variance_raw": plain(pair.ratio_variance_raw),
-        "orders_near_zero": list(pair.near_zero),
-        "environment_ratio": vars(pair.ratio),
-    }
+    found = {**vars(pair), "environment_ratio": vars(pair.ratio), "unit": UNIT}
+    found["orders_near_zero"] = list(found.pop("near_zero"))
+    del found["ratio"]
+    for name in ("ratio_variance", "ratio_variance_raw"):
+        found[name] = float(found[name]) if np.isfinite(found[name]) else None
+    return found
 
 
 def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
@@ -225,17 +217,3 @@ def remarks(pairs: Sequence[Pair], commanded: Array) -> tuple[str, ...]:
             "reliable: the sum of the environment is near zero. Use the posterior."
         )
     return tuple(said)
-
-
-def _row(pair: Pair) -> tuple[str, ...]:
-    return (
-        pair.outer,
-        pair.inner,
-        f"{pair.probability_residual:.2f}",
-        f"{pair.probability_ratio_variance:.2f}",
-        f"{pair.probability_ratio_variance_raw:.2f}",
-        f"{pair.expected_residual:.0f}",
-        f"{pair.expected_loss:.0f}",
-        f"{pair.ratio.median:.3f}",
-        f"{pair.ratio.low:.3f} to {pair.ratio.high:.3f}",
-    )

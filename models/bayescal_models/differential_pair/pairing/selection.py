@@ -38,19 +38,13 @@ def select(found: bc.Calibration | Devices, *, criterion: str = "residual") -> P
         )
     devices = found if isinstance(found, Devices) else devices_of(found)
     figures = judge(devices)
-    made = [
-        _pair(devices, figures, i, j)
-        for i in range(devices.outer)
-        for j in range(len(devices.names) - devices.outer)
-    ]
-    made.sort(key=lambda p: _rank(p, criterion))
-    return PairTable(
-        tuple(made),
-        made[0].names,
-        _matching(devices, figures, criterion),
-        criterion,
-        remarks=remarks(made, devices.commanded),
+    places = np.ndindex(figures.calibrated.shape)
+    made = sorted(
+        (_pair(devices, figures, i, j) for i, j in places), key=lambda p: _rank(p, criterion)
     )
+    matching = _matching(devices, figures, criterion)
+    said = remarks(made, devices.commanded)
+    return PairTable(tuple(made), made[0].names, matching, criterion, remarks=said)
 
 
 def _rank(pair: Pair, criterion: str) -> tuple[float, float]:
@@ -73,18 +67,13 @@ def _pair(devices: Devices, figures: Figures, i: int, j: int) -> Pair:
         document_reliable=bool(abs(figures.step2_sure[j]) > SURE),
     )
     near = tuple(int(n) for n in np.flatnonzero(np.abs(figures.denominators[j]) < SURE))
-    probability = {name: float(share[i, j]) for name, share in figures.probability.items()}
-    document = {name: float(variance[i, j]) for name, variance in figures.document.items()}
+    measured = {f"probability_{n}": share for n, share in figures.probability.items()}
+    measured |= figures.document
+    measured |= {"expected_residual": figures.expected, "expected_loss": figures.loss}
     return Pair(
         devices.names[i],
         devices.names[devices.outer + j],
-        probability_residual=probability["residual"],
-        probability_ratio_variance=probability["ratio-variance"],
-        probability_ratio_variance_raw=probability["ratio-variance-raw"],
-        expected_residual=float(figures.expected[i, j]),
-        expected_loss=float(figures.loss[i, j]),
-        ratio_variance=document["ratio-variance"],
-        ratio_variance_raw=document["ratio-variance-raw"],
+        **{n.replace("-", "_"): float(values[i, j]) for n, values in measured.items()},
         near_zero=near,
         ratio=ratio,
     )

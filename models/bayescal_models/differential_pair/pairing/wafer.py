@@ -57,15 +57,9 @@ class Wafer:
         flat = devices.environment.reshape(-1, devices.environment.shape[-1])
         _, size, axes = np.linalg.svd(flat, full_matrices=False)
         image = flat @ axes[size > 1e-12 * size[0]].T / np.sqrt(flat.shape[1])
-        shape = (*devices.environment.shape[:2], -1)
-        return cls(
-            devices.names,
-            devices.outer,
-            devices.weights,
-            devices.scale,
-            devices.sensitivity,
-            image.reshape(shape),
-        )
+        kept = {n: getattr(devices, n) for n in ("weights", "scale", "sensitivity")}
+        image = image.reshape(*devices.environment.shape[:2], -1)
+        return cls(devices.names, devices.outer, **kept, environment=image)
 
 
 @dataclass(frozen=True)

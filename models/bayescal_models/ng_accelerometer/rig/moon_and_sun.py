@@ -33,10 +33,8 @@ def plumb_line(days: ArrayLike, latitude: float, longitude: float) -> tuple[Arra
         latitude, longitude: degrees north and east.
     """
     days = np.asarray(days, dtype=float)
-    north, hour_angle_of = (
-        np.radians(latitude),
-        np.radians(280.46062 + 360.98564737 * days + longitude),
-    )
+    north = np.radians(latitude)
+    hour_angle_of = np.radians(280.46062 + 360.98564737 * days + longitude)
     total = [np.zeros_like(days), np.zeros_like(days)]
     for mass, (ecliptic, latitude_of, distance) in ((MOON, _moon(days)), (SUN, _sun(days))):
         x = np.cos(latitude_of) * np.cos(ecliptic)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,7 @@ from numpy.typing import NDArray
 from bayescal_models.ng_accelerometer.campaign import GRID, Campaign, SetUp
 from bayescal_models.ng_accelerometer.rig.moon_and_sun import DAY, tide
 from bayescal_models.ng_accelerometer.sizes import HOUR
-
-Array = NDArray[np.float64]
+from bayescal_models.simulated import Array, correlated, first_order_body
 
 CHAMBER_TIME, DEVICE_TIME, FIXTURE_TIME = 180.0, 600.0, 900.0  # s, behind set point, air, air
 BASE_TIME, LABORATORY_TIME = 1800.0, 900.0  # s, of the base behind chamber and laboratory
@@ -91,12 +91,14 @@ def make_world(
         cells, runs: names of what scatters from cell to cell, and from run to run.
     """
     plan = _planned(campaign)
-    grid = np.arange(0.0, plan.end + GRID, GRID)
-    wander = campaign.chamber_wander * _wander(generators["chamber"], grid.size, WANDER_TIME)
-    calm = _body(_set_point(grid, plan.goals, campaign.ramp), CHAMBER_TIME)
+    grid, body = np.arange(0.0, plan.end + GRID, GRID), partial(first_order_body, step=GRID)
+    wander = campaign.chamber_wander * correlated(
+        generators["chamber"], grid.size, WANDER_TIME, GRID
+    )
+    calm = body(_set_point(grid, plan.goals, campaign.ramp), CHAMBER_TIME)
     air = calm + wander
-    device = _body(air, DEVICE_TIME)
-    slow = _wander(generators["laboratory"], grid.size, LABORATORY_WANDER_TIME)
+    device = body(air, DEVICE_TIME)
+    slow = correlated(generators["laboratory"], grid.size, LABORATORY_WANDER_TIME, GRID)
     laboratory = (
         campaign.laboratory
         + campaign.laboratory_wander * slow
@@ -119,13 +121,13 @@ def make_world(
         time=time,
         share=(time - middle[0]) / (middle[-1] - middle[0]),
         device=device[index],
-        element=_body(device, campaign.lag_time)[index],
-        fixture=_body(air, FIXTURE_TIME)[index],
-        base=_body(air, BASE_TIME)[index],
+        element=body(device, campaign.lag_time)[index],
+        fixture=body(air, FIXTURE_TIME)[index],
+        base=body(air, BASE_TIME)[index],
         heating=(np.gradient(device) * HOUR / GRID)[index],
         laboratory=laboratory[index],
-        foundation=_body(laboratory, LABORATORY_TIME)[index],
-        direction=_hysteresis(grid, _body(calm, DEVICE_TIME), plan.power)[index],
+        foundation=body(laboratory, LABORATORY_TIME)[index],
+        direction=_hysteresis(grid, body(calm, DEVICE_TIME), plan.power)[index],
         warmth=np.exp(-(time - on) / campaign.warm_up_time),
         tide=tide(time, campaign.begin, campaign.latitude, campaign.longitude),
         by_cell={name: normal(cell.max() + 1)[cell][:, None] for name in cells},
@@ -189,22 +191,3 @@ def _hysteresis(grid: Array, temperature: Array, power: list[tuple[float, float]
         state *= 1.0 if on[k] else np.exp(-GRID / FORGETTING)
         made[k] = state
     return made
-
-
-def _body(drive: Array, time_constant: float) -> Array:
-    """τ·dT/dt = drive − T from equilibrium, exact for a drive that is linear between grid points."""
-    from scipy.signal import lfilter  # half a second that only a simulation needs
-
-    decay = np.exp(-GRID / time_constant)
-    now = 1.0 - (1.0 - decay) * time_constant / GRID
-    return drive[0] + lfilter([now, 1.0 - decay - now], [1.0, -decay], drive - drive[0])
-
-
-def _wander(generator: np.random.Generator, length: int, time_constant: float) -> Array:
-    """Stationary Ornstein–Uhlenbeck record of unit variance."""
-    from scipy.signal import lfilter  # half a second that only a simulation needs
-
-    decay = np.exp(-GRID / time_constant)
-    kicks = generator.standard_normal(length)
-    kicks[1:] *= np.sqrt(1.0 - decay**2)
-    return np.asarray(lfilter([1.0], [1.0, -decay], kicks))
