@@ -10,7 +10,7 @@ world (`laws.py`), and the logger's samples are averaged into readings at the en
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,16 +23,6 @@ from bayescal_models.mems_gyro.laws import LAWS
 from bayescal_models.simulated import Array
 
 NOISE_LAWS = ("white", "student_t", "ornstein_uhlenbeck")
-
-UNITS: Mapping[str, str | None] = {
-    "run": None,
-    "time": "s",
-    "temperature": "degC",
-    "board_temperature": "degC",
-    "rate_input": "deg/s",
-    "humidity": "%",
-    "output": "deg/s",
-}
 
 
 def simulated_columns(
@@ -64,18 +54,12 @@ class SimulatedCampaign:
 
     Attributes:
         columns: one array per column, of the same length; `run` is text, the others float64.
-        units: unit of each column of `columns`; None for text.
-        truth: what was used: "campaign" (its options), "coefficients" (`bias.constant` at T0 and,
-            for the line, `bias.temperature`, with every hidden effect), "T0" (°C), "turn_on"
-            (offset of each run, °/s, by run label), "seed", "noise_law".
         noise_free: the output without noise and rounding, °/s.
         contributions: parts of `noise_free` in °/s, which is their sum: "baseline", "rate_input"
             where there is one, and each hidden effect.
     """
 
     columns: dict[str, NDArray[Any]]
-    units: dict[str, str | None]
-    truth: dict[str, Any]
     noise_free: Array
     contributions: dict[str, Array]
 
@@ -130,13 +114,7 @@ def simulate_arrays(
     if "unlisted.humidity" in effects:
         columns["humidity"] = world.average(world.humidity)
     columns["output"] = output
-    return SimulatedCampaign(
-        columns=columns,
-        units={name: UNITS[name] for name in columns},
-        truth=_truth(campaign, effects, world, seed, noise_law),
-        noise_free=noise_free,
-        contributions=contributions,
-    )
+    return SimulatedCampaign(columns, noise_free, contributions)
 
 
 def _check(effects: Mapping[str, float], noise_law: str) -> None:
@@ -194,21 +172,3 @@ def _rounded(output: Array, campaign: Campaign) -> Array:
     volts = campaign.null_voltage + campaign.sensitivity * output
     volts = campaign.converter_step * np.rint(volts / campaign.converter_step)
     return (volts - campaign.null_voltage) / campaign.sensitivity
-
-
-def _truth(
-    campaign: Campaign, effects: Mapping[str, float], world: World, seed: int, noise_law: str
-) -> dict[str, Any]:
-    """Everything that a simulation used, as plain values."""
-    coefficients = {"bias.constant": campaign.constant}
-    if campaign.law == "line":
-        coefficients["bias.temperature"] = campaign.slope
-    offsets = effects.get("bias.run", 0.0) * world.average(world.turn_on)
-    return {
-        "campaign": asdict(campaign),
-        "coefficients": {**coefficients, **effects},
-        "T0": campaign.T0,
-        "turn_on": {str(k + 1): float(offsets[world.run == k][0]) for k in range(campaign.runs)},
-        "seed": seed,
-        "noise_law": noise_law,
-    }
