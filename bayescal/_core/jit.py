@@ -37,7 +37,7 @@ class compiled(Generic[P, R]):
     def __init__(self, function: Callable[P, R], many: int = MANY):
         self.function, self.many = function, many
         self._jitted = cache(
-            lambda few: eqx.filter_jit(function, compiler_options=known(QUICK if few else ALWAYS))
+            lambda few: eqx.filter_jit(function, **_options(QUICK if few else ALWAYS))
         )
         update_wrapper(self, function)
 
@@ -47,6 +47,10 @@ class compiled(Generic[P, R]):
         if any(isinstance(a, jax.core.Tracer) for a in numbers):
             return self.function(*args, **kwargs)
         return self._jitted(sum(a.size for a in numbers) < self.many)(*args, **kwargs)
+
+
+def _options(options: dict[str, Any]) -> dict[str, Any]:
+    return {"compiler_options": known(options)}
 
 
 def known(options: dict[str, Any]) -> dict[str, Any]:

@@ -34,6 +34,7 @@ USUAL = 3  # rounds of adaptation; more only where the last one's weights are un
 KERNELS = 256  # draws of the round before, around each of which the next one proposes;
 FEW = 128  # in a few dimensions
 KERNEL = 0.7  # width of each, in standard deviations of φ: so wide that the mixture is heavier than what it follows
+LONGEST = 4.0  # times that an axis of the Laplace fit is lengthened at most
 WIDE = 1.7  # last component: wider than the Laplace fit, against tails that are heavier
 PRIOR = 0.2  # share of proposals from the prior, so that no weight exceeds likelihood over 0.2 times evidence
 ADAPTED = (
@@ -381,6 +382,22 @@ def weighted_draws(
             above, known = math.inf, None
 
 
+def _as_wide_as_it_is(density: ManyPhi) -> Float[np.ndarray, "d d"]:
+    """The covariance of the Gaussian fit at the mode, each principal axis as wide as the density falls along it.
+
+    A curvature tells of the top alone. Two standard deviations away a Gaussian has lost two nats; where the density has
+    lost less, on either side, the axis is made as long as that says.
+    Source: H. Rue, S. Martino and N. Chopin, J. R. Stat. Soc. B 71 (2009) 319, §6.5 (axes explored for INLA).
+    """
+    mode, dim = density.mode, len(density.mode.v)
+    weights, vectors = np.linalg.eigh(mode.covariance)
+    axes = vectors * np.sqrt(weights)
+    ends = mode.v + np.concatenate([2 * axes.T, -2 * axes.T])
+    lost = float(mode.log_density) - density.values(ends).reshape(2, dim).max(axis=0)
+    axes *= np.clip(np.sqrt(2 / np.maximum(lost, 1e-9)), 1.0, LONGEST)
+    return axes @ axes.T
+
+
 def _fill(
     pool: Rounds,
     density: ManyPhi,
@@ -396,6 +413,8 @@ def _fill(
     """
     mode, prior, first = density.mode, pool.prior, not pool.mixtures
     direct = density.products is None
+    if direct and len(mode.v):
+        mode = mode._replace(covariance=_as_wide_as_it_is(density))
     if not first:
         mixture = _match(mode, pool.all.v, pool.log_weight)
     elif direct:

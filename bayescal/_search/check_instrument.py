@@ -159,9 +159,9 @@ class _CheckedInstrument:
                 for effect in i.candidates:
                     reason = testable(effect, self.readings)
                     if reason is not None:
-                        unit, nothing = effect.coefficients[0].unit, (None,) * 4
-                        said = (*nothing, f"not tested, {reason}")
-                        self.rows.append(Returned("candidate", effect.name, unit, *said))
+                        unit, said = effect.coefficients[0].unit, f"not tested, {reason}"
+                        row = Returned("candidate", effect.name, unit, None, None, None, None, said)
+                        self.rows.append(row)
                         continue
                     self._fitted(baseline + effect, (effect,), "candidate")
         found = tuple(dict.fromkeys(self.errors)), tuple(dict.fromkeys(self.notes))

@@ -158,7 +158,7 @@ def global_risks(
     def share(items: Limits, read: Limits) -> float:
         """Probability that an item is among these, and what is read of it among those."""
         ends = np.transpose([items, read])
-        both = multivariate_normal([mean, mean], covariance, allow_singular=True)
+        both = multivariate_normal(np.full(2, mean), covariance, allow_singular=True)  # pyright: ignore[reportArgumentType]
         return float(both.cdf(ends[1], lower_limit=ends[0]))
 
     taken, conforming = share(limits, accepted), share(limits, Limits(-np.inf, np.inf))

@@ -80,6 +80,10 @@ class LimitedQuantity:
         """What the posterior says of it, s after the last reading of the calibration."""
         raise NotImplementedError
 
+    def values(self) -> Float[np.ndarray, "d g"]:
+        """Its value in each draw, in the calibration's order, at each place of the limit's range."""
+        raise NotImplementedError
+
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
         """Mean and standard deviation over devices whose coefficients have these; None where that cannot be said."""
         raise NotImplementedError
@@ -104,6 +108,9 @@ class LimitedUnknown(LimitedQuantity):
     def drawn(self, later: float = 0.0) -> DrawnQuantity:
         mean = float(self.draws.mean())
         return DrawnQuantity(self.draws, self.draws, (mean, mean))
+
+    def values(self) -> Float[np.ndarray, "d g"]:
+        return np.asarray(self.draws)[:, None]
 
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
         return table.get(self.limit.quantity)
@@ -161,6 +168,9 @@ class QuantityInUse(LimitedQuantity):
             scatter,
         )
 
+    def values(self) -> Float[np.ndarray, "d g"]:
+        return self._values(self.chosen._moments.draws, 0.0)[0]
+
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
         if self._size > 1:
             return None
@@ -173,7 +183,7 @@ class QuantityInUse(LimitedQuantity):
         devices = None if self._size == 1 else self._drawn_anew(table, count)
         if devices is None:
             return None
-        values, _ = self._values(self.chosen._moments.draws, 0.0)
+        values = self.values()
         return devices, values - values.mean(axis=0)
 
     def _drawn_anew(
