@@ -7,8 +7,9 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 from itertools import pairwise
+from operator import sub
 from typing import Any
 
 import numpy as np
@@ -34,12 +35,20 @@ from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import NOT_SAMPLED
 from bayescal._inference.method import Method
 from bayescal._inference.mode import NOTHING_KNOWN
+from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
 from bayescal._model.unknown_effect import freed
 from bayescal._search.candidate import Candidate
-from bayescal._search.discover import WORK, discovery_at, structures_over, walked, with_causes
+from bayescal._search.discover import (
+    WORK,
+    discovery_at,
+    placeholders,
+    structures_over,
+    walked,
+    with_causes,
+)
 from bayescal._search.gate import judged, left_out_better, wrong_question
 from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search, ShownStructure
@@ -81,7 +90,8 @@ def calibrate(
     probability of 0.95 is added; the steps shown lead from the model given to the one chosen, at each what gains most.
 
     Args:
-        model: to begin with.
+        model: to begin with; its effects stay, but for those without a name (an unknown dependence, a departure), which
+            are weighed anew.
         readings: to fit.
         holdout: hold-out data: read after the last step, and never used to choose an effect.
         effects: further candidates of the user's own.
@@ -111,7 +121,12 @@ def calibrate(
         kept = None if holdout is None else set_aside(holdout, keep_spikes)
         used, accepted = _said_of_holdout(used, kept), frozenset(accept_conflicts)
         loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
-        loop, first = loop.begin(model)
+        # A description without a name is no statement of the user's: it stands where it is the most probable, whether
+        # the model came with it or not.
+        unnamed = {e.name for e in placeholders(model, used)}.intersection(model.names)
+        departed = [e.name for e in model.effects if isinstance(e, Departure)]
+        known = ([Structure(frozenset(unnamed))] if unnamed else []) + [*seeds]
+        loop, first = loop.begin(reduce(sub, [*unnamed, *departed], model))
         # Stated values that the readings contradict: the value may be wrong, or an effect missing; the search weighs
         # both.
         more = loop.freed(first)
@@ -121,7 +136,7 @@ def calibrate(
         tell = partial(loop.tell, [first], structures, deadline.door(), follow)
         tell()
         try:
-            library, stopped = loop.look(Library(structures), seeds, tell)
+            library, stopped = loop.look(Library(structures), known, tell)
         except TimeIsUp as early:
             return loop.not_searched(first, early.why)
         return loop.steps_to_best(first, library, shut, stopped, follow)

@@ -33,6 +33,14 @@ def test_the_column_of_an_effect_outside_the_catalogue_is_named_and_added(
     assert after < 0.9 * before  # the other test has other humidities: there it extrapolates
 
 
+@pytest.mark.parametrize("name", ["unknown(humidity)", "unknown(time)"])
+def test_what_has_no_name_is_weighed_anew(trail: bc.SearchPath, name: str) -> None:
+    """A search that begins with it ends as one that does not, whether it belongs there or not."""
+    readings = mems_gyro.simulate(HUMID, seed=31)
+    again = bc.calibrate(INSTRUMENT.baseline() + name, readings, method=bc.LeastSquares())
+    assert set(again.final.calibration.model.names) == set(trail.final.calibration.model.names)
+
+
 def test_its_amplitude_is_the_size_that_is_reported(trail: bc.SearchPath) -> None:
     first = trail.steps[0].discovery
     assert first is not None
