@@ -34,9 +34,13 @@ def _generate(asked: argparse.Namespace) -> int:
             print(f"not as published: {', '.join(other)}", file=sys.stderr)
             return 1
         print("every one byte for byte as published")
-    if asked.nist is not None:
-        for line in real.generate(asked.nist, asked.tasks):
-            print(line)
+    if asked.data is None:
+        print("the real track is left out: --data names a folder with its records (DATASHEET.md)")
+        return 0
+    if not asked.data.is_dir():
+        raise InputError(f"--data {asked.data} is no folder")
+    for line in real.generate(asked.data, asked.tasks):
+        print(line)
     return 0
 
 
@@ -113,7 +117,7 @@ def _parser() -> argparse.ArgumentParser:
         "--edition", type=int, default=generate.EDITION, help="another number: new tasks"
     )
     own.add_argument(
-        "--nist", type=Path, help="folder of NIST's linear reference data: the real tasks too"
+        "--data", type=Path, help="folder with public records: the real tasks too (DATASHEET.md)"
     )
     own = command("run", _run, "let entries solve tasks")
     own.add_argument(
