@@ -260,7 +260,7 @@ def test_readings_that_are_not_nists_are_refused(tmp_path: Path, capsys) -> None
     text = file.read_text("utf-8").splitlines()
     file.write_text("\n".join([*text[:-1], "1003.0,1000.0"]), "utf-8")
     tasks = str(tmp_path / "tasks")
-    assert main(["generate", tasks, "--data", str(tmp_path), "--edition", "2"]) == 2
+    assert main(["generate", tasks, "--size", "0", "--data", str(tmp_path)]) == 2
     assert "is not NIST's Norris" in capsys.readouterr().err
 
 

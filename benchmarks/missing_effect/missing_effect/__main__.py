@@ -27,7 +27,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _generate(asked: argparse.Namespace) -> int:
     hashes = dict(generate.generate(asked.tasks, asked.size, asked.edition))
     print(f"{len(hashes)} tasks of edition {asked.edition} in {asked.tasks}")
-    if asked.edition == generate.EDITION:
+    if hashes and asked.edition == generate.EDITION:
         known = generate.published()
         other = [name for name, digest in hashes.items() if known.get(name) != digest]
         if other:
@@ -112,7 +112,7 @@ def _parser() -> argparse.ArgumentParser:
 
     own = command("generate", _generate, "make the tasks")
     own.add_argument("tasks", type=Path, nargs="?", default=Path("tasks"))
-    own.add_argument("--size", type=int, default=10, choices=generate.SIZES)
+    own.add_argument("--size", type=int, default=10, choices=(0, *generate.SIZES))
     own.add_argument(
         "--edition", type=int, default=generate.EDITION, help="another number: new tasks"
     )
