@@ -16,6 +16,7 @@ from missing_effect import leaderboard, real, run
 from missing_effect.__main__ import main
 from missing_effect.entries import bic, bma, mbic
 from missing_effect.generate import Case, generate, make, write
+from missing_effect.regression import Regression
 from missing_effect.run import InputError
 from missing_effect.score import FLOOR, ORACLE, Score, calibration, score, scored, summary
 from missing_effect.simulate.draws import Draws
@@ -191,6 +192,36 @@ def test_an_entry_finds_what_the_readings_decide(entry, tmp_path: Path) -> None:
             found -= sum(sets.values()) > 1 + 1e-9
             break
     assert found == 1
+
+
+def test_a_prediction_is_the_bases_and_what_candidates_add_beyond_it(tmp_path: Path) -> None:
+    write(make("task", Case("linear", 0), edition=77), tmp_path)
+    problem = Regression(Task.read(tmp_path))
+    assert [c.train.shape[1] for c in problem.candidates[:1]] == [1]
+    column = problem.projected[0][:, 0]
+    size = column @ problem.left / (column @ column)
+    expected = problem.predict(())[0] + size * problem.beyond[:, 0]
+    assert problem.predict((0,))[0] == pytest.approx(expected, rel=1e-7)
+    noise = np.sqrt(problem.left @ problem.left / (problem.y.size - problem.parameters))
+    sd = np.sqrt(noise**2 * problem.of_base + problem.extra)
+    assert problem.predict(())[1] == pytest.approx(sd, rel=1e-12)
+    assert np.all(problem.of_base > 1)
+
+
+@pytest.mark.slow
+def test_the_horseshoe_shrinks_what_is_not_there(tmp_path: Path) -> None:
+    """Two cycles that the readings decide are in nearly every draw, what is not there is in fewer."""
+    pytest.importorskip("numpyro")
+    from missing_effect.entries import horseshoe
+
+    known = real.nist()["ENSO"]
+    nist_like("ENSO", np.arange(1.0, 169.0), tmp_path)
+    list(real.generate(tmp_path, tmp_path / "tasks"))
+    sets = horseshoe.solve(Task.read(tmp_path / "tasks" / "task_real_enso"))["sets"]
+    share = {t.name: sum(p for s, p in sets.items() if t.name in s) for t in known.candidates}
+    assert sum(sets.values()) == pytest.approx(1.0)
+    assert min(share[n] for n in known.hidden) > 0.9
+    assert max(p for n, p in share.items() if n not in known.hidden) < 0.7
 
 
 def test_the_commands_of_the_readme(tmp_path: Path, monkeypatch, capsys) -> None:
