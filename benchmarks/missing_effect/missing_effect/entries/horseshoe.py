@@ -13,6 +13,7 @@ threshold, C. Carvalho, N. Polson & J. Scott, Biometrika 97 (2010) 465. A λ for
 from __future__ import annotations
 
 from collections import Counter
+from functools import cache
 from typing import Any
 
 import jax
@@ -69,11 +70,20 @@ def _drawn(
         free: readings less the base's parameters.
         owner: candidate of each column.
     """
+    sampler = _sampler(tuple(owner.tolist()))
+    sampler.run(jax.random.key(0), *map(jnp.asarray, (gram, right, square, float(free))))
+    return {name: np.asarray(values) for name, values in sampler.get_samples().items()}
+
+
+@cache
+def _sampler(owners: tuple[int, ...]) -> numpyro.infer.MCMC:
+    """Of all tasks whose columns belong to candidates in this way: in one process it is compiled once for them."""
+    owner = np.array(owners)
     count = int(owner[-1]) + 1
 
-    def model() -> None:
+    def model(gram: jax.Array, right: jax.Array, square: jax.Array, free: jax.Array) -> None:
         sigma = numpyro.sample("sigma", dist.HalfCauchy(1.0))
-        tau0 = GUESS / (count - GUESS) / np.sqrt(free)
+        tau0 = GUESS / (count - GUESS) / jnp.sqrt(free)
         tau = sigma * tau0 * numpyro.sample("tau", dist.HalfCauchy(1.0))
         slab = numpyro.sample("slab", dist.InverseGamma(FREEDOM / 2, FREEDOM / 2 * SLAB**2))
         local = numpyro.sample("local", dist.HalfCauchy(1.0).expand([count]).to_event(1))
@@ -86,10 +96,8 @@ def _drawn(
         gain = jnp.sum(explained**2) / 2 - jnp.sum(jnp.log(jnp.diag(root)))
         numpyro.factor("left", gain - square / (2 * sigma**2) - free * jnp.log(sigma))
 
-    kernel = numpyro.infer.NUTS(model, target_accept_prob=0.9)
-    sampler = numpyro.infer.MCMC(
-        kernel, num_warmup=WARM_UP, num_samples=DRAWS, num_chains=CHAINS,
-        chain_method="vectorized", progress_bar=False,
+    return numpyro.infer.MCMC(
+        numpyro.infer.NUTS(model, target_accept_prob=0.9),
+        num_warmup=WARM_UP, num_samples=DRAWS, num_chains=CHAINS,
+        chain_method="vectorized", progress_bar=False, jit_model_args=True,
     )  # fmt: skip
-    sampler.run(jax.random.key(0))
-    return {name: np.asarray(values) for name, values in sampler.get_samples().items()}
