@@ -293,6 +293,9 @@ def test_readings_that_are_not_nists_are_refused(tmp_path: Path, capsys) -> None
     tasks = str(tmp_path / "tasks")
     assert main(["generate", tasks, "--size", "0", "--data", str(tmp_path)]) == 2
     assert "is not NIST's Norris" in capsys.readouterr().err
+    file.write_text("y,x\n1.0,soup\n", "utf-8")
+    assert main(["generate", tasks, "--size", "0", "--data", str(tmp_path)]) == 2
+    assert "norris.csv cannot be read" in capsys.readouterr().err
 
 
 def test_what_was_added_to_a_real_record_is_found_in_it(tmp_path: Path) -> None:

@@ -183,8 +183,13 @@ def _peaks(sd: float, *b: float) -> Known:
 def _of_nist(name: str, known: Known, file: Path) -> Made:
     # Data begin at line 61 of NIST's own files, as each says in its head.
     csv = file.suffix == ".csv"
-    values = np.loadtxt(file, delimiter="," if csv else None, skiprows=1 if csv else 60, ndmin=2)
-    y, x = values[:, 0], values[:, 1]
+    try:
+        layout = {"delimiter": "," if csv else None, "skiprows": 1 if csv else 60}
+        y, x = np.loadtxt(file, ndmin=2, usecols=(0, 1), unpack=True, **layout)
+    except ValueError as error:
+        raise InputError(
+            f"{file} cannot be read as NIST's {name}, two columns of numbers, the response first: {error}"
+        ) from None
     free = max(1, y.size - known.parameters)
     spread = float(np.sqrt(np.sum((y - known.curve(x)) ** 2) / free))
     if abs(spread / known.residual_sd - 1) > AGREES:
