@@ -40,13 +40,17 @@ def solve(task: Task) -> dict[str, Any]:
     scale = np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-300)
     unit = float(np.sqrt(np.mean(problem.left**2)))
     x, y = x / scale, problem.left / unit
+    # Columns of one candidate share their λ, so that turning them among themselves changes nothing.
+    own = owner == _widest(owner)
+    turn = np.linalg.eigh(x[:, own].T @ x[:, own]).eigenvectors
+    later = problem.beyond / scale
+    x[:, own], later[:, own] = x[:, own] @ turn, later[:, own] @ turn
+    gram, right = x.T @ x, x.T @ y
     free = y.size - problem.parameters
-    drawn = _drawn(x.T @ x, x.T @ y, float(y @ y), free, owner)
+    drawn = _drawn(gram, right, float(y @ y), free, owner)
     kept = drawn["size"] ** 2 * free / drawn["sigma"][:, None] ** 2 > 1.0  # κ < 1/2
     counts = Counter(tuple(np.flatnonzero(row).tolist()) for row in kept)
     sets = {problem.names(s): count / len(kept) for s, count in counts.items()}
-    gram, right = x.T @ x, x.T @ y
-    later = problem.beyond / scale
     means, variances = [], []
     for at in range(0, len(kept), max(1, len(kept) // PREDICTED)):
         size, sigma = drawn["size"][at][owner], drawn["sigma"][at]
@@ -58,6 +62,11 @@ def solve(task: Task) -> dict[str, Any]:
     mean = problem.predict(())[0] + unit * np.mean(means, axis=0)
     variance = unit**2 * (np.mean(variances, axis=0) + np.var(means, axis=0))
     return {"sets": sets, "mean": mean, "sd": np.sqrt(variance + problem.extra)}
+
+
+def _widest(owner: np.ndarray) -> int:
+    """The candidate of the most columns."""
+    return int(np.argmax(np.bincount(owner)))
 
 
 def _drawn(
@@ -79,7 +88,7 @@ def _drawn(
 def _sampler(owners: tuple[int, ...]) -> numpyro.infer.MCMC:
     """Of all tasks whose columns belong to candidates in this way: in one process it is compiled once for them."""
     owner = np.array(owners)
-    count = int(owner[-1]) + 1
+    count, wide = int(owner[-1]) + 1, _widest(owner)
 
     def model(gram: jax.Array, right: jax.Array, square: jax.Array, free: jax.Array) -> None:
         sigma = numpyro.sample("sigma", dist.HalfCauchy(1.0))
@@ -89,11 +98,7 @@ def _sampler(owners: tuple[int, ...]) -> numpyro.infer.MCMC:
         local = numpyro.sample("local", dist.HalfCauchy(1.0).expand([count]).to_event(1))
         size = jnp.sqrt(slab * (tau * local) ** 2 / (slab + (tau * local) ** 2))
         numpyro.deterministic("size", size)
-        each = size[owner]
-        inner = jnp.eye(owner.size) + each[:, None] * gram * each / sigma**2
-        root = jnp.linalg.cholesky(inner)
-        explained = jax.scipy.linalg.solve_triangular(root, each * right / sigma**2, lower=True)
-        gain = jnp.sum(explained**2) / 2 - jnp.sum(jnp.log(jnp.diag(root)))
+        gain = gained(gram, right / sigma, size[owner] / sigma, owner == wide)
         numpyro.factor("left", gain - square / (2 * sigma**2) - free * jnp.log(sigma))
 
     return numpyro.infer.MCMC(
@@ -101,3 +106,22 @@ def _sampler(owners: tuple[int, ...]) -> numpyro.infer.MCMC:
         num_warmup=WARM_UP, num_samples=DRAWS, num_chains=CHAINS,
         chain_method="vectorized", progress_bar=False, jit_model_args=True,
     )  # fmt: skip
+
+
+def gained(gram: jax.Array, right: jax.Array, each: jax.Array, own: np.ndarray) -> jax.Array:
+    """Log evidence of coefficients with a normal prior against none, by the block of the widest candidate.
+
+    Args:
+        gram: X'X, (p, p), diagonal in that block.
+        right: X'y over the noise's standard deviation, (p,).
+        each: prior standard deviations of the coefficients over the noise's, (p,).
+        own: columns of that block, (p,).
+    """
+    inside = 1.0 + each[own] ** 2 * jnp.diag(gram)[own]
+    across = each[own][:, None] * gram[own][:, ~own] * each[~own]
+    rest = jnp.eye(int((~own).sum())) + each[~own][:, None] * gram[~own][:, ~own] * each[~own]
+    root = jnp.linalg.cholesky(rest - across.T @ (across / inside[:, None]))
+    first, second = each[own] * right[own], each[~own] * right[~own]
+    left = jax.scipy.linalg.solve_triangular(root, second - across.T @ (first / inside), lower=True)
+    explained = jnp.sum(first**2 / inside) + jnp.sum(left**2)
+    return explained / 2 - jnp.sum(jnp.log(jnp.diag(root))) - jnp.sum(jnp.log(inside)) / 2
