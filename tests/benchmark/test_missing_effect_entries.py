@@ -222,7 +222,8 @@ def test_the_horseshoes_evidence_is_that_of_the_whole_covariance() -> None:
     covariance = sigma**2 * np.eye(60) + (x * size**2) @ x.T
     whole = -np.linalg.slogdet(covariance)[1] / 2 - y @ np.linalg.solve(covariance, y) / 2
     alone = -60 * np.log(sigma) - y @ y / (2 * sigma**2)
-    found = gained(*map(jax.numpy.asarray, (x.T @ x, x.T @ y / sigma, size / sigma)), own)
+    gram, right, each = map(jax.numpy.asarray, (x.T @ x, x.T @ y / sigma, size / sigma))
+    found = gained(gram, right, each, own)
     assert float(found) == pytest.approx(whole - alone, rel=1e-10)
 
 
