@@ -5,19 +5,26 @@ from __future__ import annotations
 import json
 import math
 import re
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from missing_effect import leaderboard, real, run
 from missing_effect.__main__ import main
 from missing_effect.entries import bic, bma, mbic
 from missing_effect.generate import Case, generate, make, write
+from missing_effect.regression import Regression
+from missing_effect.run import InputError
 from missing_effect.score import FLOOR, ORACLE, Score, calibration, score, scored, summary
+from missing_effect.simulate.draws import Draws
 from missing_effect.task import Task
 from scipy.integrate import quad
 from scipy.special import ndtr
+
+from benchmarks.record import REFERENCE_DATA
 
 PACKAGE = Path(run.__file__).parents[1]
 HONEST = """
@@ -29,7 +36,10 @@ def solve(task):
 CHEATS = {
     "network": ("import socket; socket.create_connection(('127.0.0.1', 9))", "the network"),
     "truth": ("open(TRUTH).read()", "truth.json"),
-    "program": ("import subprocess; subprocess.run(['true'])", "another program"),
+    "truth unbuffered": ("import io, pathlib; io.FileIO(pathlib.Path(TRUTH))", "truth.json"),
+    "truth by another name": ("import os; os.symlink(TRUTH, 'a'); open('a').read()", "truth.json"),
+    "program": ("import subprocess; subprocess.run(['true'])", "another process"),
+    "fork": ("import os; os.fork() or os._exit(0)", "another process"),
     "maker": ("import missing_effect.generate", "makes tasks"),
     "runs on": ("\n    while True: pass", "of processor"),
 }
@@ -62,6 +72,16 @@ def test_an_entry_that_cheats_is_refused(tasks: Path, tmp_path: Path, how: str) 
     )
     answer = answer_of(tasks, tmp_path, code, limit=2.0 if how == "runs on" else 20.0)
     assert said in answer["failed"] and "mean" not in answer
+
+
+def test_what_machine_code_started_ends_with_the_process(tasks: Path, tmp_path: Path) -> None:
+    """The hook does not see what libc starts: the process group, or the namespace, ends it."""
+    mark = tmp_path / "ran_on"
+    act = f"__import__('ctypes').CDLL(None).system(b'(sleep 1; touch {mark}) > /dev/null 2>&1 &')"
+    answer = answer_of(tasks, tmp_path, HONEST.replace("    n =", f"    {act}\n    n ="))
+    assert "failed" not in answer
+    time.sleep(1.5)
+    assert not mark.exists()
 
 
 @pytest.mark.skipif(not run.can_hide(), reason="this system lets no user make namespaces")
@@ -174,6 +194,55 @@ def test_an_entry_finds_what_the_readings_decide(entry, tmp_path: Path) -> None:
     assert found == 1
 
 
+def test_a_prediction_is_the_bases_and_what_candidates_add_beyond_it(tmp_path: Path) -> None:
+    write(make("task", Case("linear", 0), edition=77), tmp_path)
+    problem = Regression(Task.read(tmp_path))
+    assert [c.train.shape[1] for c in problem.candidates[:1]] == [1]
+    column = problem.projected[0][:, 0]
+    size = column @ problem.left / (column @ column)
+    expected = problem.predict(())[0] + size * problem.beyond[:, 0]
+    assert problem.predict((0,))[0] == pytest.approx(expected, rel=1e-7)
+    noise = np.sqrt(problem.left @ problem.left / (problem.y.size - problem.parameters))
+    sd = np.sqrt(noise**2 * problem.of_base + problem.extra)
+    assert problem.predict(())[1] == pytest.approx(sd, rel=1e-12)
+    assert np.all(problem.of_base > 1)
+
+
+def test_the_horseshoes_evidence_is_that_of_the_whole_covariance() -> None:
+    jax = pytest.importorskip("jax")
+    pytest.importorskip("numpyro")
+    from missing_effect.entries.horseshoe import gained
+
+    jax.config.update("jax_enable_x64", True)
+    rng = np.random.default_rng(3)
+    x, y, sigma = rng.standard_normal((60, 9)), rng.standard_normal(60), 1.3
+    own = np.array([0, 1, 1, 1, 1, 1, 2, 3, 3]) == 1
+    x[:, own] = x[:, own] @ np.linalg.eigh(x[:, own].T @ x[:, own]).eigenvectors
+    size = np.array([0.3, *[2.0] * 5, 0.1, 0.7, 0.7])
+    covariance = sigma**2 * np.eye(60) + (x * size**2) @ x.T
+    whole = -np.linalg.slogdet(covariance)[1] / 2 - y @ np.linalg.solve(covariance, y) / 2
+    alone = -60 * np.log(sigma) - y @ y / (2 * sigma**2)
+    gram, right, each = map(jax.numpy.asarray, (x.T @ x, x.T @ y / sigma, size / sigma))
+    found = gained(gram, right, each, own)
+    assert float(found) == pytest.approx(whole - alone, rel=1e-10)
+
+
+@pytest.mark.slow
+def test_the_horseshoe_shrinks_what_is_not_there(tmp_path: Path) -> None:
+    """Two cycles that the readings decide are in nearly every draw, what is not there is in fewer."""
+    pytest.importorskip("numpyro")
+    from missing_effect.entries import horseshoe
+
+    known = real.nist()["ENSO"]
+    nist_like("ENSO", np.arange(1.0, 169.0), tmp_path)
+    list(real.generate(tmp_path, tmp_path / "tasks"))
+    sets = horseshoe.solve(Task.read(tmp_path / "tasks" / "task_real_enso"))["sets"]
+    share = {t.name: sum(p for s, p in sets.items() if t.name in s) for t in known.candidates}
+    assert sum(sets.values()) == pytest.approx(1.0)
+    assert min(share[n] for n in known.hidden) > 0.9
+    assert max(p for n, p in share.items() if n not in known.hidden) < 0.7
+
+
 def test_the_commands_of_the_readme(tmp_path: Path, monkeypatch, capsys) -> None:
     """Its own entry, the oracle beside it, and a page that takes nothing from elsewhere."""
     readme = (PACKAGE / "README.md").read_text("utf-8")
@@ -209,14 +278,64 @@ def test_what_cannot_be_done_is_said(asked, said: str, tmp_path, monkeypatch, ca
     assert said in capsys.readouterr().err
 
 
-def test_real_tasks_come_from_the_users_own_folder(tmp_path: Path) -> None:
-    """A made-up record in NIST's place: its quadratic is the truth; the other set is skipped, and said so."""
-    x = np.linspace(1.0, 40.0, 40)
-    y = 0.1 + 2.0 * x - 0.01 * x**2 + 1e-3 * np.sin(97.0 * x)
-    table = "\n".join(f"{a},{b}" for a, b in zip(y, x, strict=True))
-    (tmp_path / "pontius.csv").write_text(f"y,x\n{table}\n", "utf-8")
-    tasks = tmp_path / "tasks"
-    printed = "\n".join(real.generate(tmp_path, tasks))
-    assert "skipped Norris" in printed and "made task_real_pontius" in printed
-    sets = bma.solve(Task.read(tasks / "task_real_pontius"))["sets"]
-    assert max(sets, key=sets.get) == ("power_2",)
+def nist_like(name: str, x: np.ndarray, folder: Path) -> Path:
+    """A made-up record in NIST's place: the certified curve, and residuals of the certified size."""
+    known = real.nist()[name]
+    noise = np.random.default_rng(5).standard_normal(x.size)
+    noise *= known.residual_sd * np.sqrt((x.size - known.parameters) / np.sum(noise**2))
+    rows = zip((known.curve(x) + noise).tolist(), x.tolist(), strict=True)
+    table = "\n".join(f"{y!r},{at!r}" for y, at in rows)
+    file = folder / f"{name.lower()}.csv"
+    file.write_text(f"y,x\n{table}\n", "utf-8")
+    return file
+
+
+LENGTHS = {"Pontius": (150e3, 3e6, 40), "ENSO": (1, 168, 168), "Gauss3": (1, 250, 250)}
+
+
+@pytest.mark.parametrize("name", LENGTHS)
+def test_real_tasks_come_from_the_users_own_folder(name: str, tmp_path: Path) -> None:
+    """What the certified model has and the task's has not is the truth; absent sets are skipped in words."""
+    nist_like(name, np.linspace(*LENGTHS[name]), tmp_path)
+    printed = "\n".join(real.generate(tmp_path, tmp_path / "tasks"))
+    assert "skipped Norris" in printed and "skipped the chamber ramp" in printed
+    folder = tmp_path / "tasks" / f"task_real_{name.lower()}"
+    truth = json.loads((folder / "truth.json").read_text("utf-8"))
+    sets = bma.solve(Task.read(folder))["sets"]
+    assert max(sets, key=sets.get) == tuple(truth["set"]) == real.nist()[name].hidden
+
+
+def test_readings_that_are_not_nists_are_refused(tmp_path: Path, capsys) -> None:
+    file = nist_like("Norris", np.linspace(0, 1000, 36), tmp_path)
+    text = file.read_text("utf-8").splitlines()
+    file.write_text("\n".join([*text[:-1], "1003.0,1000.0"]), "utf-8")
+    tasks = str(tmp_path / "tasks")
+    assert main(["generate", tasks, "--size", "0", "--data", str(tmp_path)]) == 2
+    assert "is not NIST's Norris" in capsys.readouterr().err
+    file.write_text("y,x\n1.0,soup\n", "utf-8")
+    assert main(["generate", tasks, "--size", "0", "--data", str(tmp_path)]) == 2
+    assert "norris.csv cannot be read" in capsys.readouterr().err
+
+
+def test_what_was_added_to_a_real_record_is_found_in_it(tmp_path: Path) -> None:
+    """A made-up ramp whose channels bend with temperature, with white noise: every added set is the most probable."""
+    draws, time = Draws(11), np.arange(8400) * 0.505
+    record = {"t_s": time, "temperature": 30 - 45 * np.cos(2 * np.pi * time / 4242) ** 3}
+    for channel in real.ADDED:
+        noise = 1e-3 * draws.normal(time.size)
+        record[channel] = 1e-3 * np.sin(record["temperature"] / 40) + noise
+    pd.DataFrame(record).to_csv(tmp_path / real.RAMP, index=False)
+    assert "made task_real_ramp_acc_y" in "\n".join(real.generate(tmp_path, tmp_path / "tasks"))
+    for channel, added in real.ADDED.items():
+        sets = bma.solve(Task.read(tmp_path / "tasks" / f"task_real_ramp_{channel}"))["sets"]
+        assert max(sets, key=sets.get) == added, channel
+    (tmp_path / real.RAMP).write_text("t_s,gyro_x\n1,2\n", "utf-8")
+    with pytest.raises(InputError, match="has no column temperature"):
+        list(real.generate(tmp_path, tmp_path / "tasks"))
+
+
+def test_the_records_themselves_are_those_certified(tmp_path: Path) -> None:
+    if not (REFERENCE_DATA / "nist_strd").is_dir():
+        pytest.skip("needs the NIST reference data in ../shared/data, beside this checkout")
+    printed = list(real.generate(REFERENCE_DATA, tmp_path))
+    assert sum(line.startswith("made") for line in printed) == len(real.nist()) + len(real.ADDED)

@@ -27,16 +27,20 @@ def main(arguments: list[str] | None = None) -> int:
 def _generate(asked: argparse.Namespace) -> int:
     hashes = dict(generate.generate(asked.tasks, asked.size, asked.edition))
     print(f"{len(hashes)} tasks of edition {asked.edition} in {asked.tasks}")
-    if asked.edition == generate.EDITION:
+    if hashes and asked.edition == generate.EDITION:
         known = generate.published()
         other = [name for name, digest in hashes.items() if known.get(name) != digest]
         if other:
             print(f"not as published: {', '.join(other)}", file=sys.stderr)
             return 1
         print("every one byte for byte as published")
-    if asked.nist is not None:
-        for line in real.generate(asked.nist, asked.tasks):
-            print(line)
+    if asked.data is None:
+        print("the real track is left out: --data names a folder with its records (DATASHEET.md)")
+        return 0
+    if not asked.data.is_dir():
+        raise InputError(f"--data {asked.data} is no folder")
+    for line in real.generate(asked.data, asked.tasks):
+        print(line)
     return 0
 
 
@@ -108,12 +112,12 @@ def _parser() -> argparse.ArgumentParser:
 
     own = command("generate", _generate, "make the tasks")
     own.add_argument("tasks", type=Path, nargs="?", default=Path("tasks"))
-    own.add_argument("--size", type=int, default=10, choices=generate.SIZES)
+    own.add_argument("--size", type=int, default=10, choices=(0, *generate.SIZES))
     own.add_argument(
         "--edition", type=int, default=generate.EDITION, help="another number: new tasks"
     )
     own.add_argument(
-        "--nist", type=Path, help="folder of NIST's linear reference data: the real tasks too"
+        "--data", type=Path, help="folder with public records: the real tasks too (DATASHEET.md)"
     )
     own = command("run", _run, "let entries solve tasks")
     own.add_argument(

@@ -1,7 +1,8 @@
 """The process in which an entry solves one task: `python -m missing_effect.child ENTRY FOLDER ANSWER LIMIT`.
 
-It refuses, from before the entry is loaded: sockets, other programs, files called truth.json, the module that makes
-tasks. That is an audit hook, which Python code cannot take off; machine code that an entry brings along could pass it.
+It refuses, from before the entry is loaded: sockets, other processes, files called truth.json (to open, to link, to
+rename), the module that makes tasks. That is an audit hook, which Python code cannot take off; machine code that an
+entry brings along could pass it.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ PROGRAMS = (
     "subprocess.Popen",
     "os.system",
     "os.exec",
+    "os.fork",
+    "os.forkpty",
     "os.posix_spawn",
     "os.spawn",
     "os.startfile",
@@ -34,12 +37,17 @@ def watch(event: str, arguments: tuple[Any, ...]) -> None:
     if event.startswith("socket.") and event not in ("socket.__new__", "socket.gethostname"):
         refuse(f"the network ({event})")
     if event in PROGRAMS:
-        refuse(f"another program ({event})")
-    named = event == "open" and isinstance(arguments[0], str | bytes)
-    if named and os.path.basename(os.fsdecode(arguments[0])) == "truth.json":
-        refuse("a sealed truth.json")
+        refuse(f"another process ({event})")
+    if any(map(_sealed, arguments)):
+        refuse(f"a sealed truth.json ({event})")
     if event == "import" and arguments[0] in SEALED:
         refuse(f"the module that makes tasks ({arguments[0]})")
+
+
+def _sealed(argument: Any) -> bool:
+    """Whether it is the path of a truth: a link or a new name would be a way around opening it."""
+    path = isinstance(argument, str | bytes | os.PathLike)
+    return path and os.path.basename(os.fsdecode(argument)).lower() == "truth.json"
 
 
 def refuse(what: str) -> None:

@@ -43,6 +43,16 @@ def harmonic(data: pd.DataFrame, column: str, period: float) -> Array:
     return np.column_stack([np.cos(at), np.sin(at)])
 
 
+def decay(data: pd.DataFrame, column: str, scale: float) -> Array:
+    """exp(−x/scale)."""
+    return np.exp(-data[column].to_numpy(float) / scale)[:, None]
+
+
+def peak(data: pd.DataFrame, column: str, centre: float, *, width: float) -> Array:
+    """exp(−((x − centre)/width)²)."""
+    return np.exp(-(((data[column].to_numpy(float) - centre) / width) ** 2))[:, None]
+
+
 def rate(data: pd.DataFrame, column: str, group: str) -> Array:
     """dx/dt, by central differences within a run."""
     found = np.zeros(len(data))
@@ -109,7 +119,7 @@ def _runs(data: pd.DataFrame, group: str) -> Iterator[slice]:
 FORMULAS: dict[str, Callable[..., Array]] = {
     f.__name__: f
     for f in (
-        *(constant, power, product, difference, harmonic, rate),
+        *(constant, power, product, difference, harmonic, decay, peak, rate),
         *(lag, warm_up, direction, each, each_times),
     )
 }

@@ -70,6 +70,20 @@ class Regression:
         return [self.without_base(c.train) for c in self.candidates]
 
     @cached_property
+    def beyond(self) -> Array:
+        """Candidates' columns on the readings held out, less what the base makes of them by least squares, (m, p)."""
+        x = np.hstack([c.train for c in self.candidates])
+        scale = np.maximum(np.sqrt(np.mean(self.base**2, axis=0)), 1e-300)
+        share = np.linalg.lstsq(self.base / scale, x, rcond=1e-10)[0]
+        return np.hstack([c.holdout for c in self.candidates]) - self._base_later / scale @ share
+
+    @cached_property
+    def of_base(self) -> Array:
+        """Variance of a reading held out about the base fitted alone, in units of the noise's, (m,)."""
+        noise = float(self.left @ self.left) / (self.y.size - self.parameters)
+        return (self.predict(())[1] ** 2 - self.extra) / noise
+
+    @cached_property
     def cost(self) -> list[int]:
         """Parameters of each candidate: coefficients, and shapes."""
         shapes = [len(t.shapes) for t in self.task.candidates]

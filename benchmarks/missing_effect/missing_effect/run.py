@@ -1,7 +1,8 @@
 """Runs an entry: each task in a process of its own, in a copied folder without the truth, on its own processor time.
 
-Where the system lets a user make namespaces (Linux, `unshare`), the process has no network, and an empty folder stands
-where the tasks are. Everywhere it has the audit hook of `child.py`. An answer says under which of both it was made.
+Where the system lets a user make namespaces (Linux, `unshare`), the process has no network, an empty folder stands
+where the tasks are, and all that it started ends with it. Everywhere it has the audit hook of `child.py`. An answer
+says under which of both it was made.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -31,8 +33,12 @@ LIMIT = 60.0  # s of processor a task
 PATIENCE = 5.0  # times that on the clock: for what only waits
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 SHIPPED = Path(__file__).parent / "entries"
-APART = ("unshare", "--user", "--map-root-user", "--net", "--mount")
-HIDE = 'mount -t tmpfs none "$1" && shift && exec "$@"'
+APART = (
+    *("unshare", "--user", "--map-root-user", "--net", "--mount"),
+    *("--pid", "--fork", "--kill-child", "--mount-proc"),
+)
+# The shell stays: as the first process of a namespace, the entry's would be deaf to the limit's signal.
+HIDE = 'mount -t tmpfs none "$1" && shift && { "$@"; exit $?; }'
 
 
 class InputError(Exception):
@@ -196,6 +202,8 @@ def _ended(command: list[str], limit: float) -> tuple[float, int, str]:
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             _, said = process.communicate()
+    with suppress(ProcessLookupError):  # what it left running where there are no namespaces
+        os.killpg(process.pid, signal.SIGKILL)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return seconds, process.returncode, said
@@ -203,7 +211,8 @@ def _ended(command: list[str], limit: float) -> tuple[float, int, str]:
 
 def _why(status: int, said: str, limit: float) -> str:
     last = next((line for line in reversed(said.splitlines()) if line.strip()), "")
-    if status < 0:
+    number = -status if status < 0 else status - 128  # a shell adds 128 to its child's
+    if number > 0:
         times = f"{limit:g} s of processor, or {PATIENCE:g} times that on the clock"
-        return f"ended by signal {-status}: {times}, were over"
+        return f"ended by signal {number}: {times}, were over"
     return last.strip() or f"ended with status {status}"
