@@ -19,11 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
 from bayescal._core.errors import InputError, ModelError
 from bayescal._data.measurements import Measurements
+from bayescal._data.pose_rows import ACROSS, TURNED
 from bayescal._inference.joint import slots_of
 
 EXACT = 1e-9  # of the largest term, up to which a polynomial of the temperature is the model's own
@@ -133,11 +135,12 @@ class VectorCorrection:
     def at(self, temperature: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Terms (n, p) at temperatures in °C, and their covariance (n, p, p)."""
         k, p = self.terms.shape
-        powers = (np.atleast_1d(np.asarray(temperature, float)) - self.reference)[
-            :, None
-        ] ** np.arange(k)
+        powers = self._powers(np.atleast_1d(np.asarray(temperature, float)))
         blocks = self.covariance.reshape(k, p, k, p)
         return powers @ self.terms, np.einsum("nk,kplq,nl->npq", powers, blocks, powers)
+
+    def _powers(self, temperature: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n k"]:
+        return (temperature - self.reference)[:, None] ** np.arange(len(self.terms))
 
     @cached_property
     def offset(self) -> np.ndarray:
@@ -175,6 +178,48 @@ class VectorCorrection:
         Raises:
             InputError: not three outputs, or a temperature or what acts beside is missing where the model needs it.
         """
+        force, inverse, slope, warm = self._solved(outputs, temperature, beside)
+        own = self.at(warm)[1]
+        sd = self.noise if noise is None else noise
+        covariance = slope @ own @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(
+            0, 2, 1
+        )
+        outside = (
+            (warm < self.low) | (warm > self.high)
+            if len(self.terms) > 1
+            else np.zeros(len(force), bool)
+        )
+        return CorrectedVector(force, covariance, self.unit, outside)
+
+    def jointly(
+        self,
+        outputs: ArrayLike,
+        noise: Float[np.ndarray, "n"],
+        temperature: ArrayLike | None = None,
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "3n 3n"]]:
+        """What acts by several readings, and the covariance of all of it: they share the calibration's errors.
+
+        Args:
+            outputs: readings, (n, 3) in `unit`.
+            noise: standard deviation of each reading's outputs, `unit`.
+            temperature: °C, one each or one for all; T0 if not given.
+
+        Raises:
+            InputError: as calling it does.
+        """
+        force, inverse, slope, warm = self._solved(outputs, temperature, None)
+        powers = self._powers(warm)
+        shared = np.einsum("nk,nip->nikp", powers, slope).reshape(3 * len(force), -1)
+        own = noise[:, None, None] ** 2 * inverse @ inverse.transpose(0, 2, 1)
+        return force, shared @ self.covariance @ shared.T + block_diag(*own)
+
+    def _solved(
+        self,
+        outputs: Measurements | ArrayLike,
+        temperature: ArrayLike | None,
+        beside: ArrayLike | None,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """f̂ (n, 3), H⁻¹ (n, 3, 3), slopes of f̂ by the terms at its temperature (n, 3, p), temperatures (n,)."""
         if isinstance(outputs, Measurements):
             if self.beside and beside is None and outputs.has(self.beside[0]):
                 beside = np.stack([outputs[name] for name in self.beside], axis=1)
@@ -198,7 +243,7 @@ class VectorCorrection:
             raise InputError(
                 f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
             )
-        terms, own = self.at(warm)
+        terms = self._powers(warm) @ self.terms
         by_beside = []
         if self.beside:
             acts = np.broadcast_to(np.asarray(beside, float), y.shape)
@@ -212,17 +257,7 @@ class VectorCorrection:
         inverse = np.linalg.inv(_outputs(terms, force)[1])
         by_terms = [np.broadcast_to(np.eye(3), (len(y), 3, 3)), _by_rows(force)]
         by_terms += [_by_rows(_products(force))] if self.order > 1 else []
-        slope = inverse @ np.concatenate([*by_terms, *by_beside], axis=2)
-        sd = self.noise if noise is None else noise
-        covariance = slope @ own @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(
-            0, 2, 1
-        )
-        outside = (
-            (warm < self.low) | (warm > self.high)
-            if len(self.terms) > 1
-            else np.zeros(len(y), bool)
-        )
-        return CorrectedVector(force, covariance, self.unit, outside)
+        return force, inverse, inverse @ np.concatenate([*by_terms, *by_beside], axis=2), warm
 
 
 def _products(force: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 6"]:
@@ -329,7 +364,9 @@ def vector_correction(
 
 def _notes(calibration: Calibration, order: int, low: float, high: float) -> tuple[str, ...]:
     notes = []
-    if not calibration.readings.has("across_x"):
+    if calibration.readings.has(TURNED[0]):
+        notes.append("Axes are those of the accelerometers that the moves were closed by.")
+    elif not calibration.readings.has(ACROSS[0]):
         notes.append(
             "Directions were unknown: a rotation of the triad is a convention (body z is sensor z, body y in the plane "
             "of sensors y and z), and its uncertainty is none."

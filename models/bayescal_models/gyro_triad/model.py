@@ -47,7 +47,8 @@ import bayescal as bc
 from bayescal_models.gyro_triad import COLUMNS, OUTPUTS, effects
 from bayescal_models.gyro_triad.campaign import Campaign
 from bayescal_models.gyro_triad.simulator import simulated_columns
-from bayescal_models.triad.equation import SQUARE, equation, slots
+from bayescal_models.triad.columns import AROUND, PULLED, SQUARED, TURNED
+from bayescal_models.triad.equation import BIAS, FIRST, SQUARE, equation, slots
 from bayescal_models.triad.experiments import RATES
 
 
@@ -60,15 +61,51 @@ def _acting(r):
     return rate + _stacked(r, effects.EARTH) if effects.EARTH[0] in r.columns else rate
 
 
+def _equation(slots, r):
+    outputs = equation(slots, r)
+    if effects.GRAVITY[0] not in r.columns:
+        return outputs
+    each = _stacked(slots, effects.SENSITIVITY).reshape(r.size, 3, 3)
+    by_gravity = jnp.sum(each * _stacked(r, effects.GRAVITY)[:, None, :], axis=2)
+    return lambda rate: outputs(rate) + by_gravity
+
+
 VECTOR = bc.Vector(
-    outputs=OUTPUTS, equation=equation, acting=_acting, rig=effects.TURN, beside=effects.GRAVITY
+    outputs=OUTPUTS,
+    equation=_equation,
+    acting=_acting,
+    rig=(*effects.TURN, *AROUND),
+    beside=effects.GRAVITY,
 )
 
 
+def _in_moves(slots, r):
+    """Means along directions that turn with the unit, as moves between poses give them: linear in all slots."""
+    identity = jnp.eye(3).ravel()
+    levers = (
+        (effects.ACROSS, BIAS),
+        (TURNED, FIRST),
+        (PULLED, effects.SENSITIVITY),
+        (SQUARED, SQUARE),
+        (AROUND, AROUND),
+    )
+    total = jnp.sum(_stacked(r, TURNED) * identity, axis=1)
+    for columns, own in levers:
+        total = total + jnp.sum(_stacked(r, columns) * _stacked(slots, own), axis=1)
+    return total
+
+
 def _response(slots, r):
+    if TURNED[0] in r.columns:
+        return _in_moves(slots, r)
     aside = jnp.cross(_stacked(slots, effects.TURN), _stacked(r, effects.DIRECTION))
     beside = r["rate"][:, None] * aside
     return VECTOR.response(slots, r) + jnp.sum(_stacked(r, effects.ACROSS) * beside, axis=1)
+
+
+def moved() -> bc.Model:
+    """The baseline of moves between poses: no mounting on a table, and the Earth's rotation is unknown."""
+    return INSTRUMENT.baseline() - "turn.mounting" + "earth.rotation"
 
 
 INSTRUMENT = bc.Instrument(
@@ -81,6 +118,14 @@ INSTRUMENT = bc.Instrument(
         *(
             bc.Slot(n, "rad", f"of the mounting on the table, about axis {n[-1]}")
             for n in effects.TURN
+        ),
+        *(
+            bc.Slot(n, "deg/s/g", f"of axis {n[-2]} to the specific force along {n[-1]}")
+            for n in effects.SENSITIVITY
+        ),
+        *(
+            bc.Slot(n, "deg/s", f"the Earth's rotation, along axis {n[-1]} of the first pose")
+            for n in AROUND
         ),
     ),
     response=_response,
@@ -95,9 +140,11 @@ INSTRUMENT = bc.Instrument(
         effects.SQUARES,
         effects.DRIFT,
         effects.RUN,
+        effects.EARTH_ROTATION,
     ),
     noise=bc.White(bc.HalfCauchy(0.03)),
     simulator=simulated_columns,
+    structures=(("moves", moved),),
     experiments=RATES,
     vector=VECTOR,
     source="IEEE Std 1431-2004, model equation; rates about the axes of a table",

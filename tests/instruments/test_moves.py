@@ -1,0 +1,208 @@
+"""Gyroscopes by moves between poses: what closes, what is measured, what is found, what leaves."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._data.column import UNCERTAINTY
+from bayescal._use.vector_correction import VectorCorrection
+from bayescal_models import accelerometer_triad, gyro_triad
+from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
+from bayescal_models.gyro_triad import MovesByHand, simulate_log
+from bayescal_models.gyro_triad.simulator import BASELINE, OFF_DIAGONAL
+from tests.commands.test_help_and_tables import run_apart
+
+FORCE, TURNS = accelerometer_triad.INSTRUMENT, gyro_triad.INSTRUMENT
+TRUE = {
+    f"{name}[{part}]": value
+    for name, parts in (
+        ("bias.constant", "xyz"),
+        ("scale.constant", "xyz"),
+        ("misalignment.constant", ("xy", "xz", "yz", "yx", "zx", "zy")),
+    )
+    for part, value in zip(parts, BASELINE[name], strict=True)
+}
+FEW = MovesByHand(poses=12, still=3.0, move=2.0)
+
+
+def both(log: dict[str, np.ndarray]) -> tuple[bc.Measurements, bc.Measurements]:
+    """The log as read with each instrument: accelerometers, gyroscopes."""
+
+    def of(instrument: bc.Instrument, name: str) -> bc.Measurements:
+        outputs: dict[str, Any] = {f"output_{a}": log[f"{name}_{a}"] for a in "xyz"}
+        return bc.Measurements.from_arrays(instrument, time=log["time"], **outputs)
+
+    return of(FORCE, "accel"), of(TURNS, "gyro")
+
+
+def exact() -> VectorCorrection:
+    """The correction of the simulated accelerometers, without uncertainty."""
+    matrix = np.eye(3) + 1e-6 * np.diag(ACCELEROMETERS["scale.constant"])
+    matrix[0, 1], matrix[0, 2], matrix[1, 2] = 1e-3 * np.array(
+        ACCELEROMETERS["misalignment.constant"]
+    )
+    bias = 1e-3 * np.array(ACCELEROMETERS["bias.constant"])
+    terms = np.concatenate([bias, matrix.ravel()])[None]
+    names = ("output_x", "output_y", "output_z")
+    return VectorCorrection(names, "g", 25.0, 25.0, 25.0, terms, np.zeros((12, 12)), 0.0)
+
+
+def left(rows: bc.Measurements) -> np.ndarray:
+    """Outputs less what the true gyroscopes give, °/s, by what the columns say."""
+    matrix = np.eye(3) + 1e-6 * np.diag(BASELINE["scale.constant"])
+    for angle, at in zip(BASELINE["misalignment.constant"], OFF_DIAGONAL, strict=True):
+        matrix[at] = 1e-3 * angle
+    expected = sum(
+        rows[f"across_{a}"] * b for a, b in zip("xyz", BASELINE["bias.constant"], strict=True)
+    )
+    for i, a in enumerate("xyz"):
+        for j, b in enumerate("xyz"):
+            expected = expected + rows[f"turned_{a}{b}"] * matrix[i, j]
+    return rows["output"] - expected
+
+
+@cache
+def calibrated(seed: int = 1) -> tuple[bc.Measurements, VectorCorrection, bc.Calibration]:
+    forces, log = both(simulate_log(seed=seed))
+    correct = bc.vector_correction(bc.fit(FORCE.baseline(), bc.poses(forces, FORCE)))
+    rows = bc.moves(log, TURNS, forces, correct)
+    return rows, correct, bc.fit(gyro_triad.moved(), rows)
+
+
+def test_a_move_without_noise_closes_at_the_true_gyroscopes() -> None:
+    """The simulator's attitudes come of steps sixteen times as fine; its gyroscopes are 1 % off, linearised once."""
+    quiet = MovesByHand(poses=12, gyro_noise=1e-7, force_noise=1e-9, latitude=None)
+    forces, log = both(simulate_log(seed=3, campaign=quiet))
+    rows = bc.moves(log, TURNS, forces, exact())
+    assert np.max(np.abs(left(rows))) < 1e-5  # °/s, of rates up to 100
+
+
+def test_what_is_left_over_is_white_with_the_stated_uncertainty() -> None:
+    """Each pose ends one move and begins the next, and yet readings are independent of each other."""
+    z = []
+    for seed in range(8):
+        plan = MovesByHand(poses=16, still=3.0, move=1.5, latitude=None)
+        forces, log = both(simulate_log(seed=50 + seed, campaign=plan))
+        rows = bc.moves(log, TURNS, forces, exact())
+        z.append((left(rows) / rows[UNCERTAINTY])[3 * plan.poses :].reshape(-1, 2))
+    together = np.array(z)
+    count = together.size
+    assert abs(np.mean(together**2) - 1) < 4 * np.sqrt(2 / count) + 0.1  # and noise is estimated
+    after = np.mean(together[:, 1:] * together[:, :-1])
+    assert abs(after) < 4 / np.sqrt(count)
+
+
+def test_scale_and_misalignment_without_a_rate_table() -> None:
+    _, _, calibration = calibrated()
+    draws = np.stack([calibration.samples(name) for name in TRUE])
+    mean, sd = draws.mean(axis=1), draws.std(axis=1)
+    assert np.all(np.abs(mean - list(TRUE.values())) < 4 * sd)
+    assert np.all(sd[3:6] < 120)  # ppm
+    assert np.all(sd[6:] < 0.15)  # mrad
+
+
+def test_the_accelerometers_own_uncertainty_counts() -> None:
+    """Shear of the accelerometers known to 1 mrad only is misalignment of the gyroscopes known no better."""
+    forces, log = both(simulate_log(seed=2, campaign=FEW))
+    sure, covariance = exact(), np.zeros((12, 12))
+    covariance[4, 4] = 1e-6  # of xy
+    unsure = VectorCorrection(
+        sure.outputs, "g", 25.0, 25.0, 25.0, sure.terms, covariance, sure.noise
+    )
+    name = "misalignment.constant[xy]"
+    sds = [
+        bc.fit(gyro_triad.moved(), bc.moves(log, TURNS, forces, c)).samples(name).std()
+        for c in (sure, unsure)
+    ]
+    assert sds[0] < 0.3  # mrad
+    assert 0.5 < sds[1] < 1.3
+
+
+def test_a_hidden_sensitivity_to_gravity_is_found_and_corrected() -> None:
+    forces, log = both(simulate_log({"bias.g_sensitivity": 0.03}, seed=4))
+    correct = bc.vector_correction(bc.fit(FORCE.baseline(), bc.poses(forces, FORCE)))
+    first = bc.fit(gyro_triad.moved(), bc.moves(log, TURNS, forces, correct))
+    found = bc.discover(first).best
+    assert [effect.name for effect in found] == ["bias.g_sensitivity"]
+    turned = bc.vector_correction(bc.fit(first.model + found, first.readings))
+    assert turned.beside == ("gravity_x", "gravity_y", "gravity_z")
+    assert "Axes are those of the accelerometers" in turned.notes[0]
+
+
+def test_nothing_is_invented_and_all_is_determined() -> None:
+    rows, _, calibration = calibrated()
+    assert not bc.discover(calibration).best
+    assert not bc.undetermined(gyro_triad.moved(), rows).add
+
+
+def test_both_leave_in_one_frame(tmp_path: Path) -> None:
+    yaml = pytest.importorskip("yaml")
+    _, correct, calibration = calibrated()
+    turned = bc.vector_correction(calibration)
+    text = bc.export_vector(correct, tmp_path / "imu.yaml", others=[turned]).read_text("utf-8")
+    found = yaml.safe_load(text)["imu0"]
+    ours = {n: np.array(v) for n, v in found["accelerometers"].items()}
+    theirs = {n: np.array(v) for n, v in found["gyroscopes"].items()}
+    rate = np.array([0.3, -0.2, 0.5])  # in the body's axes; Kalibr's are R times that
+    by_kalibr = theirs["M"] @ theirs["C_gyro_i"] @ ours["R"] @ rate
+    assert np.allclose(by_kalibr, turned.matrix @ rate, atol=1e-7)
+    assert np.allclose(
+        np.array(found["Tw"]) @ found["R_IMUtoGYRO"] @ rate, turned.matrix @ rate, atol=1e-7
+    )
+    with pytest.raises(bc.InputError, match="write the others to files of their own"):
+        bc.export_vector(correct, tmp_path / "imu.json", others=[turned])
+
+
+def test_one_command_from_a_log_of_six_channels(tmp_path: Path) -> None:
+    log = simulate_log(seed=5, campaign=FEW)
+    header = ",".join(
+        ["time [s]", *(f"w{a} [deg/s]" for a in "xyz"), *(f"f{a} [g]" for a in "xyz")]
+    )
+    table = np.column_stack(
+        [log["time"], *(log[f"gyro_{a}"] for a in "xyz"), *(log[f"accel_{a}"] for a in "xyz")]
+    )
+    path = tmp_path / "log.csv"
+    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
+    done = run_apart(
+        *("imu", str(path), "--accelerometers", "fx,fy,fz", "--gyroscopes", "wx,wy,wz"),
+        *("--baseline", "--out", str(tmp_path / "unit")),
+    )
+    assert done.returncode == 0, done.stderr
+    for name in ("imu.yaml", "report.html", "gyroscope/correction.h", "accelerometer/poses.csv"):
+        assert (tmp_path / "unit" / name).is_file()
+    correct = bc.load_vector_correction(tmp_path / "unit" / "gyroscope" / "correction.json")
+    true = 1 + 1e-6 * np.array(BASELINE["scale.constant"])
+    sd = correct.uncertainty[0, [3, 7, 11]]
+    assert np.all(np.abs(np.diag(correct.matrix) - true) < 4 * sd)
+
+
+def test_refusals_say_what_to_do() -> None:
+    forces, log = both(simulate_log(seed=6, campaign=FEW))
+    with pytest.raises(bc.ModelError, match="moves are of three gyroscopes"):
+        bc.moves(log, FORCE, forces, exact())
+    short = forces.select(forces["time"] < 3.0)
+    with pytest.raises(bc.InputError, match="1 poses in which gyroscopes and accelerometers"):
+        bc.moves(log, TURNS, short, exact())
+    wrong = log.with_column("output_x", -log["output_x"])
+    with pytest.raises(bc.InputError, match="do not lead from one pose to the next"):
+        bc.moves(wrong, TURNS, forces, exact())
+
+
+@pytest.mark.slow
+def test_intervals_cover() -> None:
+    covered = []
+    for seed in range(60):
+        forces, log = both(simulate_log(seed=1000 + seed))
+        correct = bc.vector_correction(bc.fit(FORCE.baseline(), bc.poses(forces, FORCE), seed=seed))
+        calibration = bc.fit(gyro_triad.moved(), bc.moves(log, TURNS, forces, correct), seed=seed)
+        for name, true in TRUE.items():
+            low, high = np.quantile(calibration.samples(name), [0.025, 0.975])
+            covered.append(low <= true <= high)
+    each = np.mean(np.reshape(covered, (-1, len(TRUE))), axis=1)
+    assert abs(each.mean() - 0.95) < 4 * each.std() / np.sqrt(len(each))
