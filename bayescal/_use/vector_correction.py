@@ -23,6 +23,7 @@ from scipy.linalg import block_diag
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
+from bayescal._calibration.mixture import usual_columns, with_columns
 from bayescal._core.errors import InputError, ModelError
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, TURNED
@@ -299,7 +300,8 @@ def vector_correction(
     A deviation of each run is drawn anew from its estimated standard deviation: what leaves is for a run to come.
 
     Args:
-        calibration: of an instrument with `vector`.
+        calibration: of an instrument with `vector`, or an average over structures: over those that need no further
+            input than the likely ones.
         draws: of the posterior, at most, that mean and covariance are of.
         seed: of the deviations of a new run.
 
@@ -307,12 +309,13 @@ def vector_correction(
         ModelError: an instrument of one output; an effect that needs more than the temperature, or that is no
             polynomial of it up to the third order.
     """
-    model, readings = calibration.model, calibration.readings
-    vector = model.instrument.vector
-    if vector is None:
+    instrument = calibration.model.instrument
+    if (vector := instrument.vector) is None:
         raise ModelError(
-            f"instrument {model.instrument.name!r} has one output: bayescal.compensator corrects it"
+            f"instrument {instrument.name!r} has one output: bayescal.compensator corrects it"
         )
+    calibration = with_columns(calibration, usual_columns(calibration))
+    model, readings = calibration.model, calibration.readings
     for effect in model.effects:
         if all((c.slot or effect.slot) in vector.rig for c in effect.coefficients):
             continue
@@ -349,7 +352,7 @@ def vector_correction(
     spread = terms.reshape(len(terms), -1)
     return VectorCorrection(
         outputs=vector.outputs,
-        unit=model.instrument.unit,
+        unit=instrument.unit,
         reference=reference,
         low=low,
         high=high,

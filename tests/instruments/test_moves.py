@@ -16,7 +16,7 @@ from bayescal_models import accelerometer_triad, gyro_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
 from bayescal_models.gyro_triad import MovesByHand, simulate_log
 from bayescal_models.gyro_triad.simulator import BASELINE, OFF_DIAGONAL
-from tests.commands.test_help_and_tables import run_apart
+from tests.support.command_line import needs_installation, run
 
 FORCE, TURNS = accelerometer_triad.INSTRUMENT, gyro_triad.INSTRUMENT
 TRUE = {
@@ -159,6 +159,7 @@ def test_both_leave_in_one_frame(tmp_path: Path) -> None:
         bc.export_vector(correct, tmp_path / "imu.json", others=[turned])
 
 
+@needs_installation
 def test_one_command_from_a_log_of_six_channels(tmp_path: Path) -> None:
     log = simulate_log(seed=5, campaign=FEW)
     header = ",".join(
@@ -169,11 +170,11 @@ def test_one_command_from_a_log_of_six_channels(tmp_path: Path) -> None:
     )
     path = tmp_path / "log.csv"
     np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
-    done = run_apart(
-        *("imu", str(path), "--accelerometers", "fx,fy,fz", "--gyroscopes", "wx,wy,wz"),
-        *("--baseline", "--out", str(tmp_path / "unit")),
+    done = run(
+        *("imu", path, "--accelerometers", "fx,fy,fz", "--gyroscopes", "wx,wy,wz"),
+        *("--baseline", "--out", tmp_path / "unit"),
     )
-    assert done.returncode == 0, done.stderr
+    assert done.status == 0, done.err
     for name in ("imu.yaml", "report.html", "gyroscope/correction.h", "accelerometer/poses.csv"):
         assert (tmp_path / "unit" / name).is_file()
     correct = bc.load_vector_correction(tmp_path / "unit" / "gyroscope" / "correction.json")

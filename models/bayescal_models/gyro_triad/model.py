@@ -1,4 +1,4 @@
-"""Three gyroscopes on a rate table about known axes, and at rest.
+"""Three gyroscopes on a rate table about known axes or in moves between poses, and at rest.
 
 A reading is the mean of three outputs while the table turns about an axis u of the body at a known rate Ω, or rests:
 
@@ -10,6 +10,14 @@ is off, known to `pose_uncertainty` about each axis of the body, and ω_E the Ea
 readings of one mounting share θ: turning more often about one axis does not tell its misalignments better than the
 mounting is known. Readings about one axis, forward or back, are of one mounting unless the column `mounting` says
 which are; on a table of two or three axes all of them are.
+
+**Moves.** `bayescal.moves` integrates the outputs between two poses of accelerometers, and a reading is their mean over
+the move along a direction a(t) that turns with the unit; in pose or move
+
+    y = mean of aᵀ(ω + b + G·ω + Γ·f + K2·ω²) + wᵀω_E + e
+
+with the means of a_a, a_a·ω_j, a_a·f_j, a_a·ω_a² and w as columns. `moved()` is the baseline there: no mounting, and
+`earth.rotation` is unknown.
 
 | effect | coefficients | plausible size |
 |---|---|---|
@@ -24,6 +32,7 @@ which are; on a table of two or three axes all of them are.
 | `bias.g_sensitivity` | nine | 0.1 °/s/g |
 | `bias.thermal_lag` | x, y, z, one time | 0.03 °/s/°C |
 | `square.constant` (K2) | x, y, z | 10 ppm/(°/s) |
+| `earth.rotation` (baseline of moves) | along the first pose's axes, of each run | 15.04 °/h |
 | `bias.drift` | x, y, z | 0.05 °/s |
 | `bias.run` | x, y, z for each run, learned | 0.1 °/s |
 
@@ -34,7 +43,10 @@ axis: the column of G of that axis. About three: all of G, its off-diagonals no 
 the table states wrongly is a scale factor of all three axes, and nothing here tells the two apart. The Earth turns at
 15.04 °/h, 0.0042 °/s: averaged over whole turns of the table its part along the axis remains.
 
-Noise: white, one standard deviation for all three axes.
+Moves about level axes determine all of G, in the axes of the accelerometers and no better than these are known; a
+constant rate about the vertical in every pose is a bias.
+
+Noise: white, one standard deviation for all three axes; of moves beside the known one of each reading.
 """
 
 from __future__ import annotations
@@ -105,7 +117,7 @@ def _response(slots, r):
 
 def moved() -> bc.Model:
     """The baseline of moves between poses: no mounting on a table, and the Earth's rotation is unknown."""
-    return INSTRUMENT.baseline() - "turn.mounting" + "earth.rotation"
+    return INSTRUMENT.baseline() - "turn.mounting" + effects.EARTH_ROTATION
 
 
 INSTRUMENT = bc.Instrument(
@@ -140,7 +152,6 @@ INSTRUMENT = bc.Instrument(
         effects.SQUARES,
         effects.DRIFT,
         effects.RUN,
-        effects.EARTH_ROTATION,
     ),
     noise=bc.White(bc.HalfCauchy(0.03)),
     simulator=simulated_columns,
