@@ -1,7 +1,8 @@
 """Three axes in use: from three outputs back to what acts, with its covariance, over temperature.
 
-The calibrated equation h is taken as its Taylor series in what acts, offset, 3 × 3 matrix and (where the model has it)
-terms of second order, each a polynomial of T − T0. That is exact for terms that are polynomials of both.
+The calibrated equation h is taken as its Taylor series in what acts: offset, 3 × 3 matrix and, where the model has them,
+terms of second order and each axis' own cube, each a polynomial of T − T0. That is exact for terms that are
+polynomials of both.
 
     f̂ = h⁻¹(y),    Cov f̂ = H⁻¹·(B·C·Bᵀ + S)·H⁻ᵀ,    B = ∂h/∂p,  C = Cov p,  S = σ²·1
 
@@ -32,6 +33,7 @@ from bayescal._inference.joint import slots_of
 EXACT = 1e-9  # of the largest term, up to which a polynomial of the temperature is the model's own
 ROUNDING = 1e-13  # of it, up to which a term is none
 ORDERS = 3  # of the temperature
+SIZES = (12, 30, 33)  # how many terms there are up to an order in what acts
 PAIRS = (
     (0, 0),
     (1, 1),
@@ -96,7 +98,7 @@ class CorrectedVector:
 
 @dataclass(frozen=True, eq=False)
 class VectorCorrection:
-    """Offset, matrix and terms of second order over temperature, with their covariance: call it with outputs.
+    """Offset, matrix and terms of higher order over temperature, with their covariance: call it with outputs.
 
         correct = bc.vector_correction(calibration)
         found = correct([[0.01, 0.02, 0.99]], temperature=25.0)
@@ -108,7 +110,7 @@ class VectorCorrection:
         reference: T0, °C.
         low, high: temperatures of the calibration, °C; equal where there was one, or none was recorded.
         terms: for each power of T − T0, offset (3), matrix by rows (9), then second order by rows (18) or none, then
-            what acts beside, by rows (9) or none (k, p).
+            each axis' own cube (3) or none, then what acts beside, by rows (9) or none (k, p).
         covariance: of `terms`, raveled (k·p, k·p).
         noise: standard deviation of an output as it was calibrated, of the best reading, `unit`.
         notes: what to know, each a sentence.
@@ -130,8 +132,8 @@ class VectorCorrection:
 
     @property
     def order(self) -> int:
-        """Of the equation in what acts, 1 or 2."""
-        return 2 if self.terms.shape[1] - 9 * bool(self.beside) > 12 else 1
+        """Of the equation in what acts, 1, 2 or 3."""
+        return 1 + SIZES.index(self.terms.shape[1] - 9 * bool(self.beside))
 
     def at(self, temperature: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Terms (n, p) at temperatures in °C, and their covariance (n, p, p)."""
@@ -258,6 +260,7 @@ class VectorCorrection:
         inverse = np.linalg.inv(_outputs(terms, force)[1])
         by_terms = [np.broadcast_to(np.eye(3), (len(y), 3, 3)), _by_rows(force)]
         by_terms += [_by_rows(_products(force))] if self.order > 1 else []
+        by_terms += [force[:, :, None] ** 3 * np.eye(3)] if self.order > 2 else []
         return force, inverse, inverse @ np.concatenate([*by_terms, *by_beside], axis=2), warm
 
 
@@ -277,7 +280,7 @@ def _outputs(
     matrix = terms[:, 3:12].reshape(-1, 3, 3)
     there, slopes = terms[:, :3] + np.einsum("nij,nj->ni", matrix, force), matrix
     if terms.shape[1] > 12:
-        second = terms[:, 12:].reshape(-1, 3, 6)
+        second = terms[:, 12:30].reshape(-1, 3, 6)
         there = there + np.einsum("nim,nm->ni", second, _products(force))
         slopes = slopes + np.stack(
             [
@@ -289,6 +292,10 @@ def _outputs(
             ],
             axis=2,
         )
+    if terms.shape[1] > 30:
+        cube = terms[:, 30:]
+        there = there + cube * force**3
+        slopes = slopes + (3 * cube * force**2)[:, :, None] * np.eye(3)
     return there, slopes
 
 
@@ -347,8 +354,10 @@ def vector_correction(
     terms = np.moveaxis(fitted.reshape(order + 1, len(taylor), -1), 1, 0)  # (draws, k, p)
     reach = np.max(np.abs(powers[:, : order + 1]), axis=0)[:, None]
     terms[:, np.max(np.abs(terms), axis=0) * reach <= ROUNDING * np.max(np.abs(taylor))] = 0.0
-    if not np.any(terms[:, :, 12:30]):
-        terms = np.delete(terms, slice(12, 30), axis=2)
+    if not np.any(terms[:, :, 30:33]):
+        terms = np.delete(terms, slice(30, 33), axis=2)
+        if not np.any(terms[:, :, 12:30]):
+            terms = np.delete(terms, slice(12, 30), axis=2)
     spread = terms.reshape(len(terms), -1)
     return VectorCorrection(
         outputs=vector.outputs,
@@ -426,7 +435,13 @@ def _taylor(
 
         second = jnp.stack([jax.jvp(slope, (zero,), (e,))[1] for e in unit], axis=3)
         own = jnp.stack([second[:, :, i, j] * (0.5 if i == j else 1.0) for i, j in PAIRS], axis=2)
+
+        def bend(at: Any) -> Any:  # of each output along its own axis
+            return jnp.stack([jax.jvp(slope, (at,), (e,))[1][:, i, i] for i, e in enumerate(unit)])
+
+        cubes = [jax.jvp(bend, (zero,), (e,))[1][i] / 6 for i, e in enumerate(unit)]
         parts = h(zero), slope(zero).reshape(len(grid), 9), own.reshape(len(grid), 18)
+        parts = (*parts, jnp.stack(cubes, axis=1))
         return jnp.concatenate(parts, axis=1)
 
     found = np.asarray(jax.jit(jax.vmap(terms))({n: jnp.asarray(s) for n, s in slots.items()}))

@@ -30,7 +30,7 @@ from bayescal._data.unit_conversion import convert, same_dimension
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._use.autopilots import AUTOPILOTS
 from bayescal._use.languages import template
-from bayescal._use.vector_correction import NEWTON, VectorCorrection
+from bayescal._use.vector_correction import NEWTON, SIZES, VectorCorrection
 
 AXES = "xyz"
 
@@ -42,8 +42,8 @@ def data(correction: VectorCorrection) -> dict[str, Any]:
         "calibration": correction.source,
         "outputs": list(correction.outputs),
         "unit": correction.unit,
-        "equation": "outputs = offset + matrix·f (+ second order) (+ beside·g), each a polynomial of T − reference",
-        "order_of_terms": "offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; beside by rows",
+        "equation": "outputs = offset + matrix·f (+ higher orders) (+ beside·g), each a polynomial of T − reference",
+        "order_of_terms": "offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; cubes; beside by rows",
         "beside": list(correction.beside),
         "reference_degC": correction.reference,
         "temperatures_degC": [correction.low, correction.high],
@@ -66,7 +66,7 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
         covariance = np.array(found["covariance"], dtype=float)
         if (
             terms.ndim != 2
-            or terms.shape[1] - 9 * bool(found.get("beside")) not in (12, 30)
+            or terms.shape[1] - 9 * bool(found.get("beside")) not in SIZES
             or covariance.shape != 2 * (terms.size,)
         ):
             raise ValueError(
