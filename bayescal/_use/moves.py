@@ -33,6 +33,7 @@ from scipy.spatial.transform import Rotation
 
 from bayescal._core.errors import InputError, ModelError
 from bayescal._data.column import UNCERTAINTY
+from bayescal._data.logged_runs import LoggedRun, in_common, logged_runs, per_sample
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import (
     ACROSS,
@@ -46,7 +47,6 @@ from bayescal._data.pose_rows import (
     TURNED,
     tangents,
 )
-from bayescal._data.still_stretches import StillStretches, still_stretches
 from bayescal._data.unit_conversion import convert, same_dimension
 from bayescal._model.instrument import Instrument
 from bayescal._use.vector_correction import VectorCorrection
@@ -58,25 +58,6 @@ SETTLED = 1e-3  # of a standard uncertainty, by which the last sweep may move an
 # decide nothing but what moves leave open.
 PRIOR = np.repeat([1.0, 0.1, np.deg2rad(15.04) / 3600], [3, 9, 3])
 SOUGHT = np.r_[:12, 24:27]  # the levers of these
-
-
-class _Log(NamedTuple):
-    """One run of a log: what was recorded in it, and its still stretches."""
-
-    time: Float[np.ndarray, "n"]
-    outputs: Float[np.ndarray, "n 3"]
-    temperature: Float[np.ndarray, "n"] | None
-    still: StillStretches
-
-    def ends(self) -> Float[np.ndarray, "k 2"]:
-        return np.stack([self.time[self.still.first], self.time[self.still.last - 1]], axis=1)
-
-    def means(self, windows: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
-        return np.stack([self.outputs[self.inside(*w)].mean(axis=0) for w in windows])
-
-    def inside(self, begin: float, end: float) -> slice:
-        at = np.searchsorted(self.time, [begin, end])
-        return slice(int(at[0]), int(at[1]) + 1)
 
 
 class _Rows(NamedTuple):
@@ -123,9 +104,9 @@ def moves(
             f"instrument {instrument.name!r}: moves are of three gyroscopes, and its output is in [{instrument.unit}]"
         )
     unit = float(np.asarray(convert(np.ones(1), instrument.unit, "rad/s"))[0])
-    log, forces = _samples(log), _samples(forces)
-    pulls = _runs(forces, correction.outputs, shortest)
-    rates = _runs(log, instrument.vector.outputs, shortest)
+    log, forces = per_sample(log), per_sample(forces)
+    pulls = logged_runs(forces, correction.outputs, shortest)
+    rates = logged_runs(log, instrument.vector.outputs, shortest)
     if lacking := sorted(rates.keys() - pulls.keys()):
         raise InputError(
             f"{forces.file}: run {lacking[0]!r} of {log.file} is not in it: log gyroscopes and accelerometers together"
@@ -137,7 +118,7 @@ def moves(
             outputs=unit * own.outputs,
             still=own.still._replace(of_second=unit * own.still.of_second),
         )
-        windows = _in_common(own.ends(), pulls[run].ends())
+        windows = in_common(own.ends(), pulls[run].ends())
         if len(windows) < 2:
             raise InputError(
                 f"{log.file}, run {run!r}: {len(windows)} poses in which gyroscopes and accelerometers are at rest "
@@ -162,40 +143,6 @@ def moves(
     return replace(found, sources=log.sources, flags=(said,))  # of the log, not of what is made
 
 
-def _samples(log: Measurements) -> Measurements:
-    """One row a sample, where each is three readings.
-
-    Raises:
-        InputError: no column `time`.
-    """
-    if not log.has("time"):
-        raise InputError(f"{log.file}: moves need the column 'time', in s")
-    return log.select(np.arange(0, len(log), 3)) if log.has(ACROSS[0]) else log
-
-
-def _runs(log: Measurements, names: tuple[str, ...], shortest: float | None) -> dict[str, _Log]:
-    """Of each run its samples and still stretches."""
-    labels, codes = log.groups("run")
-    found = {}
-    for k, label in enumerate(labels):
-        own = np.flatnonzero(codes == k)
-        outputs = np.stack([log[name][own] for name in names], axis=1)
-        warm = log["temperature"][own] if log.has("temperature") else None
-        still = still_stretches(log["time"][own], outputs, shortest)
-        found[label] = _Log(log["time"][own], outputs, warm, still)
-    return found
-
-
-def _in_common(one: Float[np.ndarray, "k 2"], other: Float[np.ndarray, "l 2"]) -> np.ndarray:
-    """Windows in which both are still, at least half as long as the shortest stretch of either (m, 2)."""
-    begin = np.maximum(one[:, None, 0], other[None, :, 0])
-    end = np.minimum(one[:, None, 1], other[None, :, 1])
-    least = 0.5 * min(np.min(one[:, 1] - one[:, 0]), np.min(other[:, 1] - other[:, 0]))
-    kept = end - begin >= least
-    windows = np.stack([begin[kept], end[kept]], axis=1)
-    return windows[np.argsort(windows[:, 0])]
-
-
 class _Moves(NamedTuple):
     """Samples of m moves, padded with the last one to one length; weights of a trapezoidal integral, 0 there."""
 
@@ -211,7 +158,10 @@ class _Moves(NamedTuple):
 
 
 def _between(
-    log: _Log, windows: Float[np.ndarray, "k 2"], pull: _Log, force: Float[np.ndarray, "s 3"]
+    log: LoggedRun,
+    windows: Float[np.ndarray, "k 2"],
+    pull: LoggedRun,
+    force: Float[np.ndarray, "s 3"],
 ) -> _Moves:
     """The samples from the end of each pose to the begin of the next."""
     own = [log.inside(a, b) for a, b in zip(windows[:-1, 1], windows[1:, 0], strict=True)]
@@ -240,8 +190,8 @@ def _turned(moved: _Moves, matrix: np.ndarray, bias: np.ndarray) -> tuple[np.nda
 
 
 def _readings(
-    log: _Log,
-    pull: _Log,
+    log: LoggedRun,
+    pull: LoggedRun,
     windows: Float[np.ndarray, "k 2"],
     correction: VectorCorrection,
     file: str,
@@ -252,11 +202,8 @@ def _readings(
         InputError: the integration does not settle.
     """
     length = windows[:, 1] - windows[:, 0]
-    warm = None
-    if pull.temperature is not None:
-        warm = np.array([np.mean(pull.temperature[pull.inside(*w)]) for w in windows])
-    noise = pull.still.of_second / np.sqrt(length)
-    felt, shared = correction.jointly(pull.means(windows), noise, warm)
+    felt, slopes, own = correction.in_poses(pull, windows)
+    shared = slopes @ correction.covariance @ slopes.T + own
     force = correction(pull.outputs, pull.temperature, noise=0.0).vector
     moved, at_rest = _between(log, windows, pull, force), log.means(windows)
     between = np.stack([windows[:-1, 1], windows[1:, 0]], axis=1)
@@ -370,7 +317,7 @@ def _estimate(
 
 
 def _columns(
-    rows: _Rows, samples: Measurements, log: _Log, beside: tuple[str, ...], unit: float
+    rows: _Rows, samples: Measurements, log: LoggedRun, beside: tuple[str, ...], unit: float
 ) -> dict[str, np.ndarray]:
     """Of readings, rates in the unit of the output; what else was recorded averaged over each."""
     powers = np.repeat([0.0, 1.0, 0.0, 2.0, 0.0], [3, 9, 9, 3, 3])

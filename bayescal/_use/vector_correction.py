@@ -1,7 +1,7 @@
 """Three axes in use: from three outputs back to what acts, with its covariance, over temperature.
 
-The calibrated equation h is taken as its Taylor series in what acts: offset, 3 × 3 matrix and, where the model has them,
-terms of second order and each axis' own cube, each a polynomial of T − T0. That is exact for terms that are
+The calibrated equation h is taken as its Taylor series in what acts: offset, 3 × 3 matrix and, where the model has
+them, terms of second order and each axis' own cube, each a polynomial of T − T0. That is exact for terms that are
 polynomials of both.
 
     f̂ = h⁻¹(y),    Cov f̂ = H⁻¹·(B·C·Bᵀ + S)·H⁻ᵀ,    B = ∂h/∂p,  C = Cov p,  S = σ²·1
@@ -26,6 +26,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
 from bayescal._calibration.mixture import usual_columns, with_columns
 from bayescal._core.errors import InputError, ModelError
+from bayescal._data.logged_runs import LoggedRun
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, TURNED
 from bayescal._inference.joint import slots_of
@@ -43,6 +44,7 @@ PAIRS = (
     (1, 2),
 )  # of inputs, that terms of second order multiply
 USED = ("temperature", "run")  # columns that an effect may need to act in use
+STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
 NEWTON = 4  # steps of the inverse: each squares the error
 
 
@@ -90,10 +92,44 @@ class CorrectedVector:
 
     @property
     def heading(self) -> tuple[np.ndarray, np.ndarray]:
-        """Heading of a level body by the magnetic field, from magnetic north, rad: atan2(−m_y, m_x)."""
+        """Heading of a level body, z down, by the magnetic field, from magnetic north, rad: atan2(−m_y, m_x)."""
         x, y, _ = self.vector.T
         slope = np.stack([y, -x, 0 * x], axis=1) / (x**2 + y**2)[:, None]
         return np.arctan2(-y, x), self._along(slope)
+
+    def heading_over(self, force: CorrectedVector) -> tuple[np.ndarray, np.ndarray]:
+        """Heading of the x axis by a magnetic field, of a body at rest in any attitude.
+
+        Args:
+            force: specific force of the same moments in the same axes, which says where up is; its errors count as
+                independent of the field's.
+
+        Returns:
+            Angle from magnetic north, clockwise as seen from above, rad, and its standard uncertainty; not determined
+            where x is vertical.
+        """
+
+        def heading(up: np.ndarray, field: np.ndarray) -> np.ndarray:
+            up = up / np.linalg.norm(up, axis=1)[:, None]
+            east = np.cross(field, up)
+            north = field - np.sum(field * up, axis=1)[:, None] * up
+            return np.arctan2(east[:, 0], north[:, 0])
+
+        found, variance = heading(force.vector, self.vector), np.zeros(len(self.vector))
+        for moved in (0, 1):
+            both = [force.vector, self.vector]
+            step = STEP * np.linalg.norm(both[moved], axis=1)[:, None]
+            slopes = []
+            for axis in np.eye(3):
+                ends = []
+                for sign in (1, -1):
+                    there = list(both)
+                    there[moved] = both[moved] + sign * step * axis
+                    ends.append(heading(there[0], there[1]))
+                turned = np.angle(np.exp(1j * (ends[0] - ends[1])))  # across ±π
+                slopes.append(turned / (2 * step[:, 0]))
+            variance += (force, self)[moved]._along(np.stack(slopes, axis=1)) ** 2
+        return found, np.sqrt(variance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,27 +230,30 @@ class VectorCorrection:
         )
         return CorrectedVector(force, covariance, self.unit, outside)
 
-    def jointly(
-        self,
-        outputs: ArrayLike,
-        noise: Float[np.ndarray, "n"],
-        temperature: ArrayLike | None = None,
-    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "3n 3n"]]:
-        """What acts by several readings, and the covariance of all of it: they share the calibration's errors.
+    def in_poses(
+        self, run: LoggedRun, windows: Float[np.ndarray, "n 2"]
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "3n q"], Float[np.ndarray, "3n 3n"]]:
+        """What acts in several poses, which share the calibration's errors.
 
         Args:
-            outputs: readings, (n, 3) in `unit`.
-            noise: standard deviation of each reading's outputs, `unit`.
-            temperature: °C, one each or one for all; T0 if not given.
+            run: of a log of the three outputs.
+            windows: begin and end of each pose, s.
+
+        Returns:
+            f̂; what it falls by where a term rises, so that slopes·covariance·slopesᵀ is what poses share; and its
+            covariance by their noise.
 
         Raises:
-            InputError: as calling it does.
+            InputError: no temperature was logged, and the correction depends on it.
         """
-        force, inverse, slope, warm = self._solved(outputs, temperature, None)
-        powers = self._powers(warm)
-        shared = np.einsum("nk,nip->nikp", powers, slope).reshape(3 * len(force), -1)
-        own = noise[:, None, None] ** 2 * inverse @ inverse.transpose(0, 2, 1)
-        return force, shared @ self.covariance @ shared.T + block_diag(*own)
+        warm = None
+        if run.temperature is not None:
+            warm = np.array([np.mean(run.temperature[run.inside(*w)]) for w in windows])
+        force, inverse, slope, warm = self._solved(run.means(windows), warm, None)
+        shared = np.einsum("nk,nip->nikp", self._powers(warm), slope)
+        noise = run.still.of_second**2 / (windows[:, 1] - windows[:, 0])
+        own = noise[:, None, None] * inverse @ inverse.transpose(0, 2, 1)
+        return force, shared.reshape(3 * len(force), -1), np.asarray(block_diag(*own))
 
     def _solved(
         self,

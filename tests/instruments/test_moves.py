@@ -8,17 +8,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import bayescal as bc
 from bayescal._data.column import UNCERTAINTY
-from bayescal._use.vector_correction import VectorCorrection
-from bayescal_models import accelerometer_triad, gyro_triad
+from bayescal._use.vector_correction import CorrectedVector, VectorCorrection
+from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
 from bayescal_models.gyro_triad import MovesByHand, simulate_log
+from bayescal_models.gyro_triad.log_simulator import MOUNTED
 from bayescal_models.gyro_triad.simulator import BASELINE, OFF_DIAGONAL
+from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
 from tests.support.command_line import needs_installation, run
 
 FORCE, TURNS = accelerometer_triad.INSTRUMENT, gyro_triad.INSTRUMENT
+FIELD = magnetometer_triad.INSTRUMENT
 TRUE = {
     f"{name}[{part}]": value
     for name, parts in (
@@ -183,6 +187,51 @@ def test_one_command_from_a_log_of_six_channels(tmp_path: Path) -> None:
     assert np.all(np.abs(np.diag(correct.matrix) - true) < 4 * sd)
 
 
+def magnetometers(seed: int) -> tuple[bc.Measurements, VectorCorrection, VectorCorrection]:
+    """Their log, their correction in their own axes and in those of the true accelerometers."""
+    log = simulate_log(seed=seed)
+    forces, _ = both(log)
+    outputs: dict[str, Any] = {f"output_{a}": log[f"mag_{a}"] for a in "xyz"}
+    drawn = bc.Measurements.from_arrays(FIELD, time=log["time"], **outputs)
+    own = bc.vector_correction(bc.fit(FIELD.baseline(), bc.poses(drawn, FIELD)))
+    return drawn, own, bc.in_frame_of(own, drawn, exact(), forces)
+
+
+def test_magnetometers_are_turned_into_the_axes_of_the_accelerometers() -> None:
+    chi = []
+    for seed in range(4):
+        _, own, turned = magnetometers(70 + seed)
+        true = np.eye(3) + 1e-6 * np.diag(MAGNETOMETERS["scale.constant"])
+        true[0, 1], true[0, 2], true[1, 2] = 1e-3 * np.array(MAGNETOMETERS["misalignment.constant"])
+        true = true @ Rotation.from_rotvec(MOUNTED).as_matrix()
+        apart = (turned.matrix - true).ravel()
+        assert np.max(np.abs(own.matrix - true)) > 0.02  # it is turned by more than it is unsure of
+        chi.append(apart @ np.linalg.solve(turned.covariance[3:12, 3:12], apart) / 9)
+        assert np.all(turned.uncertainty[0, 3:12] < 0.01)
+    assert 0.2 < np.mean(chi) < 2.2  # of 36
+
+
+def test_heading_and_its_uncertainty_in_any_attitude() -> None:
+    """As of vectors drawn about the mean; a level body that looks east has the field on its left."""
+
+    def of(vectors: Any, covariance: np.ndarray) -> CorrectedVector:
+        vectors = np.atleast_2d(np.asarray(vectors, float))
+        each = np.broadcast_to(covariance, (len(vectors), 3, 3))
+        return CorrectedVector(vectors, each, "1", np.zeros(len(vectors), bool))
+
+    none = np.zeros((3, 3))
+    heading, _ = of([0.0, 20.0, -45.0], none).heading_over(of([0.0, 0.0, 1.0], none))
+    assert heading[0] == pytest.approx(np.pi / 2)
+    random = np.random.default_rng(8)
+    up, field = np.array([0.3, -0.4, 0.8]), np.array([20.0, 5.0, -40.0])
+    a, b = 2e-3 * random.standard_normal((3, 3)), 0.2 * random.standard_normal((3, 3))
+    _, sd = of(field, b @ b.T).heading_over(of(up, a @ a.T))
+    ups = up + random.standard_normal((20_000, 3)) @ a.T
+    fields = field + random.standard_normal((20_000, 3)) @ b.T
+    drawn, _ = of(fields, none).heading_over(of(ups, none))
+    assert sd[0] == pytest.approx(drawn.std(), rel=0.03)
+
+
 def test_refusals_say_what_to_do() -> None:
     forces, log = both(simulate_log(seed=6, campaign=FEW))
     with pytest.raises(bc.ModelError, match="moves are of three gyroscopes"):
@@ -190,6 +239,10 @@ def test_refusals_say_what_to_do() -> None:
     short = forces.select(forces["time"] < 3.0)
     with pytest.raises(bc.InputError, match="1 poses in which gyroscopes and accelerometers"):
         bc.moves(log, TURNS, short, exact())
+    drawn, own, _ = magnetometers(71)
+    left_handed = drawn.with_column("output_x", 2 * own.offset[0] - drawn["output_x"])
+    with pytest.raises(bc.InputError, match="right-handed"):
+        bc.in_frame_of(own, left_handed, exact(), both(simulate_log(seed=71))[0])
     wrong = log.with_column("output_x", -log["output_x"])
     with pytest.raises(bc.InputError, match="do not lead from one pose to the next"):
         bc.moves(wrong, TURNS, forces, exact())

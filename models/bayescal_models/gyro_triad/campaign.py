@@ -59,6 +59,8 @@ class MovesByHand:
         rate: samples, 1/s.
         gyro_noise: of gyroscopes, white, °/s/√Hz.
         force_noise: of accelerometers, white, g/√Hz.
+        field_noise: of magnetometers, white, µT/√Hz.
+        dip: of the magnetic field below the level, °.
         shake: standard deviation of the hand's acceleration in moves, g.
         latitude: by which the Earth turns the unit, °; None where it does not turn.
         substeps: between samples, in which the true attitude is integrated.
@@ -74,6 +76,8 @@ class MovesByHand:
     rate: float = 100.0
     gyro_noise: float = 7e-3
     force_noise: float = 1.5e-4
+    field_noise: float = 0.05
+    dip: float = 65.0
     shake: float = 0.1
     latitude: float | None = 48.0
     substeps: int = 16

@@ -1,4 +1,4 @@
-"""A simulated log of six channels: a unit turned by hand between poses at rest.
+"""A simulated log of nine channels: a unit turned by hand between poses at rest.
 
 The true attitude is integrated in many steps between two samples, from rates in closed form; nothing of the model's own
 integration is used.
@@ -15,9 +15,11 @@ import numpy as np
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
 from bayescal_models.gyro_triad.campaign import MovesByHand
 from bayescal_models.gyro_triad.simulator import BASELINE, COUNTS, OFF_DIAGONAL
+from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
 from bayescal_models.triad.simulator import SHARES
 
 EARTH = 15.041 / 3600  # °/s
+MOUNTED = (0.03, -0.05, 0.04)  # by how much the magnetometers are turned against the body, rad
 LAWS = (
     "bias.constant",
     "bias.g_sensitivity",
@@ -30,7 +32,7 @@ LAWS = (
 def simulate_log(
     effects: Mapping[str, Any] | None = None, *, seed: int, campaign: MovesByHand | None = None
 ) -> dict[str, np.ndarray]:
-    """Columns of a log: time (s), gyro_x, … (°/s), accel_x, … (g).
+    """Columns of a log: time (s), gyro_x, … (°/s), accel_x, … (g), mag_x, … (µT).
 
     Args:
         effects: of the gyroscopes: canonical name → true size, in the unit of the effect's coefficients, or one for
@@ -70,7 +72,25 @@ def simulate_log(
     accel = accel + plan.force_noise * each * rng.standard_normal(accel.shape)
     made = {"time": np.arange(len(gyro)) / plan.rate}
     made |= {f"gyro_{a}": gyro[:, i] for i, a in enumerate("xyz")}
-    return made | {f"accel_{a}": accel[:, i] for i, a in enumerate("xyz")}
+    made |= {f"accel_{a}": accel[:, i] for i, a in enumerate("xyz")}
+    # Its own generator: a log with and without magnetometers has the same noise.
+    mag = _magnetometers(plan, up, np.random.default_rng([seed, 1]))
+    return made | {f"mag_{a}": mag[:, i] for i, a in enumerate("xyz")}
+
+
+def _magnetometers(plan: MovesByHand, attitude: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Outputs (n, 3), µT, of a triad whose axes stand beside the body's, in a field of 50 µT."""
+    heading, dip = rng.uniform(0, 2 * np.pi), np.deg2rad(plan.dip)
+    level = [np.cos(dip) * np.cos(heading), np.cos(dip) * np.sin(heading), -np.sin(dip)]
+    field = np.einsum("nij,i->nj", attitude, 50.0 * np.array(level))
+    matrix = np.eye(3) + 1e-6 * np.diag(MAGNETOMETERS["scale.constant"])
+    matrix[0, 1], matrix[0, 2], matrix[1, 2] = 1e-3 * np.array(
+        MAGNETOMETERS["misalignment.constant"]
+    )
+    own = field @ _rotation(np.array(MOUNTED)).T
+    each = plan.field_noise * math.sqrt(plan.rate)
+    bias = np.array(MAGNETOMETERS["bias.constant"])
+    return own @ matrix.T + bias + each * rng.standard_normal(own.shape)
 
 
 def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
