@@ -57,6 +57,7 @@ SETTLED = 1e-3  # of a standard uncertainty, by which the last sweep may move an
 # Prior standard deviations of bias (rad/s), matrix and the Earth's rotation (rad/s) while that estimate is sought: they
 # decide nothing but what moves leave open.
 PRIOR = np.repeat([1.0, 0.1, np.deg2rad(15.04) / 3600], [3, 9, 3])
+AT_ONCE = 20_000  # samples whose forces are corrected
 SOUGHT = np.r_[:12, 24:27]  # the levers of these
 
 
@@ -157,6 +158,16 @@ class _Moves(NamedTuple):
         return self.step.sum(axis=1)
 
 
+def _forces(pull: LoggedRun, correction: VectorCorrection) -> Float[np.ndarray, "n 3"]:
+    """Of every sample, some at once: covariances of all, which nobody asks for, would fill the memory."""
+    parts = []
+    for start in range(0, len(pull.time), AT_ONCE):
+        some = slice(start, start + AT_ONCE)
+        warm = None if pull.temperature is None else pull.temperature[some]
+        parts.append(correction(pull.outputs[some], warm, noise=0.0).vector)
+    return np.concatenate(parts)
+
+
 def _between(
     log: LoggedRun,
     windows: Float[np.ndarray, "k 2"],
@@ -204,7 +215,7 @@ def _readings(
     length = windows[:, 1] - windows[:, 0]
     felt, slopes, own = correction.in_poses(pull, windows)
     shared = slopes @ correction.covariance @ slopes.T + own
-    force = correction(pull.outputs, pull.temperature, noise=0.0).vector
+    force = _forces(pull, correction)
     moved, at_rest = _between(log, windows, pull, force), log.means(windows)
     between = np.stack([windows[:-1, 1], windows[1:, 0]], axis=1)
     midway = np.einsum("mn,mnj->mj", moved.weight, moved.force) / moved.duration[:, None]

@@ -164,22 +164,27 @@ def test_both_leave_in_one_frame(tmp_path: Path) -> None:
 
 
 @needs_installation
-def test_one_command_from_a_log_of_six_channels(tmp_path: Path) -> None:
+def test_one_command_from_a_log_of_nine_channels(tmp_path: Path) -> None:
     log = simulate_log(seed=5, campaign=FEW)
     header = ",".join(
-        ["time [s]", *(f"w{a} [deg/s]" for a in "xyz"), *(f"f{a} [g]" for a in "xyz")]
+        ["time [s]"]
+        + [
+            f"{n}{a} [{unit}]"
+            for n, unit in (("w", "deg/s"), ("f", "g"), ("m", "uT"))
+            for a in "xyz"
+        ]
     )
     table = np.column_stack(
-        [log["time"], *(log[f"gyro_{a}"] for a in "xyz"), *(log[f"accel_{a}"] for a in "xyz")]
+        [log["time"]] + [log[f"{n}_{a}"] for n in ("gyro", "accel", "mag") for a in "xyz"]
     )
     path = tmp_path / "log.csv"
     np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
     done = run(
         *("imu", path, "--accelerometers", "fx,fy,fz", "--gyroscopes", "wx,wy,wz"),
-        *("--baseline", "--out", tmp_path / "unit"),
+        *("--magnetometers", "mx,my,mz", "--baseline", "--out", tmp_path / "unit"),
     )
     assert done.status == 0, done.err
-    for name in ("imu.yaml", "report.html", "gyroscope/correction.h", "accelerometer/poses.csv"):
+    for name in ("imu.yaml", "report.html", "gyroscope/correction.h", "magnetometer/poses.csv"):
         assert (tmp_path / "unit" / name).is_file()
     correct = bc.load_vector_correction(tmp_path / "unit" / "gyroscope" / "correction.json")
     true = 1 + 1e-6 * np.array(BASELINE["scale.constant"])
