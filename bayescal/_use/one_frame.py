@@ -4,10 +4,11 @@ With û and n̂ the directions of the specific force and of the field in a pose,
 
     ûᵀ·R·n̂ = sin(dip)
 
-for one rotation R and one dip: four unknowns, by generalised least squares over the poses of one log. Errors of both
+for one rotation R and one dip (negative here where the field points down): four unknowns, by generalised least squares over the poses of one log. Errors of both
 calibrations are shared by all poses and are in the covariance; the rotation's own error is that of the correction that
 leaves, together with what it shares with the matrix. Where poses scatter by more than their uncertainty (iron near by),
-the uncertainty of the rotation is larger by that ratio (R. Birge, Phys. Rev. 40 (1932) 207).
+the uncertainty of the rotation is larger by that ratio (R. Birge, Phys. Rev. 40 (1932) 207). An axis that points
+backwards, a field that points up and one that points down are one and the same to it: the dip found is said.
 """
 
 from __future__ import annotations
@@ -108,10 +109,16 @@ def in_frame_of(
     if not np.std(left) < SCATTER:
         raise InputError(
             f"{field_log.file}: the angle between field and gravity differs by {np.std(left):.2g} rad from pose to "
-            "pose. Are both sets of axes right-handed, and is no iron or current near?"
+            "pose, and one field has one dip. Is iron or a current near, or are two columns exchanged?"
         )
     ratio = max(1.0, float(left @ weight @ left) / (len(left) - UNKNOWNS))
-    return _rotated(field, turn, gain[:3] @ shared, ratio * gain[:3] @ beside @ gain[:3].T)
+    made = _rotated(field, turn, gain[:3] @ shared, ratio * gain[:3] @ beside @ gain[:3].T)
+    down = np.rad2deg(np.arcsin(np.clip(-dip, -1.0, 1.0)))
+    said = (
+        f"Axes are those of the accelerometers, by a field {abs(down):.1f}° {'below' if down >= 0 else 'above'} the "
+        "level. If it points to the other side where you are, an axis of the magnetometers points backwards."
+    )
+    return replace(made, notes=(said, *made.notes))
 
 
 def _rotated(
@@ -133,7 +140,6 @@ def _rotated(
     moved = np.kron(np.eye(k), rotate) + by_turn @ by_terms
     covariance = moved @ field.covariance @ moved.T + by_turn @ beside @ by_turn.T
     notes = [note for note in field.notes if not note.startswith("Directions were unknown")]
-    notes.insert(0, "Axes are those of the accelerometers, by the dip of the field.")
     return replace(field, terms=terms, covariance=covariance, notes=tuple(notes))
 
 

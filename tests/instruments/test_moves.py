@@ -112,10 +112,14 @@ def test_scale_and_misalignment_without_a_rate_table() -> None:
 
 
 def test_the_accelerometers_own_uncertainty_counts() -> None:
-    """Shear of the accelerometers known to 1 mrad only is misalignment of the gyroscopes known no better."""
+    """Axes of the accelerometers known to 1 mrad about z are axes of the gyroscopes known no better.
+
+    (What distorts them, moves tell themselves.)
+    """
     forces, log = both(simulate_log(seed=2, campaign=FEW))
     sure, covariance = exact(), np.zeros((12, 12))
-    covariance[4, 4] = 1e-6  # of xy
+    turned = sure.matrix @ np.cross(np.eye(3)[2], np.eye(3)).T
+    covariance[3:, 3:] = 1e-6 * np.outer(turned, turned)
     unsure = VectorCorrection(
         sure.outputs, "g", 25.0, 25.0, 25.0, sure.terms, covariance, sure.noise
     )
@@ -206,6 +210,7 @@ def test_magnetometers_are_turned_into_the_axes_of_the_accelerometers() -> None:
     chi = []
     for seed in range(4):
         _, own, turned = magnetometers(70 + seed)
+        assert "65.0° below the level" in turned.notes[0]
         true = np.eye(3) + 1e-6 * np.diag(MAGNETOMETERS["scale.constant"])
         true[0, 1], true[0, 2], true[1, 2] = 1e-3 * np.array(MAGNETOMETERS["misalignment.constant"])
         true = true @ Rotation.from_rotvec(MOUNTED).as_matrix()
@@ -245,9 +250,9 @@ def test_refusals_say_what_to_do() -> None:
     with pytest.raises(bc.InputError, match="1 poses in which gyroscopes and accelerometers"):
         bc.moves(log, TURNS, short, exact())
     drawn, own, _ = magnetometers(71)
-    left_handed = drawn.with_column("output_x", 2 * own.offset[0] - drawn["output_x"])
-    with pytest.raises(bc.InputError, match="right-handed"):
-        bc.in_frame_of(own, left_handed, exact(), both(simulate_log(seed=71))[0])
+    twice = drawn.with_column("output_x", drawn["output_y"])
+    with pytest.raises(bc.InputError, match="one field has one dip"):
+        bc.in_frame_of(own, twice, exact(), both(simulate_log(seed=71))[0])
     wrong = log.with_column("output_x", -log["output_x"])
     with pytest.raises(bc.InputError, match="do not lead from one pose to the next"):
         bc.moves(wrong, TURNS, forces, exact())
