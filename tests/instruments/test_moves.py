@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -210,7 +211,8 @@ def test_magnetometers_are_turned_into_the_axes_of_the_accelerometers() -> None:
     chi = []
     for seed in range(4):
         _, own, turned = magnetometers(70 + seed)
-        assert "65.0° below the level" in turned.notes[0]
+        found = re.search(r"by a field ([\d.]+)° below", turned.notes[0])
+        assert found is not None and abs(float(found[1]) - 65.0) < 0.5
         true = np.eye(3) + 1e-6 * np.diag(MAGNETOMETERS["scale.constant"])
         true[0, 1], true[0, 2], true[1, 2] = 1e-3 * np.array(MAGNETOMETERS["misalignment.constant"])
         true = true @ Rotation.from_rotvec(MOUNTED).as_matrix()
