@@ -7,7 +7,7 @@ With û and n̂ the directions of the specific force and of the field in a pose,
 for one rotation R and one dip (negative here where the field points down): four unknowns, by generalised least squares
 over the poses of one log. Errors of both calibrations are shared by all poses and are in the covariance; the rotation's
 own error is that of the correction that leaves, together with what it shares with the matrix. Where poses scatter by
-more than their uncertainty (iron near by), the uncertainty of the rotation is larger by that ratio (R. Birge, Phys. Rev.
+more than their uncertainty (iron near by), the rotation is that much more uncertain (R. Birge, Phys. Rev.
 40 (1932) 207). An axis that points backwards and a field that points to the other side of the level are the same to it:
 the dip found is said.
 """
