@@ -11,8 +11,8 @@ readings of one mounting share θ: turning more often about one axis does not te
 mounting is known. Readings about one axis, forward or back, are of one mounting unless the column `mounting` says
 which are; on a table of two or three axes all of them are.
 
-**Moves.** `moves` of bayescal integrates the outputs between two poses of accelerometers, and a reading is their mean over
-the move along a direction a(t) that turns with the unit; in pose or move
+**Moves.** `moves` of bayescal integrates the outputs between two poses of accelerometers, and a reading is their mean
+over the move along a direction a(t) that turns with the unit; in pose or move
 
     y = mean of aᵀ(ω + b + G·ω + Γ·f + K2·ω²) + wᵀω_E + e
 
