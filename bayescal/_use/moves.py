@@ -13,7 +13,7 @@ about it need not be known.
 M₀ and b₀ are iterated to the least-squares estimate, where the linear form is exact to the square of the uncertainty.
 Each pose ends one move and begins another, and all of them share the errors of the accelerometers' calibration. Their
 covariance is known, and readings are the innovations of the moves one after the other: what each says beside those
-before it, with a known standard uncertainty of its own.
+before it, with a known standard uncertainty beside that of the surest.
 
 The Earth's rotation is three unknowns, along the axes that the body had in the first pose of a run.
 
@@ -132,6 +132,10 @@ def moves(
         for name, values in _columns(rows, samples, own, instrument.vector.beside, unit).items():
             made.setdefault(name, []).append(values)
     columns = {name: np.concatenate(parts) for name, parts in made.items()}
+    # As of means of unequal numbers: the noise law's own is that of the surest reading, others have more beside it. A
+    # noise beside known ones that suffice would have its mode at zero.
+    surest = float(np.min(columns[UNCERTAINTY]))
+    columns[UNCERTAINTY] = np.sqrt(columns[UNCERTAINTY] ** 2 - surest**2)
     known = {c.name for c in instrument.columns} | {UNCERTAINTY}
     units = {n: str(log.unit(n)) for n in columns if n not in known and log.unit(n)}
     found = Measurements.from_arrays(
@@ -140,7 +144,10 @@ def moves(
         allow_one_temperature=True,
         **columns,  # pyright: ignore[reportArgumentType]
     )
-    said = f"{len(found)} readings of {poses} poses and the moves between them, found in {log.file}"
+    said = (
+        f"{len(found)} readings of {poses} poses and the moves between them, found in {log.file}; by the noise at rest "
+        f"the surest is uncertain by {surest:.2g} {instrument.unit}, which noise.white is of"
+    )
     return replace(found, sources=log.sources, flags=(said,))  # of the log, not of what is made
 
 

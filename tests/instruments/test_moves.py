@@ -95,7 +95,10 @@ def test_what_is_left_over_is_white_with_the_stated_uncertainty() -> None:
         plan = MovesByHand(poses=16, still=3.0, move=1.5, latitude=None)
         forces, log = both(simulate_log(seed=50 + seed, campaign=plan))
         rows = bc.moves(log, TURNS, forces, exact())
-        z.append((left(rows) / rows[UNCERTAINTY])[3 * plan.poses :].reshape(-1, 2))
+        surest = re.search(r"uncertain by ([\d.e-]+) deg/s", rows.flags[0])
+        assert surest is not None
+        sd = np.hypot(rows[UNCERTAINTY], float(surest[1]))
+        z.append((left(rows) / sd)[3 * plan.poses :].reshape(-1, 2))
     together = np.array(z)
     count = together.size
     assert abs(np.mean(together**2) - 1) < 4 * np.sqrt(2 / count) + 0.1  # and noise is estimated
