@@ -39,6 +39,8 @@ from ._data.allan_deviation import AllanDeviation as AllanDeviation
 from ._use.compensator import compensator as compensator
 from ._use.compensator import load_compensator as load_compensator
 from ._use.vector_correction import vector_correction as vector_correction
+from ._use.moves import moves as moves
+from ._use.one_frame import in_frame_of as in_frame_of
 from ._use.vector_export import export_vector as export_vector
 from ._use.vector_export import load_vector_correction as load_vector_correction
 from ._use.budget import budget as budget

@@ -1,12 +1,14 @@
-"""Commands for what the user takes away: plan, triad, compensate, export, budget, decide, report.
+"""Commands for what the user takes away: plan, triad, imu, compensate, export, budget, decide, report.
 
 Heavy modules load inside the commands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -25,11 +27,12 @@ from bayescal._cli.options import (
     named_values,
 )
 from bayescal._core.as_json import write_json
-from bayescal._core.errors import InputError
+from bayescal._core.errors import InputError, ModelError
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 
 commands = Commands()
 MOST = 5  # effects that are added
+PARTS = ("accelerometer", "gyroscope", "magnetometer")  # folders of an IMU
 FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 
 
@@ -70,20 +73,27 @@ def plan(
     print_result(found.data() if json_ else found)
 
 
+@dataclass(frozen=True)
+class TriadOptions:
+    """What is asked of three axes, one triad or all of a unit."""
+
+    shortest: float = 2.0
+    baseline: bool = False
+    seed: int = 0
+    out: Path | None = None
+    json_: bool = False
+
+
 @commands.example(
     "bayescal triad log.csv --columns output_x=ax,output_y=ay,output_z=az --out result"
 )
 def triad(
     files: list[Path],
     columns: ColumnOptions,
+    asked: TriadOptions,
     instrument: str = "accelerometer_triad",
     poses: bool = False,
-    shortest: float = 2.0,
     dry_run: bool = False,
-    baseline: bool = False,
-    seed: int = 0,
-    out: Path | None = None,
-    json_: bool = False,
 ) -> None:
     """Calibrate three axes by poses at rest or known rates; corrections as C99, Python, JSON and YAML."""
     from bayescal._cli.request import open_request
@@ -95,9 +105,9 @@ def triad(
             f"--instrument {instrument}: it has one output; `bayescal calibrate` is for it"
         )
     print_notes(readings.flags)
-    with result_folder(out) as folder:
+    with result_folder(asked.out) as folder:
         if not poses:
-            readings = bc.poses(readings, chosen, shortest=shortest)
+            readings = bc.poses(readings, chosen, shortest=asked.shortest)
             print_notes(readings.flags)
         untold = bc.undetermined(model, readings)
         if dry_run:
@@ -105,24 +115,126 @@ def triad(
             return
         if untold.add:
             print_notes([str(untold)])
-        trail = bc.calibrate(model, readings, seed=seed, max_effects=0 if baseline else MOST)
-        calibration = trail.final.calibration
-        correction = bc.vector_correction(calibration)
-        print_notes(correction.notes)
-        if json_:
+        trail, correction = _calibrated(model, readings, asked, folder)
+        if asked.json_:
             print_result(data(correction))
-        else:
-            print(f"{trail}\n\n{calibration}")
-        if folder is not None:
-            trail.save(folder)
-            bc.report(trail, folder / "report.html")
-            for name in FILES:
-                bc.export_vector(correction, folder / name)
-            readings.write(folder / "poses.csv")
-            if not json_:
-                names = ("result.json", "calibration.nc", "report.html", "poses.csv")
-                print(f"written: {folder}/{', '.join((*FILES, *names))}")
     exit_unless(trail.ok, trail.gate.reason)
+
+
+@commands.example("bayescal imu log.csv --accelerometers ax,ay,az --gyroscopes gx,gy,gz --out unit")
+def imu(
+    files: list[Path],
+    columns: ColumnOptions,
+    asked: TriadOptions,
+    accelerometers: str | None = None,
+    gyroscopes: str | None = None,
+    magnetometers: str | None = None,
+) -> None:
+    """Calibrate accelerometers by poses, gyroscopes by moves between them, magnetometers: one log, one frame."""
+    from bayescal._cli.request import instrument_named
+    from bayescal._use.vector_export import data
+
+    how = columns.for_read()
+    given = {"accelerometer_triad": accelerometers, "gyro_triad": gyroscopes}
+    given |= {"magnetometer_triad": magnetometers} if magnetometers else {}
+    instruments = {name: instrument_named(name) for name in given}
+    logs = {
+        name: bc.read(
+            list(files), instruments[name], **{**how, "columns": _three(three) | how["columns"]}
+        )
+        for name, three in given.items()
+    }
+    columns.keep()
+    (force, forces), (turns, rates), *others = zip(instruments.values(), logs.values(), strict=True)
+    long = {"shortest": asked.shortest}
+    with result_folder(asked.out) as folder:
+        places = {name: None if folder is None else folder / name for name in PARTS}
+        poses = bc.poses(forces, force, **long)
+        print_notes(poses.flags)
+        trails = [_calibrated(force.baseline(), poses, asked, places["accelerometer"])]
+        (_, first) = trails[0]
+        moves = bc.moves(rates, turns, forces, first, **long)
+        print_notes(moves.flags)
+        model = dict(turns.structures)["moves"]()
+        trails.append(_calibrated(model, moves, asked, places["gyroscope"]))
+        for field, log in others:
+
+            def turned(own: Any, log: Any = log) -> Any:
+                return bc.in_frame_of(own, log, first, forces, **long)
+
+            trails.append(
+                _calibrated(
+                    field.baseline(),
+                    bc.poses(log, field, **long),
+                    asked,
+                    places["magnetometer"],
+                    turned,
+                )
+            )
+        if asked.json_:
+            named = zip(PARTS, trails, strict=False)
+            print_result({name: data(correction) for name, (_, correction) in named})
+        if folder is not None:
+            bc.export_vector(first, folder / "imu.yaml", others=[trails[1][1]])
+            bc.report([trail for trail, _ in trails], folder / "report.html")
+            if not asked.json_:
+                print(f"written: {folder}/imu.yaml, report.html")
+    for trail, _ in trails:
+        exit_unless(trail.ok, trail.gate.reason)
+
+
+def _three(given: str | None) -> dict[str, str]:
+    """Of three outputs, their columns in a file.
+
+    Raises:
+        InputError: these are not three.
+    """
+    names = [name.strip() for name in given.split(",")] if given else []
+    if len(names) not in (0, 3):
+        raise InputError(f"{given!r} names {len(names)} columns: give three, as ax,ay,az")
+    return dict(zip((f"output_{a}" for a in "xyz"), names, strict=False))
+
+
+def _calibrated(
+    model: Any,
+    readings: Any,
+    asked: TriadOptions,
+    folder: Path | None,
+    turned: Callable[[Any], Any] = lambda correction: correction,
+) -> tuple[Any, Any]:
+    """Search and correction, printed or to be printed as JSON, and written to a folder if there is one.
+
+    Args:
+        model: to begin with.
+        readings: of poses or moves.
+        asked: what is.
+        folder: for all that is written; made if need be.
+        turned: takes the correction to other axes.
+    """
+    trail = bc.calibrate(
+        model, readings, seed=asked.seed, max_effects=0 if asked.baseline else MOST
+    )
+    calibration = trail.final.calibration
+    try:
+        correction = bc.vector_correction(trail.calibration)  # averaged over the structures
+    except ModelError as error:
+        correction = bc.vector_correction(calibration)
+        print_notes([f"The correction is of the model shown, not averaged over models: {error}"])
+    correction = turned(correction)
+    print_notes(correction.notes)
+    if not asked.json_:
+        print(f"{trail}\n\n{calibration}")
+    if folder is not None:
+        folder.mkdir(exist_ok=True)
+        trail.save(folder)
+        bc.report(trail, folder / "report.html")
+        for name in FILES:
+            bc.export_vector(correction, folder / name)
+        readings.write(folder / "poses.csv")
+        if not asked.json_:
+            names = ("result.json", "calibration.nc", "report.html", "poses.csv")
+            print(f"written: {folder}/{', '.join((*FILES, *names))}")
+    return trail, correction
 
 
 @commands.example("bayescal compensate result/calibration.nc flight.csv --out done.csv")

@@ -119,6 +119,7 @@ ARGUMENTS = ("files", "file", "calibration", "calibrations")  # which are no opt
 # By the parameter's name; as "command.name" where a command means something else by it.
 HELP = {
     "accept_conflict": "bias.constant: may differ greatly from its plausible size; repeat for others.",
+    "accelerometers": "Their three columns, as ax,ay,az; else by the usual names.",
     "add": "Effect to add to the baseline; repeat for more.",
     "address": "Address of this computer to serve at; others may then reach it.",
     "at": "temperature=60: operating point, in fixed units; repeat for more.",
@@ -181,6 +182,7 @@ HELP = {
         "json, c, python or html (a page with sliders), else by the suffix of --out; px4-params or "
         "ardupilot-params; dcc."
     ),
+    "gyroscopes": "Their three columns, as gx,gy,gz; else by the usual names.",
     "holdout": "Hold-out data, only read after the last step; repeat for more.",
     "ignore": "Column to leave out; repeat for more.",
     "instrument": "Name of an installed instrument, or my.py:INSTRUMENT.",
@@ -191,6 +193,7 @@ HELP = {
     "limit": "Also decide whether it conforms, as `bayescal decide`; of one result.",
     "local_gravity": "Local gravity, m/s², for files in m/s²; 9.80665 if not given.",
     "mapping": "TOML file that --save-mapping wrote; options on the command line take precedence.",
+    "magnetometers": "Their three columns, as mx,my,mz, where there are any.",
     "max_effects": "Most effects that may be missing.",
     "member": "device=A17: which device is used; repeat for more.",
     "method": "marginal, least-squares or nuts.",

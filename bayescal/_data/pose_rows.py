@@ -22,6 +22,12 @@ MAGNITUDE = "magnitude"  # of what acts, output unit, where it is all that is kn
 RATE = "rate"  # of what acts about the direction, output unit
 MOUNTING = "mounting"  # readings that share an error of the direction
 OF = "axis"  # which of the readings of one moment
+# Of a mean over a move, along a direction that turns with the unit: the mean, weighted with that direction's
+# component a, of what acts on j, of the specific force on j and of what acts on a squared; and of the Earth's rotation.
+TURNED = tuple(f"turned_{a}{j}" for a in AXES for j in AXES)
+PULLED = tuple(f"pulled_{a}{j}" for a in AXES for j in AXES)
+SQUARED = tuple(f"squared_{a}" for a in AXES)
+AROUND = tuple(f"around_{k}" for k in "123")
 
 
 def scalar_readings(
@@ -64,7 +70,7 @@ def scalar_readings(
     direction = np.stack([values[name] for name in DIRECTION], axis=1)
     none = "a direction of length zero: give the direction of what acts, in the body's axes"
     direction = direction / _lengths(direction, file, DIRECTION, none)[:, None]
-    across = np.stack([np.zeros_like(y), *_tangents(direction)], axis=1)  # (n, 3 readings, 3)
+    across = np.stack([np.zeros_like(y), *tangents(direction)], axis=1)  # (n, 3 readings, 3)
     outputs = np.column_stack([size, np.einsum("nkj,nj->nk", across[:, 1:], y)])
     angle = values[POSE_UNCERTAINTY] * values[MAGNITUDE]
     beside = values.get(UNCERTAINTY, np.zeros(len(y)))
@@ -138,7 +144,7 @@ def component_readings(
     return made, {**units, **own, "output": units[names[0]]}
 
 
-def _tangents(direction: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+def tangents(direction: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors at right angles to each direction and to each other."""
     least = np.eye(3)[np.argmin(np.abs(direction), axis=1)]
     one = np.cross(direction, least)

@@ -24,6 +24,7 @@ class StillStretches(NamedTuple):
         first, last: their first sample and the one after the last (k,).
         mean: of each output (k, m).
         uncertainty: standard uncertainty of these means, one for all outputs (k,).
+        of_second: that of a mean over one second, of white noise.
         ratio: of it to that of independent samples.
     """
 
@@ -31,6 +32,7 @@ class StillStretches(NamedTuple):
     last: Int[np.ndarray, "k"]
     mean: Float[np.ndarray, "k m"]
     uncertainty: Float[np.ndarray, "k"]
+    of_second: float
     ratio: float
 
 
@@ -84,5 +86,6 @@ def still_stretches(
         last=np.array(last) * size,
         mean=np.stack([o.mean(axis=0) for o in own]),
         uncertainty=np.sqrt(between / np.array([len(o) for o in own])),
+        of_second=float(np.sqrt(between * size * step)),
         ratio=float(np.sqrt(between * size / within)) if within > 0 else 1.0,
     )

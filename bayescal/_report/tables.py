@@ -202,11 +202,13 @@ def matrix(chapter: Chapter) -> list[tuple[str, str, str, str]]:
         return []
     axes = "xyz"
     names = [f"offset {a}" for a in axes] + [f"matrix {a}{b}" for a in axes for b in axes]
-    width = len(found["terms"][0])
-    if width - 9 * bool(found["beside"]) > 12:
+    own = len(found["terms"][0]) - 9 * bool(found["beside"])
+    if own > 12:
         names += [
             f"second order {a}·{p}" for a in axes for p in ("xx", "yy", "zz", "xy", "xz", "yz")
         ]
+    if own > 30:
+        names += [f"cube {a}" for a in axes]
     if found["beside"]:
         names += [f"{g} on {a}" for a in axes for g in found["beside"]]
     rows = []

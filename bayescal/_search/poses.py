@@ -8,6 +8,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY
+from bayescal._data.logged_runs import per_sample
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, OF
 from bayescal._data.still_stretches import still_stretches
@@ -31,10 +32,7 @@ def poses(
     """
     if instrument.vector is None:
         raise InputError(f"instrument {instrument.name!r} has one output: poses are of three axes")
-    if not log.has("time"):
-        raise InputError(f"{log.file}: still stretches need the column 'time', in s")
-    if log.has(ACROSS[0]):  # each sample is three readings
-        log = log.select(np.arange(0, len(log), 3))
+    log = per_sample(log)
     _, runs = log.groups("run")
     rows: dict[str, list[np.ndarray]] = {}
     ratios = []

@@ -19,7 +19,7 @@ from bayescal._calibration.settings import searching
 from bayescal._calibration.summary import null_vectors, untold
 from bayescal._core.formatting import Printed
 from bayescal._data.measurements import Measurements
-from bayescal._data.pose_rows import ACROSS, AXES, DIRECTION, MAGNITUDE, RATE
+from bayescal._data.pose_rows import ACROSS, AXES, DIRECTION, MAGNITUDE, RATE, TURNED
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.mode import Mode, flat_scales
@@ -121,11 +121,12 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
         return linear_model(assembly, Mode(point, v, np.eye(len(v)), 0.0, 0.0, 0.0, flat, False))
 
     planned, vector = linear(readings), model.instrument.vector
-    count = len(readings) // (3 if vector is not None and readings.has(ACROSS[0]) else 1)
+    in_moves = readings.has(TURNED[0])  # what it takes is a log with further moves, about any axis
+    count = len(readings) // (3 if readings.has(ACROSS[0]) and not in_moves else 1)
     directions = null_vectors(planned, exactly=False)[1] if layout.size else []
     words = untold(planned, levels, exactly=False)[: len(directions)]  # of a rig's own errors none
     found = tuple(one["in_words"] for one in words)
-    if vector is None or not directions:
+    if vector is None or not directions or in_moves:
         return Undetermined(count, found)
     poses, rows = _candidates(model, vector, readings)
     basis = np.linalg.qr(np.array(directions).T)[0]

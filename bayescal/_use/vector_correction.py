@@ -1,7 +1,8 @@
 """Three axes in use: from three outputs back to what acts, with its covariance, over temperature.
 
-The calibrated equation h is taken as its Taylor series in what acts, offset, 3 × 3 matrix and (where the model has it)
-terms of second order, each a polynomial of T − T0. That is exact for terms that are polynomials of both.
+The calibrated equation h is taken as its Taylor series in what acts: offset, 3 × 3 matrix and, where the model has
+them, terms of second order and each axis' own cube, each a polynomial of T − T0. That is exact for terms that are
+polynomials of both.
 
     f̂ = h⁻¹(y),    Cov f̂ = H⁻¹·(B·C·Bᵀ + S)·H⁻ᵀ,    B = ∂h/∂p,  C = Cov p,  S = σ²·1
 
@@ -19,16 +20,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
+from bayescal._calibration.mixture import usual_columns, with_columns
 from bayescal._core.errors import InputError, ModelError
+from bayescal._data.logged_runs import LoggedRun
 from bayescal._data.measurements import Measurements
+from bayescal._data.pose_rows import ACROSS, TURNED
 from bayescal._inference.joint import slots_of
 
 EXACT = 1e-9  # of the largest term, up to which a polynomial of the temperature is the model's own
 ROUNDING = 1e-13  # of it, up to which a term is none
 ORDERS = 3  # of the temperature
+SIZES = (12, 30, 33)  # how many terms there are up to an order in what acts
 PAIRS = (
     (0, 0),
     (1, 1),
@@ -38,6 +44,7 @@ PAIRS = (
     (1, 2),
 )  # of inputs, that terms of second order multiply
 USED = ("temperature", "run")  # columns that an effect may need to act in use
+STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
 NEWTON = 4  # steps of the inverse: each squares the error
 
 
@@ -85,15 +92,49 @@ class CorrectedVector:
 
     @property
     def heading(self) -> tuple[np.ndarray, np.ndarray]:
-        """Heading of a level body by the magnetic field, from magnetic north, rad: atan2(−m_y, m_x)."""
+        """Heading of a level body, z down, by the magnetic field, from magnetic north, rad: atan2(−m_y, m_x)."""
         x, y, _ = self.vector.T
         slope = np.stack([y, -x, 0 * x], axis=1) / (x**2 + y**2)[:, None]
         return np.arctan2(-y, x), self._along(slope)
 
+    def heading_over(self, force: CorrectedVector) -> tuple[np.ndarray, np.ndarray]:
+        """Heading of the x axis by a magnetic field, of a body at rest in any attitude.
+
+        Args:
+            force: specific force of the same moments in the same axes, which says where up is; its errors count as
+                independent of the field's.
+
+        Returns:
+            Angle from magnetic north, clockwise as seen from above, rad, and its standard uncertainty; not determined
+            where x is vertical.
+        """
+
+        def heading(up: np.ndarray, field: np.ndarray) -> np.ndarray:
+            up = up / np.linalg.norm(up, axis=1)[:, None]
+            east = np.cross(field, up)
+            north = field - np.sum(field * up, axis=1)[:, None] * up
+            return np.arctan2(east[:, 0], north[:, 0])
+
+        found, variance = heading(force.vector, self.vector), np.zeros(len(self.vector))
+        for moved in (0, 1):
+            both = [force.vector, self.vector]
+            step = STEP * np.linalg.norm(both[moved], axis=1)[:, None]
+            slopes = []
+            for axis in np.eye(3):
+                ends = []
+                for sign in (1, -1):
+                    there = list(both)
+                    there[moved] = both[moved] + sign * step * axis
+                    ends.append(heading(there[0], there[1]))
+                turned = np.angle(np.exp(1j * (ends[0] - ends[1])))  # across ±π
+                slopes.append(turned / (2 * step[:, 0]))
+            variance += (force, self)[moved]._along(np.stack(slopes, axis=1)) ** 2
+        return found, np.sqrt(variance)
+
 
 @dataclass(frozen=True, eq=False)
 class VectorCorrection:
-    """Offset, matrix and terms of second order over temperature, with their covariance: call it with outputs.
+    """Offset, matrix and terms of higher order over temperature, with their covariance: call it with outputs.
 
         correct = bc.vector_correction(calibration)
         found = correct([[0.01, 0.02, 0.99]], temperature=25.0)
@@ -105,7 +146,7 @@ class VectorCorrection:
         reference: T0, °C.
         low, high: temperatures of the calibration, °C; equal where there was one, or none was recorded.
         terms: for each power of T − T0, offset (3), matrix by rows (9), then second order by rows (18) or none, then
-            what acts beside, by rows (9) or none (k, p).
+            each axis' own cube (3) or none, then what acts beside, by rows (9) or none (k, p).
         covariance: of `terms`, raveled (k·p, k·p).
         noise: standard deviation of an output as it was calibrated, of the best reading, `unit`.
         notes: what to know, each a sentence.
@@ -127,17 +168,18 @@ class VectorCorrection:
 
     @property
     def order(self) -> int:
-        """Of the equation in what acts, 1 or 2."""
-        return 2 if self.terms.shape[1] - 9 * bool(self.beside) > 12 else 1
+        """Of the equation in what acts, 1, 2 or 3."""
+        return 1 + SIZES.index(self.terms.shape[1] - 9 * bool(self.beside))
 
     def at(self, temperature: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Terms (n, p) at temperatures in °C, and their covariance (n, p, p)."""
         k, p = self.terms.shape
-        powers = (np.atleast_1d(np.asarray(temperature, float)) - self.reference)[
-            :, None
-        ] ** np.arange(k)
+        powers = self._powers(np.atleast_1d(np.asarray(temperature, float)))
         blocks = self.covariance.reshape(k, p, k, p)
         return powers @ self.terms, np.einsum("nk,kplq,nl->npq", powers, blocks, powers)
+
+    def _powers(self, temperature: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n k"]:
+        return (temperature - self.reference)[:, None] ** np.arange(len(self.terms))
 
     @cached_property
     def offset(self) -> np.ndarray:
@@ -175,6 +217,51 @@ class VectorCorrection:
         Raises:
             InputError: not three outputs, or a temperature or what acts beside is missing where the model needs it.
         """
+        force, inverse, slope, warm = self._solved(outputs, temperature, beside)
+        own = self.at(warm)[1]
+        sd = self.noise if noise is None else noise
+        covariance = slope @ own @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(
+            0, 2, 1
+        )
+        outside = (
+            (warm < self.low) | (warm > self.high)
+            if len(self.terms) > 1
+            else np.zeros(len(force), bool)
+        )
+        return CorrectedVector(force, covariance, self.unit, outside)
+
+    def in_poses(
+        self, run: LoggedRun, windows: Float[np.ndarray, "n 2"]
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "3n q"], Float[np.ndarray, "3n 3n"]]:
+        """What acts in several poses, which share the calibration's errors.
+
+        Args:
+            run: of a log of the three outputs.
+            windows: begin and end of each pose, s.
+
+        Returns:
+            f̂; what it falls by where a term rises, so that slopes·covariance·slopesᵀ is what poses share; and its
+            covariance by their noise.
+
+        Raises:
+            InputError: no temperature was logged, and the correction depends on it.
+        """
+        warm = None
+        if run.temperature is not None:
+            warm = np.array([np.mean(run.temperature[run.inside(*w)]) for w in windows])
+        force, inverse, slope, warm = self._solved(run.means(windows), warm, None)
+        shared = np.einsum("nk,nip->nikp", self._powers(warm), slope)
+        noise = run.still.of_second**2 / (windows[:, 1] - windows[:, 0])
+        own = noise[:, None, None] * inverse @ inverse.transpose(0, 2, 1)
+        return force, shared.reshape(3 * len(force), -1), np.asarray(block_diag(*own))
+
+    def _solved(
+        self,
+        outputs: Measurements | ArrayLike,
+        temperature: ArrayLike | None,
+        beside: ArrayLike | None,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """f̂ (n, 3), H⁻¹ (n, 3, 3), slopes of f̂ by the terms at its temperature (n, 3, p), temperatures (n,)."""
         if isinstance(outputs, Measurements):
             if self.beside and beside is None and outputs.has(self.beside[0]):
                 beside = np.stack([outputs[name] for name in self.beside], axis=1)
@@ -198,7 +285,7 @@ class VectorCorrection:
             raise InputError(
                 f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
             )
-        terms, own = self.at(warm)
+        terms = self._powers(warm) @ self.terms
         by_beside = []
         if self.beside:
             acts = np.broadcast_to(np.asarray(beside, float), y.shape)
@@ -212,17 +299,8 @@ class VectorCorrection:
         inverse = np.linalg.inv(_outputs(terms, force)[1])
         by_terms = [np.broadcast_to(np.eye(3), (len(y), 3, 3)), _by_rows(force)]
         by_terms += [_by_rows(_products(force))] if self.order > 1 else []
-        slope = inverse @ np.concatenate([*by_terms, *by_beside], axis=2)
-        sd = self.noise if noise is None else noise
-        covariance = slope @ own @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(
-            0, 2, 1
-        )
-        outside = (
-            (warm < self.low) | (warm > self.high)
-            if len(self.terms) > 1
-            else np.zeros(len(y), bool)
-        )
-        return CorrectedVector(force, covariance, self.unit, outside)
+        by_terms += [force[:, :, None] ** 3 * np.eye(3)] if self.order > 2 else []
+        return force, inverse, inverse @ np.concatenate([*by_terms, *by_beside], axis=2), warm
 
 
 def _products(force: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 6"]:
@@ -241,7 +319,7 @@ def _outputs(
     matrix = terms[:, 3:12].reshape(-1, 3, 3)
     there, slopes = terms[:, :3] + np.einsum("nij,nj->ni", matrix, force), matrix
     if terms.shape[1] > 12:
-        second = terms[:, 12:].reshape(-1, 3, 6)
+        second = terms[:, 12:30].reshape(-1, 3, 6)
         there = there + np.einsum("nim,nm->ni", second, _products(force))
         slopes = slopes + np.stack(
             [
@@ -253,6 +331,10 @@ def _outputs(
             ],
             axis=2,
         )
+    if terms.shape[1] > 30:
+        cube = terms[:, 30:]
+        there = there + cube * force**3
+        slopes = slopes + (3 * cube * force**2)[:, :, None] * np.eye(3)
     return there, slopes
 
 
@@ -264,7 +346,8 @@ def vector_correction(
     A deviation of each run is drawn anew from its estimated standard deviation: what leaves is for a run to come.
 
     Args:
-        calibration: of an instrument with `vector`.
+        calibration: of an instrument with `vector`, or an average over structures: over those that need no further
+            input than the likely ones.
         draws: of the posterior, at most, that mean and covariance are of.
         seed: of the deviations of a new run.
 
@@ -272,12 +355,13 @@ def vector_correction(
         ModelError: an instrument of one output; an effect that needs more than the temperature, or that is no
             polynomial of it up to the third order.
     """
-    model, readings = calibration.model, calibration.readings
-    vector = model.instrument.vector
-    if vector is None:
+    instrument = calibration.model.instrument
+    if (vector := instrument.vector) is None:
         raise ModelError(
-            f"instrument {model.instrument.name!r} has one output: bayescal.compensator corrects it"
+            f"instrument {instrument.name!r} has one output: bayescal.compensator corrects it"
         )
+    calibration = with_columns(calibration, usual_columns(calibration))
+    model, readings = calibration.model, calibration.readings
     for effect in model.effects:
         if all((c.slot or effect.slot) in vector.rig for c in effect.coefficients):
             continue
@@ -309,12 +393,14 @@ def vector_correction(
     terms = np.moveaxis(fitted.reshape(order + 1, len(taylor), -1), 1, 0)  # (draws, k, p)
     reach = np.max(np.abs(powers[:, : order + 1]), axis=0)[:, None]
     terms[:, np.max(np.abs(terms), axis=0) * reach <= ROUNDING * np.max(np.abs(taylor))] = 0.0
-    if not np.any(terms[:, :, 12:30]):
-        terms = np.delete(terms, slice(12, 30), axis=2)
+    if not np.any(terms[:, :, 30:33]):
+        terms = np.delete(terms, slice(30, 33), axis=2)
+        if not np.any(terms[:, :, 12:30]):
+            terms = np.delete(terms, slice(12, 30), axis=2)
     spread = terms.reshape(len(terms), -1)
     return VectorCorrection(
         outputs=vector.outputs,
-        unit=model.instrument.unit,
+        unit=instrument.unit,
         reference=reference,
         low=low,
         high=high,
@@ -329,7 +415,9 @@ def vector_correction(
 
 def _notes(calibration: Calibration, order: int, low: float, high: float) -> tuple[str, ...]:
     notes = []
-    if not calibration.readings.has("across_x"):
+    if calibration.readings.has(TURNED[0]):
+        notes.append("Axes are those of the accelerometers that the moves were closed by.")
+    elif not calibration.readings.has(ACROSS[0]):
         notes.append(
             "Directions were unknown: a rotation of the triad is a convention (body z is sensor z, body y in the plane "
             "of sensors y and z), and its uncertainty is none."
@@ -386,7 +474,13 @@ def _taylor(
 
         second = jnp.stack([jax.jvp(slope, (zero,), (e,))[1] for e in unit], axis=3)
         own = jnp.stack([second[:, :, i, j] * (0.5 if i == j else 1.0) for i, j in PAIRS], axis=2)
+
+        def bend(at: Any) -> Any:  # of each output along its own axis
+            return jnp.stack([jax.jvp(slope, (at,), (e,))[1][:, i, i] for i, e in enumerate(unit)])
+
+        cubes = [jax.jvp(bend, (zero,), (e,))[1][i] / 6 for i, e in enumerate(unit)]
         parts = h(zero), slope(zero).reshape(len(grid), 9), own.reshape(len(grid), 18)
+        parts = (*parts, jnp.stack(cubes, axis=1))
         return jnp.concatenate(parts, axis=1)
 
     found = np.asarray(jax.jit(jax.vmap(terms))({n: jnp.asarray(s) for n, s in slots.items()}))

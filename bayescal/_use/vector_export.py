@@ -16,7 +16,7 @@ Equations of what reads them, and their sources:
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from bayescal._data.unit_conversion import convert, same_dimension
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._use.autopilots import AUTOPILOTS
 from bayescal._use.languages import template
-from bayescal._use.vector_correction import NEWTON, VectorCorrection
+from bayescal._use.vector_correction import NEWTON, SIZES, VectorCorrection
 
 AXES = "xyz"
 
@@ -42,8 +42,8 @@ def data(correction: VectorCorrection) -> dict[str, Any]:
         "calibration": correction.source,
         "outputs": list(correction.outputs),
         "unit": correction.unit,
-        "equation": "outputs = offset + matrix·f (+ second order) (+ beside·g), each a polynomial of T − reference",
-        "order_of_terms": "offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; beside by rows",
+        "equation": "outputs = offset + matrix·f (+ higher orders) (+ beside·g), each a polynomial of T − reference",
+        "order_of_terms": "offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; cubes; beside by rows",
         "beside": list(correction.beside),
         "reference_degC": correction.reference,
         "temperatures_degC": [correction.low, correction.high],
@@ -66,7 +66,7 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
         covariance = np.array(found["covariance"], dtype=float)
         if (
             terms.ndim != 2
-            or terms.shape[1] - 9 * bool(found.get("beside")) not in (12, 30)
+            or terms.shape[1] - 9 * bool(found.get("beside")) not in SIZES
             or covariance.shape != 2 * (terms.size,)
         ):
             raise ValueError(
@@ -92,24 +92,49 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
         ) from None
 
 
-def kalibr_yaml_of(correction: VectorCorrection) -> str:
-    """The intrinsics at T0 as Kalibr and OpenVINS state them, in m/s² or rad/s where the unit is one of these."""
+def kalibr_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
+    """The intrinsics at T0 as Kalibr and OpenVINS state them, in m/s² or rad/s where the unit is one of these.
+
+    Args:
+        correction: of accelerometers or of gyroscopes.
+        others: in the same body axes, such as gyroscopes by moves between poses of these accelerometers. Kalibr's axes
+            are then those of the first.
+    """
+    every = (correction, *others)
+    return "\n".join(
+        [
+            f"# Intrinsics of three axes at {correction.reference:g} degC, made by bayescal {__version__}",
+            *(f"# {c_comment(note)}" for note in dict.fromkeys(n for c in every for n in c.notes)),
+            "imu0:",
+            *_intrinsics(correction, np.eye(3)),
+            *(line for one in others for line in _intrinsics(one, _split(correction)[1])),
+            "",
+        ]
+    )
+
+
+def _split(correction: VectorCorrection) -> tuple[np.ndarray, np.ndarray]:
+    """The matrix at T0 as a lower triangle times a rotation."""
+    lower = np.linalg.cholesky(correction.matrix @ correction.matrix.T)
+    return lower, np.linalg.solve(lower, correction.matrix)
+
+
+def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
+    """Lines of one triad; `frame` rotates the body axes of the calibration to Kalibr's."""
     m, sd = correction.matrix, correction.uncertainty[0, 3:12].reshape(3, 3)
-    lower = np.linalg.cholesky(m @ m.T)
-    turn = np.linalg.solve(lower, m)
+    lower, turn = _split(correction)
     factor, unit = _si(correction.unit)
     turns = unit == "rad/s"
     lines = [
-        f"# Intrinsics of three axes at {correction.reference:g} degC, made by bayescal {__version__}",
-        *(f"# {c_comment(note)}" for note in correction.notes),
-        "imu0:",
         f"  {'gyroscopes' if turns else 'accelerometers'}:",
         "    # Kalibr, scale-misalignment: measured = M*f + bias, M lower triangular, x axis of the body = sensor x",
         "    M:",
         *_rows(lower),
-        "    # from the body axes of this calibration to those: f_kalibr = R*f",
+        "    # from the body axes of this calibration to those: f_kalibr = R*f"
+        if np.array_equal(frame, np.eye(3))
+        else "    # from the axes of the first M to those of this one",
         f"    {'C_gyro_i' if turns else 'R'}:",
-        *_rows(turn),
+        *_rows(turn @ frame.T),
         f"    # bias, {unit}, and its standard uncertainty",
         f"    bias: {_list(correction.offset * factor)}",
         f"    bias_uncertainty: {_list(correction.uncertainty[0, :3] * factor)}",
@@ -132,7 +157,7 @@ def kalibr_yaml_of(correction: VectorCorrection) -> str:
         *_rows(turn),
         *(["  Tg:", *_rows(by_gravity)] if turns else []),
     ]
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def autopilot_parameters(
@@ -217,12 +242,22 @@ SUFFIXES = {".json": "json", ".h": "c", ".py": "python", ".yaml": "yaml", ".yml"
 
 
 def export_vector(
-    correction: VectorCorrection, path: str | Path, format: str | None = None
+    correction: VectorCorrection,
+    path: str | Path,
+    format: str | None = None,
+    *,
+    others: Sequence[VectorCorrection] = (),
 ) -> Path:
     """Write by the suffix of the path (.h, .py, .json, .yaml) or in a `format`.
 
+    Args:
+        correction: to write.
+        path: of the file.
+        format: "json", "c", "python", "yaml", "px4-params" or "ardupilot-params", whatever the suffix.
+        others: beside it in a YAML file, in the same body axes: gyroscopes beside accelerometers.
+
     Raises:
-        InputError: another suffix or format, or a place that cannot be written to.
+        InputError: another suffix or format, others in another format than YAML, or a place that cannot be written to.
     """
     path = Path(path)
     chosen = format or SUFFIXES.get(path.suffix.lower())
@@ -230,7 +265,12 @@ def export_vector(
         raise InputError(
             f"{path.name}: a correction is written as {', '.join(SUFFIXES)}, or give the format"
         )
-    return write_text(as_text(correction, chosen, path.stem), path)
+    if others and chosen != "yaml":
+        raise InputError(
+            f"{path.name}: a file of several triads is .yaml; write the others to files of their own"
+        )
+    text = kalibr_yaml_of(correction, *others) if others else as_text(correction, chosen, path.stem)
+    return write_text(text, path)
 
 
 def _si(unit: str) -> tuple[float, str]:

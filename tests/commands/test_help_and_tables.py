@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
     *("instruments", "effects", "simulate", "pairs", "demo", "calibrate"),
     *("workbench", "fit", "check", "discover", "compare", "predict", "noise"),
-    *("plan", "triad", "compensate", "export", "budget", "decide", "report", "batch"),
+    *("plan", "triad", "imu", "compensate", "export", "budget", "decide", "report", "batch"),
 )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from shutil import which
@@ -38,6 +39,15 @@ def thermal() -> bc.Calibration:
         {"bias.temperature": 0.3, "square.constant": 1.0}, seed=3, campaign=THERMAL
     )
     return bc.fit(MODEL + ["bias.temperature", "square.constant"], readings)
+
+
+@cache
+def bent() -> bc.Calibration:
+    """Second and third order, of axes that are strongly nonlinear; at 0.5 mg of noise K3 would be hardly visible."""
+    campaign = replace(THERMAL, noise=1e-4)
+    hidden = {"square.constant": 2.0, "cube.constant": 3.0}
+    readings = accelerometer_triad.simulate(hidden, seed=3, campaign=campaign)
+    return bc.fit(MODEL + ["square.constant", "cube.constant"], readings)
 
 
 def outputs(readings: bc.Measurements) -> np.ndarray:
@@ -313,6 +323,22 @@ def test_the_result_holds_the_matrix_and_the_report_the_sphere(tmp_path: Path) -
     assert "Residuals of the magnitude along the sphere of poses" in text
 
 
+def test_third_order_is_measured_and_taken_out() -> None:
+    draws = np.stack([bent().samples(f"cube.constant[{a}]") for a in "xyz"])
+    true = 3.0 * np.array([1.0, -0.6, 0.8])
+    assert np.all(np.abs(draws.mean(axis=1) - true) < 4 * draws.std(axis=1))
+    assert np.all(draws.std(axis=1) < 0.5)  # of a prior of 1
+    correct = bc.vector_correction(bent())
+    force = np.array([[0.6, 0.0, 0.8], [0.0, -1.0, 0.0], [0.48, 0.64, -0.6]])
+    matrix = np.eye(3) + np.diag([8e-3, -5e-3, 12e-3])
+    matrix[0, 1], matrix[0, 2], matrix[1, 2] = 4e-3, -6e-3, 3e-3
+    y = force @ matrix.T + [12e-3, -20e-3, 35e-3]
+    y = y + 1e-3 * np.array([1.0, -0.6, 0.8]) * (2 * force**2 + 3 * force**3)
+    found = correct(y, noise=0.0)
+    apart = found.vector - force
+    assert np.all(np.einsum("ni,nij,nj->n", apart, np.linalg.inv(found.covariance), apart) < 20)
+
+
 def test_slopes_of_tilt_and_heading() -> None:
     """Standard uncertainties of angles are those of vectors drawn about the mean."""
     random = np.random.default_rng(4)
@@ -327,8 +353,10 @@ def test_slopes_of_tilt_and_heading() -> None:
     assert one.magnitude[1][0] == pytest.approx(many.magnitude[0].std(), rel=0.03)
 
 
-def test_exports_compute_the_same(tmp_path: Path) -> None:
-    correct = bc.vector_correction(thermal())
+@pytest.mark.parametrize(("made", "order"), [(thermal, 2), (bent, 3)])
+def test_exports_compute_the_same(made: Any, order: int, tmp_path: Path) -> None:
+    correct = bc.vector_correction(made())
+    assert correct.order == order
     y = np.array([0.3, -0.5, 0.8])
     found = correct(y, temperature=40.0)
     for name in ("sensor.h", "sensor.py", "sensor.json", "sensor.yaml"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayescal_models.triad.equation import BIAS, CROSS, LOWER, SCALE, SQUARE, UPPER
+from bayescal_models.triad.equation import BIAS, CROSS, CUBE, LOWER, SCALE, SQUARE, UPPER
 from bayescal_models.triad.families import (
     drift,
     family,
@@ -41,6 +41,7 @@ BIAS_QUADRATIC = over_temperature(
 )
 SQUARES = family("square.constant", SQUARE, 1.0, "mg/g^2", SECOND, equation="K2·f²")
 PRODUCTS = family("cross.constant", CROSS, 1.0, "mg/g^2", SECOND, equation="K·f_i·f_j")
+CUBES = family("cube.constant", CUBE, 1.0, "mg/g^3", SECOND, equation="K3·f³")
 LAG = thermal_lag(BIAS, 0.5, "mg/degC", TEMPCO)
 DRIFT = drift("bias.drift", BIAS, 1.0, "mg", "ours")
 RUN = run(

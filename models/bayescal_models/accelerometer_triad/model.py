@@ -3,7 +3,7 @@
 A *pose* is one averaged reading of three outputs. The specific force f at rest is 1 g up; its direction is unknown, or
 known to `pose_uncertainty` (a dividing head, a robot):
 
-    y_a = f_a + b_a + Σ_j G_aj·f_j + K2_a·f_a² + Σ_{i<j} K_aij·f_i·f_j + e_a,     |f| = magnitude
+    y_a = f_a + b_a + Σ_j G_aj·f_j + K2_a·f_a² + Σ_{i<j} K_aij·f_i·f_j + K3_a·f_a³ + e_a,     |f| = magnitude
 
 **Gauge.** Where directions are unknown a rotation of the triad moves no reading. By convention the z axis of the body
 is that of the sensor z, and its y axis lies in the plane of the sensors y and z: three misalignments (x toward y, x
@@ -21,6 +21,7 @@ toward z, y toward z) in place of six. `misalignment.frame` holds the other thre
 | `bias.thermal_lag` | x, y, z, one time | 0.5 mg/°C |
 | `square.constant` (K2) | x, y, z | 1 mg/g² |
 | `cross.constant` | nine | 1 mg/g² |
+| `cube.constant` (K3) | x, y, z | 1 mg/g³ |
 | `misalignment.frame` | yx, zx, zy | 20 mrad |
 | `bias.drift` | x, y, z | 1 mg |
 | `bias.run` | x, y, z for each run, learned | 1 mg |
@@ -30,7 +31,8 @@ One effect on a family is one effect: its coefficients are found or dropped toge
 **What poses determine.** Nine coefficients need nine poses or more that do not all lie on a quadric other than the
 sphere: six positions determine bias and scale and no misalignment; poses in one plane leave the axis across it free;
 poses within 10° of level determine the bias of z less its scale and little else. What is not determined stays at
-its prior's width. K2 and cross terms of 1 mg/g² move |f| by less than 0.5 mg.
+its prior's width. K2 and cross terms of 1 mg/g² move |f| by less than 0.5 mg,
+K3 of 1 mg/g³ beside the scale factor by less than 0.3 mg.
 
 Noise: white, one standard deviation for all three axes.
 """
@@ -43,7 +45,7 @@ import bayescal as bc
 from bayescal_models.accelerometer_triad import COLUMNS, OUTPUTS, effects
 from bayescal_models.accelerometer_triad.campaign import Campaign
 from bayescal_models.accelerometer_triad.simulator import simulated_columns
-from bayescal_models.triad.equation import equation, second_order, slots
+from bayescal_models.triad.equation import equation, higher_order, slots
 from bayescal_models.triad.experiments import experiments
 
 VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation)
@@ -57,7 +59,7 @@ INSTRUMENT = bc.Instrument(
     name="accelerometer_triad",
     title="three accelerometers in poses at rest: bias, scale, misalignment",
     columns=COLUMNS,
-    slots=(*slots("g", "force"), *second_order("g")),
+    slots=(*slots("g", "force"), *higher_order("g")),
     response=_response,
     effects=(effects.CONSTANT, effects.FACTOR, effects.SHEAR),
     candidates=(
@@ -67,6 +69,7 @@ INSTRUMENT = bc.Instrument(
         effects.BIAS_QUADRATIC,
         effects.SQUARES,
         effects.PRODUCTS,
+        effects.CUBES,
         effects.TURNED,
         effects.LAG,
         effects.DRIFT,

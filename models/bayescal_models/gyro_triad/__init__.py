@@ -1,4 +1,4 @@
-"""Three gyroscopes on a rate table and at rest: bias, scale factors and misalignments over temperature.
+"""Three gyroscopes on a rate table, or in moves between poses, and at rest: bias, scale factors and misalignments.
 
 What its files hold stands here, at hand before the instrument is loaded; the public names, in `__init__.pyi`, load
 on first use.
@@ -8,7 +8,7 @@ import lazy_loader
 
 import bayescal as bc
 from bayescal_models.triad.columns import OUTPUTS as OUTPUTS
-from bayescal_models.triad.columns import SESSION, made, three
+from bayescal_models.triad.columns import SESSION, made, made_in_moves, three
 
 COLUMNS = (
     *SESSION,
@@ -37,8 +37,9 @@ COLUMNS = (
         "deg/s",
         "which output a reading is of",
         "which output a reading is of",
-        "one of the three outputs",
+        "one of the three outputs, or a mean over a move",
     ),
+    *made_in_moves("deg/s"),
 )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

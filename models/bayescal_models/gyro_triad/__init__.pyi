@@ -3,7 +3,10 @@
 import bayescal as bc
 
 from .campaign import Campaign as Campaign
+from .campaign import MovesByHand as MovesByHand
+from .log_simulator import simulate_log as simulate_log
 from .model import INSTRUMENT as INSTRUMENT
+from .model import moved as moved
 from .model import simulate as simulate
 
 COLUMNS: tuple[bc.Column, ...]

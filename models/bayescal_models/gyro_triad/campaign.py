@@ -45,3 +45,47 @@ class Campaign:
             raise ValueError(
                 "Campaign: noise and uncertainties must be 0 or more, interval above 0."
             )
+
+
+@dataclass(frozen=True)
+class MovesByHand:
+    """A unit of gyroscopes and accelerometers that is turned from one pose at rest to the next, and logged throughout.
+
+    Attributes:
+        poses: how many.
+        still: in each, s.
+        move: from each to the next, s.
+        angle: mean turn of a move, rad.
+        rate: samples, 1/s.
+        gyro_noise: of gyroscopes, white, °/s/√Hz.
+        force_noise: of accelerometers, white, g/√Hz.
+        field_noise: of magnetometers, white, µT/√Hz.
+        dip: of the magnetic field below the level, °.
+        shake: standard deviation of the hand's acceleration in moves, g.
+        latitude: by which the Earth turns the unit, °; None where it does not turn.
+        substeps: between samples, in which the true attitude is integrated.
+
+    Raises:
+        ValueError: an option is out of its range.
+    """
+
+    poses: int = 24
+    still: float = 4.0
+    move: float = 3.0
+    angle: float = 2.0
+    rate: float = 100.0
+    gyro_noise: float = 7e-3
+    force_noise: float = 1.5e-4
+    field_noise: float = 0.05
+    dip: float = 65.0
+    shake: float = 0.1
+    latitude: float | None = 48.0
+    substeps: int = 16
+
+    def __post_init__(self) -> None:
+        if self.poses < 2 or self.substeps < 1:
+            raise ValueError("MovesByHand: give at least two poses and one substep.")
+        if not min(self.still, self.move, self.rate) > 0:
+            raise ValueError("MovesByHand: still, move and rate must be above 0.")
+        if not min(self.gyro_noise, self.force_noise, self.shake) >= 0:
+            raise ValueError("MovesByHand: noise and shake must be 0 or more.")

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 
 import bayescal as bc
+from bayescal_models.triad.columns import AROUND
 from bayescal_models.triad.equation import AXES, BIAS, LOWER, SCALE, SQUARE, UPPER
 from bayescal_models.triad.families import (
     drift,
@@ -19,6 +20,7 @@ from bayescal_models.triad.families import (
 SHEETS = "data sheets of BMI088, ICM-20948 and ADXRS645, zero-rate offset, sensitivity and cross axis; size ours"
 TEMPCO = "the same data sheets, change with temperature; size ours"
 GRAVITY = tuple(f"gravity_{a}" for a in AXES)
+SENSITIVITY = tuple(f"sensitivity_{a}{j}" for a in AXES for j in AXES)
 TURN = tuple(f"turn_{a}" for a in AXES)
 DIRECTION = tuple(f"direction_{a}" for a in AXES)
 EARTH = tuple(f"earth_{a}" for a in AXES)
@@ -27,10 +29,6 @@ ACROSS = tuple(f"across_{a}" for a in AXES)
 
 def _at_each_mounting(count: int, r: bc.Frame) -> Any:
     return jnp.broadcast_to(r["pose_uncertainty"][:, None], (r.size, count))
-
-
-def _by_gravity(r: bc.Frame) -> Any:
-    return jnp.stack([r[name] for _ in AXES for name in GRAVITY], axis=1)
 
 
 CONSTANT = family("bias.constant", BIAS, 3.0, "deg/s", SHEETS)
@@ -60,19 +58,26 @@ TURNED_TEMPERATURE = over_temperature(
 BIAS_QUADRATIC = over_temperature(
     "bias.temperature_quadratic", BIAS, 3e-4, "deg/s/degC^2", TEMPCO, order=2
 )
-G_SENSITIVITY = bc.Effect(
+G_SENSITIVITY = family(
     "bias.g_sensitivity",
-    BIAS[0],
-    basis=_by_gravity,
-    coefficients=tuple(
-        bc.Coefficient("deg/s/g", bc.Normal(0.0, 0.1), part=f"{a}{j}", slot=f"bias_{a}")
-        for a in AXES
-        for j in AXES
-    ),
-    columns=GRAVITY,
+    SENSITIVITY,
+    0.1,
+    "deg/s/g",
+    "IEEE Std 1431-2004, acceleration-sensitive drift; data sheet of BMI088; size ours",
     equation="Σ_j c_aj·g_j",
-    source="IEEE Std 1431-2004, acceleration-sensitive drift; data sheet of BMI088; size ours",
+    columns=GRAVITY,
     along="",
+)
+EARTH_ROTATION = family(
+    "earth.rotation",
+    AROUND,
+    15.041 / 3600 / 3**0.5,
+    "deg/s",
+    "15.041 °/h in an unknown direction",
+    equation="ω_E along the axes of the body in the first pose of a run",
+    per="run",
+    learned=False,
+    columns=AROUND,
 )
 LAG = thermal_lag(BIAS, 0.03, "deg/s/degC", TEMPCO)
 SQUARES = family(

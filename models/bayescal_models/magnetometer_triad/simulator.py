@@ -15,7 +15,9 @@ BASELINE = {
     "misalignment.constant": (30.0, -20.0, 40.0),
 }
 
-KNOWN = tuple(name for name in COUNTS if not name.startswith(("square", "cross", "bias.thermal")))
+KNOWN = tuple(
+    name for name in COUNTS if not name.startswith(("square", "cross", "cube", "bias.thermal"))
+)
 
 
 def simulated_columns(

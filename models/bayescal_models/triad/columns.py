@@ -8,6 +8,10 @@ import bayescal as bc
 
 AXES = "xyz"
 OUTPUTS = tuple(f"output_{a}" for a in AXES)
+TURNED = tuple(f"turned_{a}{j}" for a in AXES for j in AXES)
+PULLED = tuple(f"pulled_{a}{j}" for a in AXES for j in AXES)
+SQUARED = tuple(f"squared_{a}" for a in AXES)
+AROUND = tuple(f"around_{k}" for k in "123")
 SESSION = (
     bc.Column("run", None, "label of the session", required=False),
     bc.Column("time", "s", "one origin over all runs", required=False),
@@ -45,6 +49,25 @@ def made(unit: str, across: str, axis: str, output: str) -> tuple[bc.Column, ...
         *three("across", "1", across, required=False),
         bc.Column("axis", None, axis, required=False),
         bc.Column("output", unit, output, required=False),
+    )
+
+
+def made_in_moves(unit: str) -> tuple[bc.Column, ...]:
+    """What a mean over a move is of, weighted with the components of a direction that turns with the unit."""
+    return (
+        *(
+            bc.Column(n, unit, f"rate about {n[-1]}, by component {n[-2]}", required=False)
+            for n in TURNED
+        ),
+        *(
+            bc.Column(n, "g", f"force along {n[-1]}, by component {n[-2]}", required=False)
+            for n in PULLED
+        ),
+        *(
+            bc.Column(n, f"({unit})^2", f"rate squared, by component {n[-1]}", required=False)
+            for n in SQUARED
+        ),
+        *(bc.Column(n, "1", "of the Earth's rotation", required=False) for n in AROUND),
     )
 
 

@@ -1,9 +1,9 @@
 """The output of three axes, each a polynomial of what acts.
 
-    y_a = f_a + b_a + Σ_j G_aj·f_j + Q_a·f_a² + Σ_{i<j} C_aij·f_i·f_j
+    y_a = f_a + b_a + Σ_j G_aj·f_j + Q_a·f_a² + Σ_{i<j} C_aij·f_i·f_j + R_a·f_a³
 
 b is the bias, the diagonal of G the deviations of the scale factors, the others misalignments (IEEE Std 1293-2018,
-model equation: K0, K1, the angles of the input axis, K2 and the cross-coupling coefficients).
+model equation: K0, K1, the angles of the input axis, K2, the cross-coupling coefficients and K3).
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ UPPER = (
 LOWER = ("misalignment_yx", "misalignment_zx", "misalignment_zy")
 FIRST = tuple(f"scale_{i}" if i == j else f"misalignment_{i}{j}" for i in AXES for j in AXES)
 SQUARE = tuple(f"square_{a}" for a in AXES)
+CUBE = tuple(f"cube_{a}" for a in AXES)
 CROSS = tuple(f"cross_{a}_{p}" for a in AXES for p in ("xy", "xz", "yz"))
 
 
@@ -44,8 +45,8 @@ def slots(unit: str, acts: str) -> tuple[bc.Slot, ...]:
     )
 
 
-def second_order(unit: str) -> tuple[bc.Slot, ...]:
-    """Further slots, of terms of second order."""
+def higher_order(unit: str) -> tuple[bc.Slot, ...]:
+    """Further slots, of terms of second and third order."""
     return (
         *(
             bc.Slot(name, f"1/{unit}", f"of axis {name[-1]}, times its own input squared")
@@ -55,11 +56,15 @@ def second_order(unit: str) -> tuple[bc.Slot, ...]:
             bc.Slot(name, f"1/{unit}", f"of axis {name[6]}, times {name[8]} and {name[9]}")
             for name in CROSS
         ),
+        *(
+            bc.Slot(name, f"1/{unit}^2", f"of axis {name[-1]}, times its own input cubed")
+            for name in CUBE
+        ),
     )
 
 
 def equation(given: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
-    """The three outputs (n, 3), output unit, as a function of what acts (n, 3); second order where there are slots."""
+    """The three outputs (n, 3), output unit, as a function of what acts (n, 3); higher orders where there are slots."""
 
     def stacked(names: Sequence[str]) -> Any:
         return jnp.stack([given[name] for name in names], axis=1).reshape(r.size, 3, -1)
@@ -67,11 +72,14 @@ def equation(given: Mapping[str, Any], r: bc.Frame) -> Callable[[Any], Any]:
     bias, first = stacked(BIAS)[:, :, 0], stacked(FIRST)
     square = stacked(SQUARE)[:, :, 0] if SQUARE[0] in given else None
     cross = stacked(CROSS) if CROSS[0] in given else None
+    cube = stacked(CUBE)[:, :, 0] if CUBE[0] in given else None
 
     def outputs(force: Any) -> Any:
         total = force + bias + jnp.sum(first * force[:, None, :], axis=2)
         if square is not None:
             total = total + square * force**2
+        if cube is not None:
+            total = total + cube * force**3
         if cross is None:
             return total
         products = jnp.stack(

@@ -35,6 +35,7 @@ COUNTS = {
     "misalignment.frame": 3,
     "square.constant": 3,
     "cross.constant": 9,
+    "cube.constant": 3,
 }
 
 
@@ -102,6 +103,7 @@ def poses_of(
         second = sizes["square.constant"] * force[i] ** 2
         second = second + sizes["cross.constant"].reshape(3, 3) @ products
         output[i] = matrix @ force[i] + bias[i] + small * second
+        output[i] += small * sizes["cube.constant"] * force[i] ** 3
     output += campaign.noise * noise
     made: dict[str, Any] = {"run": (run + 1).astype(str), "time": time, "temperature": temperature}
     made["magnitude"] = np.full(count, campaign.magnitude)

@@ -1,0 +1,141 @@
+"""A simulated log of nine channels: a unit turned by hand between poses at rest.
+
+The true attitude is integrated in many steps between two samples, from rates in closed form; nothing of the model's own
+integration is used.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
+from bayescal_models.gyro_triad.campaign import MovesByHand
+from bayescal_models.gyro_triad.simulator import BASELINE, COUNTS, OFF_DIAGONAL
+from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
+from bayescal_models.triad.simulator import SHARES
+
+EARTH = 15.041 / 3600  # °/s
+MOUNTED = (0.03, -0.05, 0.04)  # by how much the magnetometers are turned against the body, rad
+LAWS = (
+    "bias.constant",
+    "bias.g_sensitivity",
+    "scale.constant",
+    "misalignment.constant",
+    "square.constant",
+)
+
+
+def simulate_log(
+    effects: Mapping[str, Any] | None = None, *, seed: int, campaign: MovesByHand | None = None
+) -> dict[str, np.ndarray]:
+    """Columns of a log: time (s), gyro_x, … (°/s), accel_x, … (g), mag_x, … (µT).
+
+    Args:
+        effects: of the gyroscopes: canonical name → true size, in the unit of the effect's coefficients, or one for
+            each of its members; bias, scale and misalignment are there unless given otherwise.
+        seed: of every random number.
+        campaign: the poses and moves.
+
+    Raises:
+        ValueError: an effect that this log has no law for.
+    """
+    plan, given = campaign or MovesByHand(), dict(effects or {})
+    if unknown := sorted(set(given) - set(LAWS)):
+        raise ValueError(f"no law for {', '.join(unknown)}: choose among {', '.join(LAWS)}")
+    sizes = {name: np.zeros(COUNTS[name]) for name in LAWS}
+    sizes |= {name: np.array(members) for name, members in BASELINE.items()}
+    for name, size in given.items():
+        sizes[name] = size * SHARES[: COUNTS[name]] if np.ndim(size) == 0 else np.asarray(size)
+    rng = np.random.default_rng(seed)
+    rate, force, up = _path(plan, rng)  # °/s, g
+    around = np.zeros(3)
+    if plan.latitude is not None:
+        heading, phi = rng.uniform(0, 2 * np.pi), np.deg2rad(plan.latitude)
+        level = [np.cos(phi) * np.cos(heading), np.cos(phi) * np.sin(heading), np.sin(phi)]
+        around = EARTH * np.array(level)
+    rate = rate + np.einsum("nij,i->nj", up, around)
+    matrix = np.eye(3) + 1e-6 * np.diag(sizes["scale.constant"])
+    for angle, at in zip(sizes["misalignment.constant"], OFF_DIAGONAL, strict=True):
+        matrix[at] += 1e-3 * angle
+    sensitivity = sizes["bias.g_sensitivity"].reshape(3, 3)
+    gyro = rate @ matrix.T + sizes["bias.constant"] + force @ sensitivity.T
+    gyro = gyro + 1e-6 * sizes["square.constant"] * rate**2
+    own = np.eye(3) + 1e-6 * np.diag(ACCELEROMETERS["scale.constant"])
+    own[0, 1], own[0, 2], own[1, 2] = 1e-3 * np.array(ACCELEROMETERS["misalignment.constant"])
+    accel = force @ own.T + 1e-3 * np.array(ACCELEROMETERS["bias.constant"])
+    each = math.sqrt(plan.rate)
+    gyro = gyro + plan.gyro_noise * each * rng.standard_normal(gyro.shape)
+    accel = accel + plan.force_noise * each * rng.standard_normal(accel.shape)
+    made = {"time": np.arange(len(gyro)) / plan.rate}
+    made |= {f"gyro_{a}": gyro[:, i] for i, a in enumerate("xyz")}
+    made |= {f"accel_{a}": accel[:, i] for i, a in enumerate("xyz")}
+    # Its own generator: a log with and without magnetometers has the same noise.
+    mag = _magnetometers(plan, up, np.random.default_rng([seed, 1]))
+    return made | {f"mag_{a}": mag[:, i] for i, a in enumerate("xyz")}
+
+
+def _magnetometers(plan: MovesByHand, attitude: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Outputs (n, 3), µT, of a triad whose axes stand beside the body's, in a field of 50 µT."""
+    heading, dip = rng.uniform(0, 2 * np.pi), np.deg2rad(plan.dip)
+    level = [np.cos(dip) * np.cos(heading), np.cos(dip) * np.sin(heading), -np.sin(dip)]
+    field = np.einsum("nij,i->nj", attitude, 50.0 * np.array(level))
+    matrix = np.eye(3) + 1e-6 * np.diag(MAGNETOMETERS["scale.constant"])
+    matrix[0, 1], matrix[0, 2], matrix[1, 2] = 1e-3 * np.array(
+        MAGNETOMETERS["misalignment.constant"]
+    )
+    own = field @ _rotation(np.array(MOUNTED)).T
+    each = plan.field_noise * math.sqrt(plan.rate)
+    bias = np.array(MAGNETOMETERS["bias.constant"])
+    return own @ matrix.T + bias + each * rng.standard_normal(own.shape)
+
+
+def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rates against the ground (n, 3) in °/s, specific force (n, 3) in g, and attitudes, body to level (n, 3, 3)."""
+    fine = plan.substeps
+    at_rest, moving = round(plan.still * plan.rate), round(plan.move * plan.rate)
+    rates, forces, attitudes = [], [], []
+    attitude = _rotation(rng.standard_normal(3))
+    for pose in range(plan.poses):
+        rates.append(np.zeros((at_rest, 3)))
+        forces.append(np.tile(attitude[2], (at_rest, 1)))
+        attitudes.append(np.tile(attitude, (at_rest, 1, 1)))
+        if pose == plan.poses - 1:
+            break
+        axis = rng.standard_normal(3)
+        mean = plan.angle * rng.uniform(0.5, 1.5) * axis / np.linalg.norm(axis) / plan.move
+        aside, pushed = rng.standard_normal((2, 3))
+
+        def turning(s: np.ndarray, mean: np.ndarray = mean, aside: np.ndarray = aside) -> Any:
+            """Of the part of the move that is done, rad/s."""
+            swell = np.sin(np.pi * s)[:, None] ** 2
+            return swell * (2 * mean + 0.5 * aside * np.sin(2 * np.pi * s)[:, None])
+
+        whole = np.arange(moving) / moving
+        rates.append(np.rad2deg(turning(whole)))
+        there = np.empty((moving, 3, 3))
+        middles = (np.arange(moving * fine) + 0.5) / (moving * fine)
+        steps = turning(middles) / (plan.rate * fine)
+        for k in range(moving * fine):
+            if k % fine == 0:
+                there[k // fine] = attitude
+            attitude = attitude @ _rotation(steps[k])
+        attitudes.append(there)
+        swing = plan.shake * np.sin(np.pi * whole) ** 2 * np.sin(6 * np.pi * whole)
+        felt = np.array([0.0, 0.0, 1.0]) + swing[:, None] * pushed
+        forces.append(np.einsum("nij,ni->nj", there, felt))
+    return np.concatenate(rates), np.concatenate(forces), np.concatenate(attitudes)
+
+
+def _rotation(vector: np.ndarray) -> np.ndarray:
+    """Rodrigues' rotation matrix of a rotation vector, rad."""
+    x, y, z = vector
+    angle = math.sqrt(x * x + y * y + z * z)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    if angle < 1e-9:
+        return np.eye(3) + cross
+    once, twice = math.sin(angle) / angle, (1 - math.cos(angle)) / angle**2
+    return np.eye(3) + once * cross + twice * cross @ cross

@@ -1,0 +1,277 @@
+"""Gyroscopes by moves between poses: what closes, what is measured, what is found, what leaves."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import bayescal as bc
+from bayescal._data.column import UNCERTAINTY
+from bayescal._use.vector_correction import CorrectedVector, VectorCorrection
+from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
+from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
+from bayescal_models.gyro_triad import MovesByHand, simulate_log
+from bayescal_models.gyro_triad.log_simulator import MOUNTED
+from bayescal_models.gyro_triad.simulator import BASELINE, OFF_DIAGONAL
+from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
+from tests.support.command_line import needs_installation, run
+
+FORCE, TURNS = accelerometer_triad.INSTRUMENT, gyro_triad.INSTRUMENT
+FIELD = magnetometer_triad.INSTRUMENT
+TRUE = {
+    f"{name}[{part}]": value
+    for name, parts in (
+        ("bias.constant", "xyz"),
+        ("scale.constant", "xyz"),
+        ("misalignment.constant", ("xy", "xz", "yz", "yx", "zx", "zy")),
+    )
+    for part, value in zip(parts, BASELINE[name], strict=True)
+}
+FEW = MovesByHand(poses=12, still=3.0, move=2.0)
+
+
+def both(log: dict[str, np.ndarray]) -> tuple[bc.Measurements, bc.Measurements]:
+    """The log as read with each instrument: accelerometers, gyroscopes."""
+
+    def of(instrument: bc.Instrument, name: str) -> bc.Measurements:
+        outputs: dict[str, Any] = {f"output_{a}": log[f"{name}_{a}"] for a in "xyz"}
+        return bc.Measurements.from_arrays(instrument, time=log["time"], **outputs)
+
+    return of(FORCE, "accel"), of(TURNS, "gyro")
+
+
+def exact() -> VectorCorrection:
+    """The correction of the simulated accelerometers, without uncertainty."""
+    matrix = np.eye(3) + 1e-6 * np.diag(ACCELEROMETERS["scale.constant"])
+    matrix[0, 1], matrix[0, 2], matrix[1, 2] = 1e-3 * np.array(
+        ACCELEROMETERS["misalignment.constant"]
+    )
+    bias = 1e-3 * np.array(ACCELEROMETERS["bias.constant"])
+    terms = np.concatenate([bias, matrix.ravel()])[None]
+    names = ("output_x", "output_y", "output_z")
+    return VectorCorrection(names, "g", 25.0, 25.0, 25.0, terms, np.zeros((12, 12)), 0.0)
+
+
+def left(rows: bc.Measurements) -> np.ndarray:
+    """Outputs less what the true gyroscopes give, °/s, by what the columns say."""
+    matrix = np.eye(3) + 1e-6 * np.diag(BASELINE["scale.constant"])
+    for angle, at in zip(BASELINE["misalignment.constant"], OFF_DIAGONAL, strict=True):
+        matrix[at] = 1e-3 * angle
+    expected = sum(
+        rows[f"across_{a}"] * b for a, b in zip("xyz", BASELINE["bias.constant"], strict=True)
+    )
+    for i, a in enumerate("xyz"):
+        for j, b in enumerate("xyz"):
+            expected = expected + rows[f"turned_{a}{b}"] * matrix[i, j]
+    return rows["output"] - expected
+
+
+@cache
+def calibrated(seed: int = 1) -> tuple[bc.Measurements, VectorCorrection, bc.Calibration]:
+    forces, log = both(simulate_log(seed=seed))
+    correct = bc.vector_correction(bc.fit(FORCE.baseline(), bc.poses(forces, FORCE)))
+    rows = bc.moves(log, TURNS, forces, correct)
+    return rows, correct, bc.fit(gyro_triad.moved(), rows)
+
+
+def test_a_move_without_noise_closes_at_the_true_gyroscopes() -> None:
+    """The simulator's attitudes come of steps sixteen times as fine; its gyroscopes are 1 % off, linearised once."""
+    quiet = MovesByHand(poses=12, gyro_noise=1e-7, force_noise=1e-9, latitude=None)
+    forces, log = both(simulate_log(seed=3, campaign=quiet))
+    rows = bc.moves(log, TURNS, forces, exact())
+    assert np.max(np.abs(left(rows))) < 1e-5  # °/s, of rates up to 100
+
+
+def test_what_is_left_over_is_white_with_the_stated_uncertainty() -> None:
+    """Each pose ends one move and begins the next, and yet readings are independent of each other."""
+    z = []
+    for seed in range(8):
+        plan = MovesByHand(poses=16, still=3.0, move=1.5, latitude=None)
+        forces, log = both(simulate_log(seed=50 + seed, campaign=plan))
+        rows = bc.moves(log, TURNS, forces, exact())
+        surest = re.search(r"uncertain by ([\d.e-]+) deg/s", rows.flags[0])
+        assert surest is not None
+        sd = np.hypot(rows[UNCERTAINTY], float(surest[1]))
+        z.append((left(rows) / sd)[3 * plan.poses :].reshape(-1, 2))
+    together = np.array(z)
+    count = together.size
+    assert abs(np.mean(together**2) - 1) < 4 * np.sqrt(2 / count) + 0.1  # and noise is estimated
+    after = np.mean(together[:, 1:] * together[:, :-1])
+    assert abs(after) < 4 / np.sqrt(count)
+
+
+def test_scale_and_misalignment_without_a_rate_table() -> None:
+    _, _, calibration = calibrated()
+    draws = np.stack([calibration.samples(name) for name in TRUE])
+    mean, sd = draws.mean(axis=1), draws.std(axis=1)
+    assert np.all(np.abs(mean - list(TRUE.values())) < 4 * sd)
+    assert np.all(sd[3:6] < 120)  # ppm
+    assert np.all(sd[6:] < 0.15)  # mrad
+
+
+def test_the_accelerometers_own_uncertainty_counts() -> None:
+    """Axes of the accelerometers known to 1 mrad about z are axes of the gyroscopes known no better.
+
+    (What distorts them, moves tell themselves.)
+    """
+    forces, log = both(simulate_log(seed=2, campaign=FEW))
+    sure, covariance = exact(), np.zeros((12, 12))
+    turned = sure.matrix @ np.cross(np.eye(3)[2], np.eye(3)).T
+    covariance[3:, 3:] = 1e-6 * np.outer(turned, turned)
+    unsure = VectorCorrection(
+        sure.outputs, "g", 25.0, 25.0, 25.0, sure.terms, covariance, sure.noise
+    )
+    name = "misalignment.constant[xy]"
+    sds = [
+        bc.fit(gyro_triad.moved(), bc.moves(log, TURNS, forces, c)).samples(name).std()
+        for c in (sure, unsure)
+    ]
+    assert sds[0] < 0.3  # mrad
+    assert 0.5 < sds[1] < 1.3
+
+
+def test_a_hidden_sensitivity_to_gravity_is_found_and_corrected() -> None:
+    forces, log = both(simulate_log({"bias.g_sensitivity": 0.03}, seed=4))
+    correct = bc.vector_correction(bc.fit(FORCE.baseline(), bc.poses(forces, FORCE)))
+    first = bc.fit(gyro_triad.moved(), bc.moves(log, TURNS, forces, correct))
+    found = bc.discover(first).best
+    assert [effect.name for effect in found] == ["bias.g_sensitivity"]
+    turned = bc.vector_correction(bc.fit(first.model + found, first.readings))
+    assert turned.beside == ("gravity_x", "gravity_y", "gravity_z")
+    assert "Axes are those of the accelerometers" in turned.notes[0]
+
+
+def test_nothing_is_invented_and_all_is_determined() -> None:
+    rows, _, calibration = calibrated()
+    assert not bc.discover(calibration).best
+    assert not bc.undetermined(gyro_triad.moved(), rows).add
+
+
+def test_both_leave_in_one_frame(tmp_path: Path) -> None:
+    yaml = pytest.importorskip("yaml")
+    _, correct, calibration = calibrated()
+    turned = bc.vector_correction(calibration)
+    text = bc.export_vector(correct, tmp_path / "imu.yaml", others=[turned]).read_text("utf-8")
+    found = yaml.safe_load(text)["imu0"]
+    ours = {n: np.array(v) for n, v in found["accelerometers"].items()}
+    theirs = {n: np.array(v) for n, v in found["gyroscopes"].items()}
+    rate = np.array([0.3, -0.2, 0.5])  # in the body's axes; Kalibr's are R times that
+    by_kalibr = theirs["M"] @ theirs["C_gyro_i"] @ ours["R"] @ rate
+    assert np.allclose(by_kalibr, turned.matrix @ rate, atol=1e-7)
+    assert np.allclose(
+        np.array(found["Tw"]) @ found["R_IMUtoGYRO"] @ rate, turned.matrix @ rate, atol=1e-7
+    )
+    with pytest.raises(bc.InputError, match="write the others to files of their own"):
+        bc.export_vector(correct, tmp_path / "imu.json", others=[turned])
+
+
+@needs_installation
+def test_one_command_from_a_log_of_nine_channels(tmp_path: Path) -> None:
+    log = simulate_log(seed=5, campaign=FEW)
+    header = ",".join(
+        ["time [s]"]
+        + [
+            f"{n}{a} [{unit}]"
+            for n, unit in (("w", "deg/s"), ("f", "g"), ("m", "uT"))
+            for a in "xyz"
+        ]
+    )
+    table = np.column_stack(
+        [log["time"]] + [log[f"{n}_{a}"] for n in ("gyro", "accel", "mag") for a in "xyz"]
+    )
+    path = tmp_path / "log.csv"
+    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
+    done = run(
+        *("imu", path, "--accelerometers", "fx,fy,fz", "--gyroscopes", "wx,wy,wz"),
+        *("--magnetometers", "mx,my,mz", "--baseline", "--out", tmp_path / "unit"),
+    )
+    assert done.status == 0, done.err
+    for name in ("imu.yaml", "report.html", "gyroscope/correction.h", "magnetometer/poses.csv"):
+        assert (tmp_path / "unit" / name).is_file()
+    correct = bc.load_vector_correction(tmp_path / "unit" / "gyroscope" / "correction.json")
+    true = 1 + 1e-6 * np.array(BASELINE["scale.constant"])
+    sd = correct.uncertainty[0, [3, 7, 11]]
+    assert np.all(np.abs(np.diag(correct.matrix) - true) < 4 * sd)
+
+
+def magnetometers(seed: int) -> tuple[bc.Measurements, VectorCorrection, VectorCorrection]:
+    """Their log, their correction in their own axes and in those of the true accelerometers."""
+    log = simulate_log(seed=seed)
+    forces, _ = both(log)
+    outputs: dict[str, Any] = {f"output_{a}": log[f"mag_{a}"] for a in "xyz"}
+    drawn = bc.Measurements.from_arrays(FIELD, time=log["time"], **outputs)
+    own = bc.vector_correction(bc.fit(FIELD.baseline(), bc.poses(drawn, FIELD)))
+    return drawn, own, bc.in_frame_of(own, drawn, exact(), forces)
+
+
+def test_magnetometers_are_turned_into_the_axes_of_the_accelerometers() -> None:
+    chi = []
+    for seed in range(4):
+        _, own, turned = magnetometers(70 + seed)
+        found = re.search(r"by a field ([\d.]+)° below", turned.notes[0])
+        assert found is not None and abs(float(found[1]) - 65.0) < 0.5
+        true = np.eye(3) + 1e-6 * np.diag(MAGNETOMETERS["scale.constant"])
+        true[0, 1], true[0, 2], true[1, 2] = 1e-3 * np.array(MAGNETOMETERS["misalignment.constant"])
+        true = true @ Rotation.from_rotvec(MOUNTED).as_matrix()
+        apart = (turned.matrix - true).ravel()
+        assert np.max(np.abs(own.matrix - true)) > 0.02  # it is turned by more than it is unsure of
+        chi.append(apart @ np.linalg.solve(turned.covariance[3:12, 3:12], apart) / 9)
+        assert np.all(turned.uncertainty[0, 3:12] < 0.01)
+    assert 0.2 < np.mean(chi) < 2.2  # of 36
+
+
+def test_heading_and_its_uncertainty_in_any_attitude() -> None:
+    """As of vectors drawn about the mean; a level body that looks east has the field on its left."""
+
+    def of(vectors: Any, covariance: np.ndarray) -> CorrectedVector:
+        vectors = np.atleast_2d(np.asarray(vectors, float))
+        each = np.broadcast_to(covariance, (len(vectors), 3, 3))
+        return CorrectedVector(vectors, each, "1", np.zeros(len(vectors), bool))
+
+    none = np.zeros((3, 3))
+    heading, _ = of([0.0, 20.0, -45.0], none).heading_over(of([0.0, 0.0, 1.0], none))
+    assert heading[0] == pytest.approx(np.pi / 2)
+    random = np.random.default_rng(8)
+    up, field = np.array([0.3, -0.4, 0.8]), np.array([20.0, 5.0, -40.0])
+    a, b = 2e-3 * random.standard_normal((3, 3)), 0.2 * random.standard_normal((3, 3))
+    _, sd = of(field, b @ b.T).heading_over(of(up, a @ a.T))
+    ups = up + random.standard_normal((20_000, 3)) @ a.T
+    fields = field + random.standard_normal((20_000, 3)) @ b.T
+    drawn, _ = of(fields, none).heading_over(of(ups, none))
+    assert sd[0] == pytest.approx(drawn.std(), rel=0.03)
+
+
+def test_refusals_say_what_to_do() -> None:
+    forces, log = both(simulate_log(seed=6, campaign=FEW))
+    with pytest.raises(bc.ModelError, match="moves are of three gyroscopes"):
+        bc.moves(log, FORCE, forces, exact())
+    short = forces.select(forces["time"] < 3.0)
+    with pytest.raises(bc.InputError, match="1 poses in which gyroscopes and accelerometers"):
+        bc.moves(log, TURNS, short, exact())
+    drawn, own, _ = magnetometers(71)
+    twice = drawn.with_column("output_x", drawn["output_y"])
+    with pytest.raises(bc.InputError, match="one field has one dip"):
+        bc.in_frame_of(own, twice, exact(), both(simulate_log(seed=71))[0])
+    wrong = log.with_column("output_x", -log["output_x"])
+    with pytest.raises(bc.InputError, match="do not lead from one pose to the next"):
+        bc.moves(wrong, TURNS, forces, exact())
+
+
+@pytest.mark.slow
+def test_intervals_cover() -> None:
+    covered = []
+    for seed in range(60):
+        forces, log = both(simulate_log(seed=1000 + seed))
+        correct = bc.vector_correction(bc.fit(FORCE.baseline(), bc.poses(forces, FORCE), seed=seed))
+        calibration = bc.fit(gyro_triad.moved(), bc.moves(log, TURNS, forces, correct), seed=seed)
+        for name, true in TRUE.items():
+            low, high = np.quantile(calibration.samples(name), [0.025, 0.975])
+            covered.append(low <= true <= high)
+    each = np.mean(np.reshape(covered, (-1, len(TRUE))), axis=1)
+    assert abs(each.mean() - 0.95) < 4 * each.std() / np.sqrt(len(each))
