@@ -68,12 +68,12 @@ def test_readings_without_the_labels_cannot_test_it() -> None:
 
 
 def test_the_average_holds_labels_that_only_other_structures_know() -> None:
-    """Nothing is hidden at the stations: the last model has no coefficient for them, some of the average has."""
+    """Little is hidden at the stations: the last model has no coefficient for them, some of the average has."""
     with bc.use_settings(bc.SearchSettings(averaged=1e-6)):
         path = bc.calibrate(
-            AT_STATIONS.baseline(), at_stations(0.0), method=bc.LeastSquares(draws=100)
+            AT_STATIONS.baseline(), at_stations(0.015), method=bc.LeastSquares(draws=100)
         )
     assert "bias.station" not in path.final.calibration.model.names
     assert path.average is not None and "bias.station" in path.average.model.names
     assert path.average.posterior["bias.station"].sizes["station"] == len(BIASES)
-    assert bc.predict(path.average, at_stations(0.0)).rmse < 0.02
+    assert bc.predict(path.average, at_stations(0.015)).rmse < 0.02
