@@ -44,11 +44,14 @@ def check(
     promote: tuple[str, ...] = (),
     plan=PLAN,
     uneven: float = 0.05,
+    rounds: int = 2,
     draw=coverage.drawn_one_by_one,
 ) -> None:
     """Ranks are uniform; weights uneven (k̂ > 0.7) in a share of the data sets at most."""
     data, truth = drawn(model, count, plan, SEED)
-    made, k_hats = draw(model, data, bc.Marginal(proposals=1024, rounds=2, promote=promote), SEED)
+    made, k_hats = draw(
+        model, data, bc.Marginal(proposals=1024, rounds=rounds, promote=promote), SEED
+    )
     assert np.mean(np.asarray(k_hats) > 0.7) <= uneven
     assert_uniform(ranks(made, truth))
 
@@ -133,6 +136,14 @@ def test_ranks_are_uniform_for_wandering_noise() -> None:
     wandering = bc.OrnsteinUhlenbeck(100.0, 3000.0, bc.HalfNormal(0.1), bc.HalfNormal(0.1))
     # From 11 readings a run the wander is often not told from white noise: a posterior of two arms.
     check(BASELINE.with_noise(wandering), 200, uneven=0.5)
+
+
+@pytest.mark.slow
+def test_ranks_are_uniform_for_sums_of_noise_terms() -> None:
+    # Each φ costs a pass over the readings here, so that the draws of all rounds count.
+    half = bc.HalfNormal(0.1)
+    law = bc.SummedNoise(300.0, 3300.0, ("correlated", "flicker"), half, half)
+    check(BASELINE.with_noise(law), 200, uneven=0.1, rounds=12)
 
 
 def test_a_wrong_noise_law_would_be_noticed() -> None:
