@@ -254,7 +254,7 @@ def adapted(
         if np.max(there) > higher or effective_size(softmax(log_weight)) > ADAPTED * len(v):
             break
         none = np.zeros((len(v), 0))
-        tried.add(mixture, v, log_proposal, _Placed(v, there, none, none, none[:, :0]))
+        tried.add(mixture, v, log_proposal, _Placed(v, there, none, none, there))
         mixture = _match(mode, tried.all.v, tried.log_weight)
         if k + 1 >= USUAL and smoothed(log_weight)[1] <= sampling().k_hat:
             break
@@ -424,20 +424,22 @@ def _fill(
         mixture = adapted(mode, *args)
     # Where each φ costs a pass over the readings, what is drawn while adapting counts too.
     halves = 2 if direct else 1
-    for k in range(max(halves, rounds if direct and first and len(mode.v) else 0)):
+    most = max(halves, rounds if direct and first and len(mode.v) else 0)
+    for k in range(1, most + 1):
         if density.highest > higher:
             break
         v, log_proposal = propose(mixture, prior, random, count // halves)
-        pool.add(
-            mixture, v, log_proposal, _placed(density, pool.judged, v, log_proposal, heavy, random)
-        )
-        if k + 1 >= halves:
-            weights, k_hat = smoothed(pool.log_weight)
+        new = _placed(density, pool.judged, v, log_proposal, heavy, random)
+        pool.add(mixture, v, log_proposal, new)
+        if k == most or not len(mode.v):
+            continue
+        log_weight = pool.log_weight
+        if k >= halves:
+            weights, k_hat = smoothed(log_weight)
             enough = min(sampling().enough, count // 4)
             if k_hat <= sampling().k_hat and effective_size(weights) >= enough:
                 break
-        if len(mode.v):
-            mixture = _match(mode, pool.all.v, pool.log_weight)
+        mixture = _match(mode, pool.all.v, log_weight)
 
 
 def proposals_of(density: ManyPhi) -> int:
