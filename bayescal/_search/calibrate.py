@@ -121,12 +121,7 @@ def calibrate(
         kept = None if holdout is None else set_aside(holdout, keep_spikes)
         used, accepted = _said_of_holdout(used, kept), frozenset(accept_conflicts)
         loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
-        # A description without a name is no statement of the user's: it stands where it is the most probable, whether
-        # the model came with it or not.
-        unnamed = {e.name for e in placeholders(model, used)}.intersection(model.names)
-        departed = [e.name for e in model.effects if isinstance(e, Departure)]
-        known = ([Structure(frozenset(unnamed))] if unnamed else []) + [*seeds]
-        loop, first = loop.begin(reduce(sub, [*unnamed, *departed], model))
+        loop, first = loop.begin(model)
         # Stated values that the readings contradict: the value may be wrong, or an effect missing; the search weighs
         # both.
         more = loop.freed(first)
@@ -136,7 +131,7 @@ def calibrate(
         tell = partial(loop.tell, [first], structures, deadline.door(), follow)
         tell()
         try:
-            library, stopped = loop.look(Library(structures), known, tell)
+            library, stopped = loop.look(Library(structures), seeds, tell)
         except TimeIsUp as early:
             return loop.not_searched(first, early.why)
         return loop.steps_to_best(first, library, shut, stopped, follow)
@@ -160,13 +155,22 @@ class Loop:
     accepted: frozenset[str]
     begun: float = 0.0  # of the search
     step_takes: float = 0.0  # s, as the first one did
+    unnamed: frozenset[str] = frozenset()  # unknown dependences that the model came with
 
     def begin(self, model: Model) -> tuple[Loop, Step]:
-        """The first step."""
+        """The first step, of the model without what has no name in it.
+
+        A description without a name is no statement of the user's: it stands where it is the most probable, whether the
+        model came with it or not.
+        """
         before = time.monotonic()
+        unnamed = {e.name for e in placeholders(model, self.readings)}.intersection(model.names)
+        departed = [e.name for e in model.effects if isinstance(e, Departure)]
+        model = reduce(sub, [*unnamed, *departed], model)
         first = self.step(model, method=self.quick(model))
         now = time.monotonic()
-        return replace(self, begun=now, step_takes=now - before), first
+        taken = {"begun": now, "step_takes": now - before, "unnamed": frozenset(unnamed)}
+        return replace(self, **taken), first
 
     def open(
         self, first: Step, effects: Sequence[Effect], widen_noise: bool
@@ -225,9 +229,12 @@ class Loop:
             TimeIsUp: not even the first model was weighed.
         """
         structures = library.structures
+        asked = [Structure(frozenset(s.effects), s.noise) for s in seeds]
+        if self.unnamed:
+            asked.insert(0, Structure(self.unnamed))
         known = [
             s
-            for s in dict.fromkeys(Structure(frozenset(s.effects), s.noise) for s in seeds)
+            for s in dict.fromkeys(asked)
             if s.effects <= set(structures.candidates)
             and s.effects.isdisjoint(structures.barred(s))
             and len(s.effects) <= self.max_effects
