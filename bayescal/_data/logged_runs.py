@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.errors import InputError
-from bayescal._data.measurements import Measurements
+from bayescal._data.column import UNCERTAINTY
+from bayescal._data.measurements import InstrumentLike, Measurements
 from bayescal._data.pose_rows import ACROSS
 from bayescal._data.still_stretches import StillStretches, still_stretches
 
@@ -56,6 +57,16 @@ def logged_runs(
         still = still_stretches(log["time"][own], outputs, shortest)
         found[label] = LoggedRun(log["time"][own], outputs, warm, still)
     return found
+
+
+def as_readings(
+    columns: dict[str, np.ndarray], instrument: InstrumentLike, log: Measurements
+) -> Measurements:
+    """What was made of a log as readings of an instrument; columns that it does not know have the log's units."""
+    known = {c.name for c in instrument.columns} | {UNCERTAINTY}
+    units = {n: str(log.unit(n)) for n in columns if n not in known and log.unit(n)}
+    given: dict[str, Any] = {"units": units, "allow_one_temperature": True, **columns}
+    return Measurements.from_arrays(instrument, **given)
 
 
 def in_common(one: Float[np.ndarray, "k 2"], other: Float[np.ndarray, "l 2"]) -> np.ndarray:

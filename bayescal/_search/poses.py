@@ -8,7 +8,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY
-from bayescal._data.logged_runs import per_sample
+from bayescal._data.logged_runs import as_readings, per_sample
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, OF
 from bayescal._data.still_stretches import still_stretches
@@ -51,14 +51,7 @@ def poses(
             rows.setdefault(name, []).append(np.array(made))
         rows.setdefault(UNCERTAINTY, []).append(found.uncertainty)
     columns = {name: np.concatenate(parts) for name, parts in rows.items()}
-    known = {c.name for c in instrument.columns} | {UNCERTAINTY}
-    units = {name: str(log.unit(name)) for name in columns if name not in known and log.unit(name)}
-    made = Measurements.from_arrays(
-        instrument,
-        units=units,
-        allow_one_temperature=True,
-        **columns,  # pyright: ignore[reportArgumentType]
-    )
+    made = as_readings(columns, instrument, log)
     said = (
         f"{len(made['output'])} readings of {len(columns[UNCERTAINTY])} poses found in {log.file}; means of blocks "
         f"scatter {np.mean(ratios):.1f} times as much as those of independent samples would"

@@ -33,7 +33,7 @@ from scipy.spatial.transform import Rotation
 
 from bayescal._core.errors import InputError, ModelError
 from bayescal._data.column import UNCERTAINTY
-from bayescal._data.logged_runs import LoggedRun, in_common, logged_runs, per_sample
+from bayescal._data.logged_runs import LoggedRun, as_readings, in_common, logged_runs, per_sample
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import (
     ACROSS,
@@ -136,14 +136,7 @@ def moves(
     # noise beside known ones that suffice would have its mode at zero.
     surest = float(np.min(columns[UNCERTAINTY]))
     columns[UNCERTAINTY] = np.sqrt(columns[UNCERTAINTY] ** 2 - surest**2)
-    known = {c.name for c in instrument.columns} | {UNCERTAINTY}
-    units = {n: str(log.unit(n)) for n in columns if n not in known and log.unit(n)}
-    found = Measurements.from_arrays(
-        instrument,
-        units=units,
-        allow_one_temperature=True,
-        **columns,  # pyright: ignore[reportArgumentType]
-    )
+    found = as_readings(columns, instrument, log)
     said = (
         f"{len(found)} readings of {poses} poses and the moves between them, found in {log.file}; by the noise at rest "
         f"the surest is uncertain by {surest:.2g} {instrument.unit}, which noise.white is of"

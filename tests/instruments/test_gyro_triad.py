@@ -15,19 +15,11 @@ from bayescal_models import gyro_triad
 from bayescal_models.gyro_triad import Campaign
 from bayescal_models.gyro_triad.simulator import BASELINE
 from bayescal_models.triad.simulator import SHARES
+from tests.support.triad_truth import TRUE
 
 INSTRUMENT = gyro_triad.INSTRUMENT
 MODEL = INSTRUMENT.baseline()
 THERMAL = Campaign(temperatures=(-20.0, 0.0, 25.0, 50.0, 70.0))
-TRUE = {
-    f"{name}[{part}]": value
-    for name, parts in (
-        ("bias.constant", "xyz"),
-        ("scale.constant", "xyz"),
-        ("misalignment.constant", ("xy", "xz", "yz", "yx", "zx", "zy")),
-    )
-    for part, value in zip(parts, BASELINE[name], strict=True)
-}
 
 
 def stated(calibration: bc.Calibration, names: Any) -> tuple[np.ndarray, np.ndarray]:

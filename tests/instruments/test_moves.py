@@ -21,18 +21,10 @@ from bayescal_models.gyro_triad.log_simulator import MOUNTED
 from bayescal_models.gyro_triad.simulator import BASELINE, OFF_DIAGONAL
 from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
 from tests.support.command_line import needs_installation, run
+from tests.support.triad_truth import TRUE
 
 FORCE, TURNS = accelerometer_triad.INSTRUMENT, gyro_triad.INSTRUMENT
 FIELD = magnetometer_triad.INSTRUMENT
-TRUE = {
-    f"{name}[{part}]": value
-    for name, parts in (
-        ("bias.constant", "xyz"),
-        ("scale.constant", "xyz"),
-        ("misalignment.constant", ("xy", "xz", "yz", "yx", "zx", "zy")),
-    )
-    for part, value in zip(parts, BASELINE[name], strict=True)
-}
 FEW = MovesByHand(poses=12, still=3.0, move=2.0)
 
 
