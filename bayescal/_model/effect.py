@@ -20,7 +20,7 @@ from bayescal._core.errors import ModelError
 from bayescal._core.jit import by_value, importable, written_by_value
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import Frame
-from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, Normal
+from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
 from bayescal._model.static import set_once, static
 
 Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
@@ -96,13 +96,14 @@ class Coefficient:
 class Shape:
     """One unknown that the model is not linear in: a lag time, a period, a ratio of frequencies.
 
-    The prior puts 95 % between `low` and `high`; its coordinate is standard normal.
+    The prior puts 95 % between `low` and `high`, or all of it; its coordinate is standard normal.
 
     Attributes:
         name: keyword under which the effect's basis receives it, such as "tau".
         unit: the unit in which the basis takes it and in which it is reported.
         low, high: plausible range, in `unit`; `OPEN` for one to be taken from the readings.
-        scale: "log" for a log-normal prior (positive quantities), "linear" for a normal one.
+        scale: "log" for a log-normal prior (positive quantities), "linear" for a normal one, "bounded" for a
+            log-uniform one: `low` and `high` are then a definition, beyond which it would be another effect.
         ragged: whether the evidence has many maxima over it, as over a period; the search begins at more points.
         shared: whether it is one for all channels of a unit, as the time of a body that they share.
     """
@@ -111,13 +112,13 @@ class Shape:
     unit: str
     low: float
     high: float
-    scale: Literal["log", "linear"] = "log"
+    scale: Literal["log", "linear", "bounded"] = "log"
     ragged: bool = False
     shared: bool = field(default=False, repr=False)
 
     def __post_init__(self) -> None:
         positive = self.low > 0 or self.open
-        if not self.low < self.high or (self.scale == "log" and not positive):
+        if not self.low < self.high or (self.scale != "linear" and not positive):
             raise ValueError(f"shape {self.name!r} needs low < high, and positive if logarithmic")
 
     @property
@@ -126,7 +127,7 @@ class Shape:
         return (self.low, self.high) == OPEN
 
     @property
-    def prior(self) -> LogNormal | Normal:
+    def prior(self) -> LogNormal | LogUniform | Normal:
         """Prior of the value.
 
         Raises:
@@ -137,6 +138,8 @@ class Shape:
                 f"the plausible range of {self.name!r} is taken from readings, and there are none yet: fit the model, "
                 "or give low and high"
             )
+        if self.scale == "bounded":
+            return LogUniform(self.low, self.high)
         if self.scale == "log":
             sd = math.log(self.high / self.low) / (2 * CENTRAL_95)
             return LogNormal(math.sqrt(self.low * self.high), sd)

@@ -140,7 +140,7 @@ class Model(Printed):
         noise = self.noise.parameters().items()
         scales = {n for n, prior in noise if not isinstance(prior, Normal)}
         for e in self.effects:
-            scales |= {*_spreads(e), *(e.shape_name(s) for s in e.shapes if s.scale == "log")}
+            scales |= {*_spreads(e), *(e.shape_name(s) for s in e.shapes if s.scale != "linear")}
         for name, value in values.items():
             if not math.isfinite(value):
                 raise ModelError(f"{name!r} cannot be fixed to {value}: give a finite number")

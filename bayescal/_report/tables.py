@@ -177,8 +177,9 @@ def _unknowns(effect: Effect) -> list[str]:
         per = f", one for each {c.per}" if c.per else ""
         found.append(f"{effect.coefficient_name(i)} [{unit_label(c.unit) or '1'}]: {prior}{per}")
     for s in effect.shapes:
+        share = "between" if s.scale == "bounded" else "95 % between"
         found.append(
-            f"{effect.shape_name(s)} [{unit_label(s.unit) or '1'}]: 95 % between {number(s.low)} and {number(s.high)}"
+            f"{effect.shape_name(s)} [{unit_label(s.unit) or '1'}]: {share} {number(s.low)} and {number(s.high)}"
         )
     return found
 

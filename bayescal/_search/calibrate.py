@@ -26,6 +26,7 @@ from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.deadline import Handover
 from bayescal._core.errors import TimeIsUp
+from bayescal._core.formatting import probability
 from bayescal._core.progress import stage
 from bayescal._data.held_out import said_of
 from bayescal._data.measurements import Measurements
@@ -38,7 +39,7 @@ from bayescal._inference.mode import NOTHING_KNOWN
 from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
-from bayescal._model.model import Model
+from bayescal._model.model import Model, testable
 from bayescal._model.unknown_effect import freed
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import (
@@ -90,8 +91,10 @@ def calibrate(
     probability of 0.95 is added; the steps shown lead from the model given to the one chosen, at each what gains most.
 
     Args:
-        model: to begin with; its effects stay, but for those without a name (an unknown dependence, a departure), which
-            are weighed anew.
+        model: to begin with. What it has beside the instrument's baseline is where the search begins, and weighed anew
+            with all else, so that every model on the way leads to one end. What stays: effects that are no candidates
+            of the instrument, that these readings cannot test, or of which an unknown is fixed; and all named ones
+            of a model that lacks a part of the baseline, or where `max_effects` is 0.
         readings: to fit.
         holdout: hold-out data: read after the last step, and never used to choose an effect.
         effects: further candidates of the user's own.
@@ -155,22 +158,33 @@ class Loop:
     accepted: frozenset[str]
     begun: float = 0.0  # of the search
     step_takes: float = 0.0  # s, as the first one did
-    unnamed: frozenset[str] = frozenset()  # unknown dependences that the model came with
+    given: tuple[Effect, ...] = ()  # of the model given, to be weighed anew
 
     def begin(self, model: Model) -> tuple[Loop, Step]:
-        """The first step, of the model without what has no name in it.
+        """The first step, of the model without what is weighed anew.
 
-        A description without a name is no statement of the user's: it stands where it is the most probable, whether the
-        model came with it or not.
+        Whether an effect belongs there is what the search is to say: kept because the search began with it, it would
+        hide rivals that the same search finds from the baseline.
         """
         before = time.monotonic()
-        unnamed = {e.name for e in placeholders(model, self.readings)}.intersection(model.names)
         departed = [e.name for e in model.effects if isinstance(e, Departure)]
-        model = reduce(sub, [*unnamed, *departed], model)
+        given = [e for e in model.effects if self._weighed_anew(e, model)]
+        model = reduce(sub, [*departed, *given], model)
         first = self.step(model, method=self.quick(model))
         now = time.monotonic()
-        taken = {"begun": now, "step_takes": now - before, "unnamed": frozenset(unnamed)}
-        return replace(self, **taken), first
+        most = max(self.max_effects, len(given))
+        taken = {"begun": now, "step_takes": now - before, "given": tuple(given)}
+        return replace(self, max_effects=most, **taken), first
+
+    def _weighed_anew(self, effect: Effect, model: Model) -> bool:
+        instrument, readings = model.instrument, self.readings
+        if effect.is_placeholder:
+            return effect.name in {e.name for e in placeholders(model, readings)}
+        on_the_way = self.max_effects > 0 and {e.name for e in instrument.effects} <= {*model.names}
+        catalogued = {e.name for e in instrument.candidates} - {e.name for e in instrument.effects}
+        free = (model - effect).fixed == model.fixed
+        testable_here = testable(effect, readings) is None
+        return on_the_way and effect.name in catalogued and free and testable_here
 
     def open(
         self, first: Step, effects: Sequence[Effect], widen_noise: bool
@@ -180,8 +194,10 @@ class Loop:
         # Without convergence there are no probabilities; and a published calibration that fails is not saved.
         if not c.verdict.ok or (fixed is not None and fixed.wrong):
             loop, widen_noise = replace(self, max_effects=0), False
+        # Of the same name as one of the catalogue, the given one counts: its size may be the user's own.
+        named = [e for e in self.given if not e.is_placeholder]
         structures, shut = structures_over(
-            c.model, self.readings, c.reference, effects=effects, widen_noise=widen_noise
+            c.model, self.readings, c.reference, effects=(*effects, *named), widen_noise=widen_noise
         )
         return loop, structures, shut
 
@@ -229,18 +245,19 @@ class Loop:
             TimeIsUp: not even the first model was weighed.
         """
         structures = library.structures
-        asked = [Structure(frozenset(s.effects), s.noise) for s in seeds]
-        if self.unnamed:
-            asked.insert(0, Structure(self.unnamed))
-        known = [
-            s
-            for s in dict.fromkeys(asked)
-            if s.effects <= set(structures.candidates)
+        asked = dict.fromkeys(Structure(frozenset(s.effects), s.noise) for s in seeds)
+        known = [s for s in asked if self._may_be(s, structures)]
+        given = Structure(frozenset(e.name for e in self.given))
+        last = given if given.effects and self._may_be(given, structures) else None
+        return walked(library, self.max_effects, lambda _: tell(), known, last)
+
+    def _may_be(self, s: Structure, structures: Structures) -> bool:
+        return (
+            s.effects <= set(structures.candidates)
             and s.effects.isdisjoint(structures.barred(s))
             and len(s.effects) <= self.max_effects
             and s.noise in ("", *structures.laws)
-        ]
-        return walked(library, self.max_effects, lambda _: tell(), known)
+        )
 
     def steps_to_best(
         self,
@@ -281,6 +298,7 @@ class Loop:
             ]
             if (last := steps[-1].discovery) and (why := self.incomplete(steps)):
                 steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
+            steps[-1] = self.said_of_given(steps[-1])
         trail = self.trail(steps, structures, complete=not stopped, stopped=stopped)
         last = trail.final.calibration
         if self.max_effects == 0 or not last.verdict.ok:
@@ -289,6 +307,19 @@ class Loop:
             average, shares = averaged(last, structures, way[len(steps) - 1].noise, self.seed)
             return replace(trail, average=None if average is last else average, shares=shares)
         return trail
+
+    def said_of_given(self, step: Step) -> Step:
+        """The last step, noting what the model given has and the one to use has not."""
+        c = step.calibration
+        known = (
+            {x.effect: x.probability for x in step.discovery.candidates} if step.discovery else {}
+        )
+        left = [e.name for e in self.given if e.name not in c.model.names]
+        if not left:
+            return step
+        each = ", ".join(f"{n} ({probability(known.get(n))})" for n in left)
+        note = f"Of the model given, not in the one to use, with the probability to be missing: {each}."
+        return replace(step, calibration=c.with_verdict(notes=(*c.verdict.notes, note)))
 
     def sampled(self, step: Step, start: Mapping[str, float] = NOTHING_KNOWN) -> Step:
         """A step with its posterior sampled, as far as there is time for that and for checking it anew."""

@@ -181,6 +181,7 @@ def walked(
     max_effects: int,
     follow: Callable[[Structures], None] = lambda _: None,
     seeds: Sequence[Structure] = (),
+    given: Structure | None = None,
 ) -> tuple[Library, str]:
     """Walk over the structures in the greater part of the time left.
 
@@ -193,7 +194,7 @@ def walked(
 
     def run() -> str:
         deadline.offer(lambda _: ended_early(end, begun))
-        return walk(library, max_effects, follow, seeds)
+        return walk(library, max_effects, follow, seeds, given)
 
     begun = time.monotonic()
     with stage("looking for missing effects"), deadline.share(SEARCH) as end:

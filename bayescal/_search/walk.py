@@ -29,6 +29,7 @@ def walk(
     max_effects: int,
     follow: Callable[[Structures], None] = lambda _: None,
     seeds: Sequence[Structure] = (),
+    given: Structure | None = None,
 ) -> str:
     """Weigh structures until the most probable ones have no neighbour left to look at, or the deadline has come.
 
@@ -37,6 +38,8 @@ def walk(
         max_effects: most effects to add.
         follow: called after each look around.
         seeds: structures that are weighed first, of an earlier walk.
+        given: one that is weighed last: the walk goes on from there where it is probable, and is else what it would be
+            without.
 
     Returns:
         Why it ended early; empty where it came to its end.
@@ -52,13 +55,17 @@ def walk(
                 return ended_early(end, begun)
             structures.weigh(first, root)
         looked: set[Structure] = set()
-        # A structure that overtakes the others joins the beam when its turn comes: `_next` sorts anew each time.
-        while fresh := _next(structures, looked):
-            if end.over:
-                return ended_early(end, begun)
-            looked.add(fresh.structure)
-            _look_around(library, fresh, max_effects, end)
-            follow(structures)
+        for later in (None, given):
+            if later and not end.over:
+                # Effect by effect, as the walk would: from the root at once its shapes may end at a lower maximum.
+                path(library, later)
+            # A structure that overtakes the others joins the beam when its turn comes: `_next` sorts anew each time.
+            while fresh := _next(structures, looked):
+                if end.over:
+                    return ended_early(end, begun)
+                looked.add(fresh.structure)
+                _look_around(library, fresh, max_effects, end)
+                follow(structures)
     except KeyboardInterrupt:
         if not structures.visited:
             raise
@@ -96,11 +103,21 @@ def path(library: Library, to: Structure) -> list[Structure]:
 
 
 def _next(structures: Structures, looked: set[Structure]) -> Weighed | None:
-    """The most probable structure of the beam that was not looked at."""
-    leaders = sorted(structures.visited.values(), key=lambda w: -w.total)[: searching().beam]
-    # Farther behind than `near` a structure has no part of the probability that is printed: it is left alone.
-    near = (w for w in leaders if w.total > leaders[0].total - searching().near)
-    return next((w for w in near if w.structure not in looked), None)
+    """The most probable structure of the beam that was not looked at.
+
+    Of the beam is also the best under each noise law: which effects are probable hangs on the law, and from the best
+    under another one it would take several changes at once to come there.
+    """
+    ordered = sorted(structures.visited.values(), key=lambda w: -w.total)
+    of_law = {w.structure.noise: w for w in reversed(ordered)}
+    for i, w in enumerate(ordered):
+        # Farther behind than `near` a structure has no part of the probability that is printed: it is left alone.
+        if w.total <= ordered[0].total - searching().near:
+            return None
+        in_beam = i < searching().beam or of_law[w.structure.noise] is w
+        if in_beam and w.structure not in looked:
+            return w
+    return None
 
 
 class Move(NamedTuple):

@@ -17,7 +17,10 @@ from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.prior import Normal
 
-WINDOWS = (2.0, 120.0)  # s, of a rate: from a reading or two to what a lag describes
+WINDOWS = (
+    2.0,
+    120.0,
+)  # s, of a rate: from a reading or two to what a lag describes; -lag/w is the same function
 WIDTHS = (0.2, 5.0)  # °C, within which hysteresis turns round: a chamber that holds wanders by less
 
 
@@ -32,7 +35,7 @@ def rate(slot: str, size: float, unit: str, *, source: str, column: str = "tempe
         slot,
         basis=partial(_smoothed_rate, column),
         coefficients=(Coefficient(unit, Normal(0.0, size)),),
-        shapes=(Shape("window", "s", *WINDOWS),),
+        shapes=(Shape("window", "s", *WINDOWS, scale="bounded"),),
         columns=("time", column),
         varies=(column,),
         equation="c·(T − T̃)/w,  w·dT̃/dt = T − T̃",

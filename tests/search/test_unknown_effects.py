@@ -33,12 +33,31 @@ def test_the_column_of_an_effect_outside_the_catalogue_is_named_and_added(
     assert after < 0.9 * before  # the other test has other humidities: there it extrapolates
 
 
-@pytest.mark.parametrize("name", ["unknown(humidity)", "unknown(time)"])
-def test_what_has_no_name_is_weighed_anew(trail: bc.SearchPath, name: str) -> None:
-    """A search that begins with it ends as one that does not, whether it belongs there or not."""
+@pytest.mark.parametrize(
+    "name", ["unknown(humidity)", "unknown(time)", "bias.temperature_cubic", "bias.rate"]
+)
+def test_what_the_model_given_has_beside_the_baseline_is_weighed_anew(
+    trail: bc.SearchPath, name: str
+) -> None:
+    """A search that begins with it ends as one that does not, whether it belongs there or not, and says so."""
     readings = mems_gyro.simulate(HUMID, seed=31)
     again = bc.calibrate(INSTRUMENT.baseline() + name, readings, method=bc.LeastSquares())
-    assert set(again.final.calibration.model.names) == set(trail.final.calibration.model.names)
+    last = again.final.calibration
+    assert set(last.model.names) == set(trail.final.calibration.model.names)
+    left_out = any(name in note for note in last.verdict.notes)
+    assert left_out == (name not in last.model.names)
+
+
+@pytest.mark.parametrize("stated", ["fixed", "of another baseline", "nothing sought"])
+def test_what_a_user_states_of_a_model_stays(stated: str) -> None:
+    readings, model = mems_gyro.simulate(seed=33), INSTRUMENT.baseline() + "bias.temperature_cubic"
+    most = 0 if stated == "nothing sought" else 1
+    if stated == "fixed":
+        model = model.fix({"bias.temperature_cubic": 1e-7})
+    elif stated == "of another baseline":
+        model = model - "bias.temperature"
+    found = bc.calibrate(model, readings, method=bc.LeastSquares(), max_effects=most)
+    assert "bias.temperature_cubic" in found.steps[0].calibration.model.names
 
 
 def test_its_amplitude_is_the_size_that_is_reported(trail: bc.SearchPath) -> None:
