@@ -22,6 +22,10 @@ NEWTON = 50  # steps to the mode of x at most, and what the last of them gains, 
 RESTS = 1e-11
 TRIED = 12  # draws of a Gaussian fit of φ at which polynomials are tried,
 ENOUGH = 0.3  # and the log density within which they will do there
+PASS = (
+    60  # times what a number costs in a product, that one costs in a pass over correlated readings,
+)
+A_CALL = 1_000_000  # and such numbers that a pass by itself costs before it begins (0.4 ms)
 
 
 @dataclass(eq=False)
@@ -329,7 +333,9 @@ def noise_slopes(
     return made
 
 
-def about(density: Density, v: np.ndarray, covariance: np.ndarray, close: float) -> Products | None:
+def about(
+    density: Density, v: np.ndarray, covariance: np.ndarray, close: float, proposals: int
+) -> Products | None:
     """Products as polynomials along the outer axes, good where a Gaussian fit of φ has its draws; None where none are.
 
     Args:
@@ -337,6 +343,7 @@ def about(density: Density, v: np.ndarray, covariance: np.ndarray, close: float)
         v: centre of the fit.
         covariance: of the fit.
         close: log density, within which polynomials are good; of others the best, if they will do.
+        proposals: φ that will be asked for; none are made where it costs less to compute each from the readings.
     """
     assembly = density.assembly
     axes = Axes(assembly)
@@ -351,8 +358,10 @@ def about(density: Density, v: np.ndarray, covariance: np.ndarray, close: float)
         return None
     # Judged by what they are for: the largest error of the log density, at draws that they were not fitted to.
     tried = draws[:TRIED]
-    there = np.array([density.at(one)[0] for one in tried])
     products = Products(assembly, density.point, v, axes)
+    if not _pay(products, Polynomials(coordinates, DEGREES[dim][-2]), proposals):
+        return None
+    there = np.array([density.at(one)[0] for one in tried])
     best, found, rows = ENOUGH, None, list[np.ndarray]()
     for degree in DEGREES[dim]:
         polynomials = Polynomials(coordinates, degree)
@@ -368,6 +377,17 @@ def about(density: Density, v: np.ndarray, covariance: np.ndarray, close: float)
         return None
     products.refit(found[0], np.array(rows[: found[1]]))
     return products
+
+
+def _pay(products: Products, polynomials: Polynomials, proposals: int) -> bool:
+    """Whether products as polynomials of a usual degree cost less than so many passes over the readings, in numbers multiplied."""
+    assembly, n, width = products.assembly, products.size, products.width
+    if assembly.corrected or len(assembly.row_sd):  # each is computed by itself
+        return True
+    points, terms = len(polynomials.points), polynomials.count
+    fitting = points * (A_CALL + PASS * n * width)
+    using = width**2 * terms * (proposals + 2 * points)
+    return fitting + using < PASS * proposals * n * (assembly.size + 1)
 
 
 def _log_density(products: Products, flat: np.ndarray, v: np.ndarray) -> float:

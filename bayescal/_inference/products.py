@@ -117,6 +117,11 @@ class Products:
         if outer is None:
             self._sets = self._once()[None]
 
+    @property
+    def width(self) -> int:
+        """Columns of the table, the residual's among them."""
+        return len(self.columns.plain) + len(self.columns.owner) + 1
+
     # what the table is ------------------------------------------------------------------------------------------
 
     def _basis(self, t: Term) -> Basis | None:
@@ -343,9 +348,8 @@ class Products:
     def refit(self, polynomials: Polynomials, rows: Float[np.ndarray, "c s"]) -> None:
         """Take polynomials through products at some points, as `row` gives them."""
         table = polynomials.fit(rows)
-        width = self._places[1][-1] + 1
-        i, j = np.triu_indices(width)
-        self._sets = np.empty((len(table), width, width))
+        i, j = np.triu_indices(self.width)
+        self._sets = np.empty((len(table), self.width, self.width))
         self._sets[:, i, j] = self._sets[:, j, i] = table[:, :-1]
         self._flat_sets = self._sets.reshape(len(table), -1)
         self.polynomials = polynomials
@@ -462,6 +466,7 @@ class Polynomials:
         self.root = BOX * np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
         self.degree, self.dim = degree, len(self.centre)
         powers = list(combinations_with_replacement(range(self.dim + 1), degree))
+        self.count = len(powers)
         self._powers = np.array([[c.count(j + 1) for j in range(self.dim)] for c in powers])
         # Twice as many points as terms, and a few: with points of the density 1/√(1 − t²), which the cosine below
         # gives, least squares is then stable (Migliorati et al. 2014).

@@ -128,13 +128,14 @@ class ManyPhi:
         exact: whether the closed form is that of φ itself.
     """
 
-    def __init__(self, assembly: Assembly, mode: Mode) -> None:
+    def __init__(self, assembly: Assembly, mode: Mode, proposals: int | None = None) -> None:
         self.assembly, self.mode, self.size = assembly, mode, assembly.record.size
         self.density = Density(assembly, mode.point, mode.flat, mode.v)
         self.products = self.density.products
         if self.products is None and assembly.noise.gaussian:
             close = CLOSE if self.size <= LONG else CLOSER
-            self.products = about(self.density, mode.v, mode.covariance, close)
+            count = FEWER if proposals is None else proposals
+            self.products = about(self.density, mode.v, mode.covariance, close, count)
         self.polynomial = self.products is not None and self.products.outer is not None
         self.exact = assembly.noise.gaussian and not self.polynomial
         self.together = max(16, NUMBERS // (assembly.size + 1) ** 2)
@@ -357,7 +358,11 @@ def weighted_draws(
     """
     # Further draws have random numbers of their own: the same ones again would tell nothing.
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
-    density, share, above = ManyPhi(assembly, mode), _prior_share(assembly), sampling().higher
+    density, share, above = (
+        ManyPhi(assembly, mode, proposals),
+        _prior_share(assembly),
+        sampling().higher,
+    )
     heavy = heavy or not assembly.noise.gaussian
     known = None if earlier is None else earlier.rounds
     while True:
@@ -375,7 +380,7 @@ def weighted_draws(
         # proposed: the climb may have ended on a lower one, and begins anew there.
         mode = find_mode(assembly, [start], point=density.mode.point)
         if mode.log_density > higher:
-            density, known = ManyPhi(assembly, mode), None
+            density, known = ManyPhi(assembly, mode, proposals), None
         elif found is not None:
             return found
         else:  # higher in the linear form about the old mode alone

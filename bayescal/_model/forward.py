@@ -248,11 +248,3 @@ def draw_readings(
     ordered, expected = in_time(noise, frame, mean(layout, frame, x, rows, hyper))
     drawn = noise.sample(key, expected, hyper, ordered)
     return drawn if noise.independent else jnp.zeros_like(drawn).at[frame.order].set(drawn)
-
-
-def effect_slope(
-    layout: Layout, frame: Frame, values: Values, hyper: Values, block: CoefficientBlock
-) -> Float[Array, "n"]:
-    """∂μ by one member's coefficient of a block, as if every reading belonged to that member."""
-    slope = slot_derivatives(layout, frame, values, hyper, (block.slot,))[block.slot]
-    return slope * _columns([block], frame, hyper)[0][1]
