@@ -381,7 +381,7 @@ def about(
 
 def _pay(products: Products, polynomials: Polynomials, proposals: int) -> bool:
     """Whether products as polynomials of a usual degree cost less than so many passes over the readings."""
-    # In numbers multiplied: to compute the products at the points, and to use them; or to whiten and multiply each time.
+    # In numbers multiplied: to compute products at the points and use them, or to whiten and multiply each time.
     assembly, n, width = products.assembly, products.size, products.width
     if assembly.corrected or len(assembly.row_sd):  # each is computed by itself
         return True
