@@ -1,4 +1,4 @@
-"""Allan deviation of a record: overlapping, by allantools, over the runs whose readings are evenly spaced in time.
+"""Allan deviation of a record: overlapping, over the runs whose readings are evenly spaced in time.
 
 IEEE Std 952 (Annex C) and 1139; W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008).
 """
@@ -155,42 +155,25 @@ def even_runs(readings: Measurements) -> EvenRuns:
 
 
 def overlapping(
-    values: Float[np.ndarray, "n"], runs: EvenRuns
+    values: Float[np.ndarray, "n"] | Float[np.ndarray, "n q"], runs: EvenRuns
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Allan variances of all runs together, and how many differences each is the mean of."""
-    import allantools  # late: it imports all of scipy.stats
-
-    factors = runs.factors
-    squares, count = np.zeros(len(factors)), np.zeros(len(factors))
-    for rows in runs.rows:
-        there = factors[len(rows) + 1 - 2 * factors > 1]  # two differences or more
-        if len(there):
-            _, found, _, n = allantools.oadev(values[rows], rate=1.0, data_type="freq", taus=there)
-            squares[: len(n)] += n * found**2
-            count[: len(n)] += n
-    return squares / count, count
-
-
-def of_columns(
-    columns: Float[np.ndarray, "n q"], runs: EvenRuns, counts: Float[np.ndarray, "k"]
-) -> Float[np.ndarray, "k"]:
-    """The sum of the Allan variances of several columns: the same estimator, of all columns at once.
+    """Allan variances of all runs together, and how many differences each is the mean of; of several columns their sum.
 
     Args:
-        columns: fixed functions of the readings.
-        runs: of the readings.
-        counts: differences at each averaging time, as `overlapping` counts them.
+        values: of the readings.
+        runs: of these.
     """
-    factors, squares = runs.factors, np.zeros(len(runs.factors))
+    squares, count = np.zeros(len(runs.factors)), np.zeros(len(runs.factors))
     for rows in runs.rows:
-        own = columns[rows]
-        sums = np.zeros((len(rows) + 1, columns.shape[1]))
+        own = values[rows].reshape(len(rows), -1)
+        sums = np.zeros((len(rows) + 1, own.shape[1]))
         np.cumsum(own - own.mean(axis=0), axis=0, out=sums[1:])
-        for k, m in enumerate(factors.astype(int)):
-            if len(rows) + 1 - 2 * m > 1:
+        for k, m in enumerate(runs.factors.astype(int)):
+            if (differences := len(rows) + 1 - 2 * m) > 1:
                 second = sums[2 * m :] - 2 * sums[m:-m] + sums[: -2 * m]
                 squares[k] += np.einsum("ij,ij->", second, second) / (2 * m**2)
-    return squares / counts
+                count[k] += differences
+    return squares / count, count
 
 
 def noise_types(variance: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
@@ -219,7 +202,7 @@ def degrees_of_freedom(runs: EvenRuns, types: Float[np.ndarray, "k"]) -> Float[n
 
 @lru_cache(maxsize=4096)
 def _edf(kind: int, m: int, readings: int) -> float:
-    import allantools  # late, as above
+    import allantools  # late: it imports all of scipy.stats
 
     return float(allantools.edf_greenhall(kind, 2, m, readings + 1, overlapping=True))
 
