@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
 from bayescal._calibration.check_result import Check
@@ -204,10 +202,7 @@ def _titles(calibrations: list[Calibration]) -> list[str]:
 
 def _same_readings(one: Calibration, other: Calibration) -> bool:
     a, b = one.readings, other.readings
-    same = one.model.instrument.name == other.model.instrument.name and a.columns == b.columns
-    return same and all(
-        np.array_equal(a[n], b[n], equal_nan=a.unit(n) is not None) for n in a.columns
-    )
+    return one.model.instrument.name == other.model.instrument.name and a.data.equals(b.data)
 
 
 def taken(given: Any) -> list[Calibration | SearchPath | Chapter]:

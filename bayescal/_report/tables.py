@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import floor, log10
 from typing import Any
 
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
-from bayescal._core.formatting import number, with_error
+from bayescal._core.formatting import interval, number, with_error
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
@@ -94,8 +93,8 @@ def coefficients(chapter: Chapter) -> list[dict[str, Any]]:
                 "unit": unit_label(r["unit"]),
                 "value": with_error(mean, K * sd),
                 "u": "held" if held else number(sd, 2),
-                "k2": "–" if held else _between(mean - K * sd, mean + K * sd, sd),
-                "interval": "–" if held else _between(low, high, sd),
+                "k2": "–" if held else interval(mean - K * sd, mean + K * sd, mean, sd),
+                "interval": "–" if held else interval(low, high, mean, sd),
                 "said": "–" if r["contraction"] is None else _percent(r["contraction"]),
                 "member": "(" in r["name"],
             }
@@ -105,17 +104,6 @@ def coefficients(chapter: Chapter) -> list[dict[str, Any]]:
 
 def _percent(share: float) -> str:
     return "> 99.9 %" if share > 0.999 else f"{100 * share:z.1f} %".replace("-", "−")
-
-
-def _between(low: float, high: float, error: float) -> str:
-    """Two ends, to the place of the error's second digit."""
-    places = 1 - floor(log10(error))
-    if 0 <= places <= 8:
-        text = f"{low:z.{places}f} to {high:z.{places}f}"
-    else:
-        digits = max(3, 1 - floor(log10(error)) + floor(log10(max(abs(low), abs(high)))) + 1)
-        text = f"{low:.{min(digits, 9)}g} to {high:.{min(digits, 9)}g}"
-    return text.replace("-", "−")
 
 
 def allan(check: Check) -> dict[str, Any] | None:
