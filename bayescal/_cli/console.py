@@ -16,7 +16,6 @@ import typer
 from bayescal._core.as_json import as_json, json_text
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
-from bayescal._report.whole_folder import bring_back
 
 
 def print_result(result: Any) -> None:
@@ -53,7 +52,6 @@ def result_folder(path: Path | None) -> Iterator[Path | None]:
     if path is None:
         yield None
         return
-    bring_back(path)
     missing = [p for p in (path, *path.parents) if not p.exists()]
     try:
         path.mkdir(parents=True, exist_ok=True)

@@ -45,11 +45,11 @@ def replacing(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
-def left_behind(path: Path, suffix: str = ".partial") -> list[Path]:
+def left_behind(path: Path) -> list[Path]:
     """What processes that were killed left beside a file or folder; what others are writing is not."""
     found = {
-        left: left.name.removesuffix(suffix).rpartition(".")[2]
-        for left in path.parent.glob(f".{glob.escape(path.name)}.*{suffix}")
+        left: left.name.removesuffix(".partial").rpartition(".")[2]
+        for left in path.parent.glob(f".{glob.escape(path.name)}.*.partial")
     }
     return [left for left, process in found.items() if process.isdecimal() and not _runs(process)]
 
