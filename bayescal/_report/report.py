@@ -23,7 +23,7 @@ from bayescal._report import conclusion, figures, sentences, tables
 from bayescal._report.certificate import Certificate, read_certificate
 from bayescal._report.in_output_unit import rows_in_output_unit
 from bayescal._report.plot_search import is_quiet
-from bayescal._report.section import Chapter, chapters, taken
+from bayescal._report.section import Chapter, chapters
 from bayescal._report.under_way import RESULT
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
@@ -79,7 +79,8 @@ def report(
     stated = certificate
     if stated is not None and not isinstance(stated, Certificate):
         stated = read_certificate(stated)
-    found = chapters(taken(given), effects)
+    several = given if isinstance(given, list | tuple) else [given]
+    found = chapters(several, effects)
     try:
         text = page(found, title, stated, decisions, output_unit)
     except (TemplateError, *OF_DAMAGE) as e:
