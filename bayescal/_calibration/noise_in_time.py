@@ -16,13 +16,14 @@ from bayescal._core.formatting import number, table
 from bayescal._data.allan_deviation import (
     CONFIDENCE,
     AllanDeviation,
+    AllanTerm,
     degrees_of_freedom,
     even_runs,
     noise_types,
     of_runs,
     overlapping,
+    term,
 )
-from bayescal._data.allan_terms import AllanTerm, term
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.noise_law import WHITE, Noise
 

@@ -175,7 +175,7 @@ def _one(
     model, readings = models[""], all_readings[""]
     own = request.own_effects(asked.choice, model.instrument, readings)
     if output_unit is not None:
-        from bayescal._report.in_output_unit import output_factor
+        from bayescal._report.tables import output_factor
 
         scale = readings.scale or model.instrument.nominal_scale
         output_factor(output_unit, readings.unit("output") or "1", scale)

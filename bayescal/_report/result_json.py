@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -20,6 +21,7 @@ from bayescal._core.settings_in_force import unusual
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import GROUPS
 from bayescal._model.noise_law import Noise
+from bayescal._model.unknown_effect import covariate_in
 from bayescal._search.discover import Discovery
 from bayescal._search.next_experiment import NextExperiment
 from bayescal._search.search_path import SearchPath, Step
@@ -246,6 +248,11 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
             if e.log_bayes_factor > 0
         ],
     }
+
+
+def is_quiet(c: Mapping[str, Any]) -> bool:
+    """An unknown dependence without evidence gets no bar, and no line."""
+    return covariate_in(c["effect"]) is not None and c["kind"] in (None, "not visible")
 
 
 def experiment_data(found: NextExperiment) -> dict[str, Any]:

@@ -14,9 +14,9 @@ from bayescal._calibration.description import identity
 from bayescal._core import deadline
 from bayescal._core.as_json import as_json, write_json
 from bayescal._core.errors import InputError
-from bayescal._report.conclusion import conclusion
 from bayescal._report.result_json import result
 from bayescal._report.section import of_trail
+from bayescal._report.sentences import conclusion
 from bayescal._report.under_way import RESULT, UNDER_WAY
 from bayescal._report.whole_folder import (
     AVERAGED,

@@ -15,7 +15,7 @@ import pytest
 import bayescal as bc
 from bayescal._report import dcc
 from bayescal._report.certificate import read_certificate
-from bayescal._report.d_si import d_si
+from bayescal._report.dcc import d_si
 from bayescal_models import still_sensor
 from tests.support.command_line import run
 

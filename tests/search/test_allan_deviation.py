@@ -7,8 +7,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.noise_in_time import allan_check
-from bayescal._data.allan_deviation import EvenRuns, overlapping
-from bayescal._data.allan_terms import term
+from bayescal._data.allan_deviation import EvenRuns, overlapping, term
 from bayescal_models import mems_gyro, still_sensor
 
 # W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), section 12: the data, their overlapping Allan
