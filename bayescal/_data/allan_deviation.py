@@ -119,32 +119,6 @@ class Curve(NamedTuple):
     variance: Float[np.ndarray, "k"]
     edf: Float[np.ndarray, "k"]
 
-    def column(self, symbol: str) -> Float[np.ndarray, "k"]:
-        """The Allan variance of a term of size one; of a random walk, as readings taken at moments see it."""
-        if symbol == "N":
-            return 1 / (self.step * self.factors)
-        if symbol == "B":
-            return np.full(len(self.factors), FLAT)
-        return self.step * self.factors / 3 * (1 + 0.5 / self.factors**2)
-
-    @property
-    def frequencies(self) -> Float[np.ndarray, "f"]:
-        """From that of the longest run to half of one per reading, by equal factors."""
-        return np.geomspace(0.25 / self.readings, 0.5, FREQUENCIES)
-
-    def spectrum(self, symbol: str) -> Float[np.ndarray, "f"]:
-        """The spectral density of a term of size one, per reading."""
-        f = self.frequencies
-        if symbol == "N":
-            return np.full(len(f), 1 / self.step)
-        return 1 / (2 * np.pi * f) if symbol == "B" else self.step / (2 * np.sin(np.pi * f)) ** 2
-
-    @property
-    def responses(self) -> Float[np.ndarray, "k f"]:
-        """How much of each frequency is in each Allan variance, but for a factor: of its square, that of its band."""
-        f, m = self.frequencies, self.factors[:, None]
-        return np.sqrt(f) * np.sin(np.pi * f * m) ** 4 / (m * np.sin(np.pi * f)) ** 2
-
 
 def terms_of(curve: Curve, unit: str) -> tuple[AllanTerm, ...]:
     """N, B and K of a curve, each only where the curve has its slope.
@@ -233,9 +207,21 @@ def _least_squares(
     symbols: list[str], curve: Curve, part: slice
 ) -> tuple[Float[np.ndarray, "t"], Float[np.ndarray, "t"], float]:
     """Squared sizes, their standard uncertainties and the sum of squares: generalised, the weights those of the sum."""
-    responses, measured = curve.responses[part], curve.variance[part]
-    design = np.stack([curve.column(s)[part] for s in symbols], axis=1)
-    spectra = np.stack([curve.spectrum(s) for s in symbols])
+    # From the frequency of the longest run to half of one per reading, by equal factors.
+    f, m = np.geomspace(0.25 / curve.readings, 0.5, FREQUENCIES), curve.factors
+    tau, half, measured = curve.step * m, np.sin(np.pi * f), curve.variance[part]
+    # Of a term of size one: its Allan variance, of a random walk as readings taken at moments see it, and its spectral
+    # density, per reading.
+    of_one = {
+        "N": (1 / tau, np.full(len(f), 1 / curve.step)),
+        "B": (np.full(len(m), FLAT), 1 / (2 * np.pi * f)),
+        "K": (tau / 3 * (1 + 0.5 / m**2), curve.step / (2 * half) ** 2),
+    }
+    design = np.stack([of_one[s][0][part] for s in symbols], axis=1)
+    spectra = np.stack([of_one[s][1] for s in symbols])
+    # How much of each frequency is in each Allan variance, but for a factor: of its square, that of its band.
+    m = m[part, None]
+    responses = np.sqrt(f) * np.sin(np.pi * f * m) ** 4 / (m * half) ** 2
     expected, squares = measured, np.ones(len(symbols))
     for _ in range(ROUNDS):
         root = _root(responses * (squares @ spectra), expected, curve.edf[part])
