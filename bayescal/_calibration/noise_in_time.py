@@ -16,13 +16,14 @@ from bayescal._core.formatting import number, table
 from bayescal._data.allan_deviation import (
     CONFIDENCE,
     AllanDeviation,
+    AllanTerm,
     degrees_of_freedom,
     even_runs,
     noise_types,
-    of_columns,
     of_runs,
+    overlapping,
+    term,
 )
-from bayescal._data.allan_terms import AllanTerm, term
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.noise_law import WHITE, Noise
 
@@ -112,7 +113,7 @@ def allan_check(calibration: Calibration) -> AllanCheck | None:
     variance = float(np.mean(linear.variance))
     noise = calibration.model.noise
     law = noise.allan_variance(mode, variance, runs.factors, runs.step)
-    taken = of_columns(linear.taken, runs, measured.differences)
+    taken, _ = overlapping(linear.taken, runs)
     left = np.maximum(1 - taken / law, 0.0)  # what a fit has absorbed is not in its residuals
     draws = _drawn(calibration, mode, variance, runs.factors, runs.step) * left
     edf = degrees_of_freedom(runs, noise_types(law))

@@ -16,10 +16,10 @@ from bayescal._data.allan_deviation import (
     CONFIDENCE,
     AllanDeviation,
     degrees_of_freedom,
+    habit,
     noise_types,
     of_runs,
 )
-from bayescal._data.allan_terms import habit
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse

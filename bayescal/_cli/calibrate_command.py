@@ -175,10 +175,10 @@ def _one(
     model, readings = models[""], all_readings[""]
     own = request.own_effects(asked.choice, model.instrument, readings)
     if output_unit is not None:
-        from bayescal._report.in_output_unit import OutputUnit
+        from bayescal._report.tables import output_factor
 
         scale = readings.scale or model.instrument.nominal_scale
-        OutputUnit.new(output_unit, readings.unit("output") or "1", scale)
+        output_factor(output_unit, readings.unit("output") or "1", scale)
     with result_folder(out) as folder:
         from bayescal._cli.output import ConsoleReporter, loop_text
         from bayescal._report.under_way import earlier

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import typer
 
 from bayescal._core.as_json import as_json, json_text
+from bayescal._core.atomic_file import folder_made
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
-from bayescal._report.whole_folder import bring_back
 
 
 def print_result(result: Any) -> None:
@@ -53,16 +53,9 @@ def result_folder(path: Path | None) -> Iterator[Path | None]:
     if path is None:
         yield None
         return
-    bring_back(path)
-    missing = [p for p in (path, *path.parents) if not p.exists()]
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write to the folder {path}: {error.strerror}") from None
-    try:
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(folder_made(path))
+        except OSError as error:
+            raise InputError(f"cannot write to the folder {path}: {error.strerror}") from None
         yield path
-    except BaseException:
-        for made in missing:
-            with suppress(OSError):  # not empty: something was written
-                made.rmdir()
-        raise

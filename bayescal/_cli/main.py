@@ -1,7 +1,7 @@
 """The command line.
 
 Exit status: 0 done; 1 not converged, or the noise gate failed (results are written all the same), or a time limit
-came before there was a result; 2 bad input: one sentence on stderr, or a table of all that is wrong with the files;
+came before there was a result; 2 bad input: one sentence on stderr, or a list of all that is wrong with the files;
 nothing written. Ctrl-C ends with what there is, and the status that this has; 130 where there is nothing yet, and where
 it is pressed again.
 
@@ -52,7 +52,7 @@ def main() -> None:
     except (NotConverged, TimeIsUp) as error:
         _fail(str(error), 1)
     except BayescalError as error:
-        _fail(str(error), 2, table=len(getattr(error, "problems", ())) > 1)
+        _fail(str(error), 2, listed=len(getattr(error, "problems", ())) > 1)
     except typer.Abort:
         _fail("stopped: what was written before stays as it was", INTERRUPTED)
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
@@ -72,9 +72,9 @@ def main() -> None:
         _fail(f"{said}. See: {command} --help", 2)
 
 
-def _fail(message: str, status: int, table: bool = False) -> NoReturn:
+def _fail(message: str, status: int, listed: bool = False) -> NoReturn:
     with contextlib.suppress(OSError):  # nowhere to say it: the status still does
-        text = message if table else " ".join(message.split())
+        text = message if listed else " ".join(message.split())
         text = "\n".join(map(one_line, text.split("\n")))  # no name moves the cursor
         print(f"bayescal: {text}", file=sys.stderr)
     _leave(status)

@@ -22,8 +22,8 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._model.unknown_effect import covariate_in
-from bayescal._report.in_output_unit import in_output_unit
 from bayescal._report.section import of_trail
+from bayescal._report.tables import rows_in_output_unit
 from bayescal._report.under_way import Keeper
 from bayescal._search.calibrate import SearchPath
 from bayescal._search.channels import Channels
@@ -206,7 +206,8 @@ def loop_text(
     parts.append(f"THE ERROR, STEP BY STEP\n\n{trail}")
     parts.append(f"COEFFICIENTS\n\n{final.calibration}")
     if output_unit is not None:
-        shown = in_output_unit(of_trail(trail), output_unit)
+        rows = rows_in_output_unit(of_trail(trail), output_unit)
+        shown = table(["", "value", "unit"], rows, left=1, fold=40)
         parts.append(f"IN {unit_label(output_unit)}\n\n{shown}")
     if averaged := averaged_text(trail, verbose):
         parts.append(averaged)

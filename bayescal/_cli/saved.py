@@ -8,14 +8,19 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import load
 from bayescal._cli.options import DecisionRule, InUse, OwnParts, UsedParts, named_values
 from bayescal._core.errors import InputError
-from bayescal._core.json_shape import read_json
 from bayescal._fleet.batch_result import load_batch
 from bayescal._fleet.fleet_result import load_fleet
 from bayescal._fleet.population import Population
 from bayescal._model.instrument import Instrument
 from bayescal._report.dcc import dcc_text
 from bayescal._report.section import CALIBRATION, Chapter, chapters, of_folder
-from bayescal._report.whole_folder import AVERAGED, CHANNELS, files_of, is_inside, refuse_mixed
+from bayescal._report.whole_folder import (
+    AVERAGED,
+    CHANNELS,
+    channel_folders,
+    files_of,
+    refuse_mixed,
+)
 from bayescal._search.own_files import instrument_named, user_effects
 from bayescal._use.autopilots import AUTOPILOTS
 from bayescal._use.code_writer import FORMATS
@@ -99,17 +104,8 @@ def of_units(paths: list[Path], file: str = "") -> list[Path]:
     """
     found: list[Path] = []
     for path in paths:
-        listed = path / CHANNELS
-        if not listed.is_file():
-            found.append(path)
-            continue
-        try:
-            names = [c["folder"] for c in read_json(listed)["channels"].values()]
-            if strange := [n for n in names if not (isinstance(n, str) and is_inside(n))]:
-                raise ValueError(f"{strange[0]!r} is no folder in it")
-            found += [path / name / file for name in names]
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise InputError(f"{listed} cannot be read ({error}): calibrate again") from None
+        unit = (path / CHANNELS).is_file()
+        found += [path / name / file for name in channel_folders(path)] if unit else [path]
     return found
 
 

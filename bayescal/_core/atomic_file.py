@@ -45,11 +45,11 @@ def replacing(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
-def left_behind(path: Path, suffix: str = ".partial") -> list[Path]:
+def left_behind(path: Path) -> list[Path]:
     """What processes that were killed left beside a file or folder; what others are writing is not."""
     found = {
-        left: left.name.removesuffix(suffix).rpartition(".")[2]
-        for left in path.parent.glob(f".{glob.escape(path.name)}.*{suffix}")
+        left: left.name.removesuffix(".partial").rpartition(".")[2]
+        for left in path.parent.glob(f".{glob.escape(path.name)}.*.partial")
     }
     return [left for left, process in found.items() if process.isdecimal() and not _runs(process)]
 
@@ -74,17 +74,28 @@ def replacing_for_user(path: Path) -> Iterator[Path]:
     Raises:
         InputError: a place that cannot be written to, or no room; the old file is as it was.
     """
-    missing = [folder for folder in path.parents if not folder.exists()]
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as partial:
+        with folder_made(path.parent), replacing(path) as partial:
             yield partial
-    except BaseException as error:
+    except OSError as error:
+        raise InputError(f"{str(path)!r} cannot be written: {why(error)}") from error
+
+
+@contextmanager
+def folder_made(folder: Path) -> Iterator[None]:
+    """A folder is there, made if need be with those that it is in, and taken away again if nothing comes of it.
+
+    Raises:
+        OSError: it cannot be made, or is a file.
+    """
+    missing = [f for f in (folder, *folder.parents) if not f.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
         for made in missing:
             with suppress(OSError):  # not empty: something was written
                 made.rmdir()
-        if isinstance(error, OSError):
-            raise InputError(f"{str(path)!r} cannot be written: {why(error)}") from error
         raise
 
 

@@ -2,13 +2,13 @@
 
 A shape is one of
 
-    str, bool, int, float     a value of that type; a float is finite, and a whole number is one too
-    [shape]                   a list of such
-    (shape, shape, …)         a list of exactly these
-    {"key": shape, …}         exactly these keys; one that ends in "?" may be missing
-    {str: shape}              any keys
-    OneOf(shape, …)           whichever fits; None for null
-    ANY                       a plain value that nothing is made of but text: no deeper than 32
+    str, bool, int, float, date   a value of that type; a float is finite, and a whole number is one too
+    [shape]                       a list of such
+    (shape, shape, …)             a list of exactly these
+    {"key": shape, …}             exactly these keys; one that ends in "?" may be missing
+    {str: shape}                  any keys
+    OneOf(shape, …)               whichever fits; None for null
+    ANY                           a plain value that nothing is made of but text: no deeper than 32
 
 What comes in is walked no deeper than its shape, so that no nesting ends the program.
 """
@@ -20,6 +20,7 @@ import math
 import re
 import tomllib
 from collections.abc import Callable
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -50,10 +51,9 @@ ANY = _Any()
 def mismatch(value: Any, shape: Any, where: str = "") -> str:
     """Where a value is not of a shape, and what was expected there; empty if it is."""
     if isinstance(shape, OneOf):
-        # Of several shapes, none of which fits, the longest complaint names the deepest place: the shape that was
-        # meant.
+        # Of several shapes, none of which fits, the complaint at the deepest place is of the shape that was meant.
         tried = [mismatch(value, one, where) for one in shape.shapes]
-        return "" if "" in tried else max(tried, key=len)
+        return "" if "" in tried else max(tried, key=lambda said: len(said.partition(" is ")[0]))
     if shape is ANY:
         return _too_deep(value, where)
     if shape is None:
@@ -79,7 +79,7 @@ def mismatch(value: Any, shape: Any, where: str = "") -> str:
             return f"{_key(where, name)} is missing"
     for name in value:
         if name not in shapes:
-            return f"{_key(where, name)} is not known here"
+            return f"{_key(where, name)} is not known here; there are: {', '.join(shapes)}"
     return _first(mismatch(v, shapes[k], _key(where, k)) for k, v in value.items())
 
 
@@ -90,7 +90,7 @@ def _of_type(value: Any, kind: type, where: str) -> str:
         return "" if right else _expected(value, "a finite number", where)
     if isinstance(value, str) and kind is str:
         return _expected(value, "text", where) if _SURROGATE.search(value) else ""
-    named = {str: "text", bool: "true or false", int: "a whole number"}[kind]
+    named = {str: "text", bool: "true or false", int: "a whole number", date: "a date"}[kind]
     return "" if type(value) is kind else _expected(value, named, where)
 
 
@@ -158,20 +158,37 @@ def read_json(path: Path, shape: Any = ANY) -> Any:
     return found
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """A TOML file.
+def read_toml(path: Path, shape: Any, called: str, cure: str) -> dict[str, Any]:
+    """A TOML file of a shape, that a person wrote.
+
+    Args:
+        path, called: where it is, and what messages call it.
+        shape: what it may hold.
+        cure: what to do where it holds something else.
 
     Raises:
-        OSError: it cannot be read.
-        ValueError: it is larger than any that a person writes, no TOML, or nested deeper than any.
+        InputError: it cannot be read, is larger than any that a person writes, no TOML, nested deeper than any, or of
+            another shape; names the place in it, what came and what was expected.
     """
-    if path.stat().st_size > LARGEST_TOML:
-        raise ValueError(f"it is larger than {LARGEST_TOML / 1e3:.0f} kB")
-    text = path.read_text("utf-8-sig")
-    longest = max(map(len, text.splitlines()), default=0)
-    if longest > LONGEST_LINE:
-        raise ValueError(f"it has a line of {longest:,} characters, longer than {LONGEST_LINE:,}")
-    return _parsed(tomllib.loads, text)
+    try:
+        if path.stat().st_size > LARGEST_TOML:
+            raise ValueError(f"it is larger than {LARGEST_TOML / 1e3:.0f} kB")
+        text = path.read_text("utf-8-sig")
+        longest = max(map(len, text.splitlines()), default=0)
+        if longest > LONGEST_LINE:
+            raise ValueError(
+                f"it has a line of {longest:,} characters, longer than {LONGEST_LINE:,}"
+            )
+        found = _parsed(tomllib.loads, text)
+    except OSError as error:
+        raise InputError(
+            f"{called} cannot be read: {error.strerror or error}. Check the name and the folder"
+        ) from None
+    except ValueError as error:
+        raise InputError(f"{called} is not TOML: {error}") from None
+    if said := mismatch(found, shape):
+        raise InputError(f"{called}: {said}. {cure}")
+    return found
 
 
 def required(value: Any, shape: Any, file: str, instead: str) -> Any:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import number, table
 from bayescal._data.record_settings import recording
 from bayescal._data.unit_parsing import ANY
 from bayescal._tables.raw_table import ROW, Table
@@ -19,7 +18,6 @@ UNCERTAINTY = "output_uncertainty"  # known standard uncertainty of each reading
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
 ARRAYS = "the given arrays"  # in place of files
 TAKEN = (ROW, "cell")  # names of groupings: each reading, and run × temperature point
-SHOWN = 5  # labels of a column that are named
 
 
 @dataclass(frozen=True)
@@ -201,26 +199,3 @@ def placeholders(values: np.ndarray) -> np.ndarray:
         if max(low - value, value - high) > recording().placeholder * (high - low):
             found |= there
     return np.flatnonzero(found)
-
-
-def readings_text(file: str, columns: Mapping[str, tuple[np.ndarray, str | None]]) -> str:
-    """Readings for people: a line for each column with its range, or the labels that it has.
-
-    Args:
-        file: where they came from.
-        columns: name → values, one a reading, and their unit (None for labels).
-    """
-    rows, count = [], 0
-    for name, (values, unit) in columns.items():
-        count = len(values)
-        if unit is None:
-            labels = list(dict.fromkeys(map(str, values)))
-            shown = ", ".join(labels[:SHOWN]) + (" …" if len(labels) > SHOWN else "")
-            rows.append([name, "", f"{len(labels)} labels: {shown}"])
-        elif np.isnan(values).all():
-            rows.append([name, unit, "empty"])
-        else:
-            low, high = np.nanmin(values), np.nanmax(values)
-            rows.append([name, unit, f"{number(low, 5)} to {number(high, 5)}"])
-    said = table(["column", "unit", "range"], rows, left=3)
-    return f"{count} readings of {file}\n{said}"

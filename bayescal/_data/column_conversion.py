@@ -17,8 +17,7 @@ from bayescal._data.column import (
     overloads,
     placeholders,
 )
-from bayescal._data.header_matching import DAYS, MatchedFile, channels_beside
-from bayescal._data.header_reading import plain, unit_in
+from bayescal._data.header_matching import DAYS, MatchedFile, channels_beside, plain, unit_in
 from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name, unit_of
 from bayescal._data.unit_conversion import convert, needs_gravity, pretty, same_dimension
 from bayescal._data.unit_parsing import ANY, parse

@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import Printed
+from bayescal._core.formatting import Printed, number, table
 from bayescal._data.averaging import average
 from bayescal._data.column import (
     ARRAYS,
@@ -23,7 +23,6 @@ from bayescal._data.column import (
     NominalScale,
     Source,
     file_names,
-    readings_text,
 )
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import (
@@ -42,6 +41,7 @@ from bayescal._tables.raw_table import ROW, Table
 from bayescal._tables.write import write
 
 SINCE = "since"  # attribute of the time: seconds since 1970 at its zero, where the file has dates
+SHOWN = 5  # labels of a column that are named
 CAUSE = "cause"  # attribute of a column: 0 where nothing is taken to depend on it
 
 
@@ -155,7 +155,20 @@ class Measurements(Printed):
         return Measurements, (self.data, self.sources, self.flags, self.output, self.scale)
 
     def __str__(self) -> str:
-        return readings_text(self.file, {n: (self[n], self.unit(n)) for n in self.columns})
+        rows = []
+        for name in self.columns:
+            values, unit = self[name], self.unit(name)
+            if unit is None:
+                labels = list(dict.fromkeys(values.tolist()))
+                more = " …" * (len(labels) > SHOWN)
+                said = f"{len(labels)} labels: {', '.join(labels[:SHOWN])}{more}"
+            elif np.isnan(values).all():
+                said = "empty"
+            else:
+                said = f"{number(np.nanmin(values), 5)} to {number(np.nanmax(values), 5)}"
+            rows.append([name, unit or "", said])
+        shown = table(["column", "unit", "range"], rows, left=3)
+        return f"{len(self)} readings of {self.file}\n{shown}"
 
     def _brief(self) -> str:
         named = (f"{n} [{self.unit(n)}]" if self.unit(n) else n for n in self.columns)

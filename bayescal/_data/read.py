@@ -95,7 +95,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
 
     Raises:
         InputError: a file, a column, a unit or a cell cannot be used. One problem is a sentence that names file, row
-            and column, what was read, what was expected, and what to do; several are a table of these, and the
+            and column, what was read, what was expected, and what to do; several are a list of these, and the
             error's `problems`.
     """
     paths = [path_or_paths] if isinstance(path_or_paths, str | Path) else list(path_or_paths)

@@ -1,8 +1,11 @@
 """A digital calibration certificate (DCC) of the PTB: XML, schema 3.2.1, numbers and units in D-SI.
 
+Units of D-SI are coherent SI: an acceleration in local g is in m/s².
+
 Schema and meaning: Physikalisch-Technische Bundesanstalt, https://www.ptb.de/dcc (dcc.xsd 3.2.1) and
 https://www.ptb.de/si (SI_Format.xsd 2.1.0); S. Hackel et al., The Digital Calibration Certificate,
-PTB-Mitteilungen 127 (2017) 4, doi 10.7795/310.20170403.
+PTB-Mitteilungen 127 (2017) 4, doi 10.7795/310.20170403; D. Hutzschenreuter et al., SmartCom Digital System of Units
+(D-SI) Guide, doi 10.5281/zenodo.3522631.
 The file is not signed: a seal is the laboratory's.
 """
 
@@ -25,9 +28,8 @@ from bayescal._core.errors import InputError
 from bayescal._core.quoting import xml_text
 from bayescal._core.templates import template
 from bayescal._core.version import __version__
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse
 from bayescal._report.certificate import SECTIONS, Certificate, read_certificate
-from bayescal._report.d_si import d_si
 from bayescal._use.decision import Decisions, statement_lines
 
 SCHEMA = "3.2.1"
@@ -174,6 +176,51 @@ def real(
         "distribution": "normal",
     }
     return number._replace(form="expandedUnc", spread=expanded)
+
+
+_D_SI = {
+    "s": "second",
+    "K": "kelvin",
+    "rad": "radian",
+    "V": "volt",
+    "Hz": "hertz",
+    "m": "metre",
+    "A": "ampere",
+    "Pa": "pascal",
+    "uT": "tesla",
+    "count": "one",
+}
+
+
+def d_si(unit: str | None, local_gravity: float = STANDARD_GRAVITY) -> tuple[float, str]:
+    """A unit in D-SI: the factor from the one to the other, and its text, such as \\radian\\second\\tothe{-1}.
+
+    Args:
+        unit: ours; a temperature in degC stays one.
+        local_gravity: m/s², that one g is.
+
+    Raises:
+        InputError: it is no unit.
+    """
+    if unit in (None, "", "1"):
+        return 1.0, "\\one"
+    if unit == "degC":
+        return 1.0, "\\degreecelsius"
+    found = parse(unit)
+    factor, powers = found.factor, dict[str, float]()
+    for base, power in found.powers.items():
+        if base == "ug":
+            factor *= (1e-6 * local_gravity) ** power
+            parts = {"metre": power, "second": -2 * power}
+        else:
+            factor *= 1e-6**power if base == "uT" else 1.0
+            parts = {_D_SI[base]: power}
+        for name, p in parts.items():
+            powers[name] = powers.get(name, 0.0) + p
+    text = "".join(
+        f"\\{name}" + ("" if p == 1 else f"\\tothe{{{p:g}}}") for name, p in powers.items() if p
+    )
+    return factor, text or "\\one"
 
 
 def _rounded(value: float, uncertainty: float) -> str:

@@ -1,7 +1,4 @@
-"""Pictures of what a fit knows: coefficients, how far the readings told them, their correlations, predictions.
-
-Built on ArviZ's plots where there is one; their figures are handed back as Matplotlib's.
-"""
+"""Pictures of what a fit knows: coefficients, how far the readings told them, their correlations, predictions."""
 
 from __future__ import annotations
 
@@ -15,12 +12,11 @@ from matplotlib.figure import Figure
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.summary import summary
-from bayescal._core.atomic_file import renamed
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._model.frame import GROUPS
 from bayescal._report.plot_colours import BLUE, GREY, ORANGE, RED
-from bayescal._report.plot_style import axes_of, axis_label, open_sides, plain
+from bayescal._report.plot_style import axes_of, axis_label, new_figure, open_sides, plain
 
 DRAWS = 1000  # in a picture
 INTERVAL = 0.95
@@ -31,7 +27,7 @@ PAIRED = 4  # unknowns in a picture of pairs
 def coefficients(
     calibration: Calibration, names: Sequence[str] | None = None, columns: int = 3
 ) -> Figure:
-    """Posterior of each coefficient, its mean and its 95 % credible interval (ArviZ's `plot_dist`).
+    """Posterior of each coefficient, its mean and its 95 % credible interval.
 
     Args:
         calibration: a fit.
@@ -41,48 +37,45 @@ def coefficients(
     Raises:
         InputError: no such unknown, or none at all.
     """
-    from arviz_plots import plot_dist  # a second that only a picture needs
-
-    data = _shown(_chosen(calibration, names, MOST))
-    rows = -(-len(data) // columns)
-    made = plot_dist(
-        xr.DataTree.from_dict({"posterior": data}),
-        var_names=list(map(str, data)),
-        kind="kde",
-        col_wrap=columns,
-        visuals={
-            "dist": {"color": BLUE},
-            "credible_interval": False,  # these two by hand: ArviZ 0.8 rounds them
-            "point_estimate": False,
-            "point_estimate_text": False,
-            "title": False,
-        },
-        figure_kwargs={
-            "figsize": (2.8 * min(columns, len(data)), 2.0 * rows + 0.3),
-            "sharex": False,
-        },
-    )
-    figure = _taken(made)
-    for name in map(str, data):
-        ax = made.viz["plot"][name].item()
-        draws = data[name].values.ravel()
-        low, high = np.quantile(draws, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2])
-        ax.plot([low, high], [0, 0], color=ORANGE, lw=4, solid_capstyle="butt", zorder=3)
-        ax.plot(draws.mean(), 0, "o", color=RED, ms=5, zorder=4)
-        ax.set_xlabel(axis_label("", data[name].attrs["units"]).strip(), fontsize=9)
-        ax.set_title(plain(name), fontsize=9)
+    data = _chosen(calibration, names, MOST)
+    across, down = min(columns, len(data)), -(-len(data) // columns)
+    figure = new_figure(2.8 * across, 2.0 * down + 0.3)
+    panels = figure.subplots(down, across, squeeze=False).ravel()
+    for ax in panels[len(data) :]:
+        ax.set_visible(False)
+    for ax, (name, unknown) in zip(panels, data.items(), strict=False):
+        draws = unknown.values.ravel()
+        _density(ax, draws)
+        ax.plot(_ends(draws, INTERVAL), [0, 0], color=ORANGE, lw=4, solid_capstyle="butt")
+        ax.plot(draws.mean(), 0, "o", color=RED, ms=5)
+        ax.set_xlabel(axis_label("", unknown.attrs["units"]).strip(), fontsize=9)
+        ax.set_title(plain(str(name)), fontsize=9)
         ax.locator_params(axis="x", nbins=4)
         ax.tick_params(labelsize=8)
     return figure
 
 
-def _shown(data: xr.Dataset) -> xr.Dataset:
-    """Unknowns under names that a tree can hold, in which a / would part groups."""
-    return renamed(data, lambda name: name.replace("/", "\u2215"))
+def _density(ax: Any, draws: np.ndarray) -> None:
+    """The density of draws, by a Gaussian kernel; a line where all are the same."""
+    from scipy.stats import gaussian_kde  # a third of a second that only a picture needs
+
+    if _moves(draws):
+        at = np.linspace(draws.min(), draws.max(), 200)
+        ax.plot(at, gaussian_kde(draws)(at), color=BLUE)
+    else:
+        ax.axvline(draws[0], color=BLUE)
+    ax.set_yticks([])
+    open_sides(ax)
+    ax.spines["left"].set_visible(False)
+
+
+def _ends(draws: np.ndarray, share: float) -> np.ndarray:
+    """Of the credible interval that holds this share of the draws along the last axis (2, …)."""
+    return np.quantile(draws, [0.5 - share / 2, 0.5 + share / 2], axis=-1)
 
 
 def members(calibration: Calibration, name: str) -> Figure:
-    """What each run, cell or device has of a coefficient, with 95 % credible intervals (ArviZ's `plot_forest`).
+    """What each run, cell or device has of a coefficient, with 50 % and 95 % credible intervals.
 
     Args:
         calibration: a fit.
@@ -91,38 +84,30 @@ def members(calibration: Calibration, name: str) -> Figure:
     Raises:
         InputError: there is no such coefficient.
     """
-    from arviz_plots import plot_forest
-
     posterior = calibration.posterior
     grouped = [n for n in map(str, posterior) if set(posterior[n].dims) & set(GROUPS)]
     if name not in grouped:
         raise InputError(
             f"{name!r} has no value for each member of a group; these have: {', '.join(grouped) or 'none'}"
         )
-    data = _shown(posterior[[name]].isel(draw=_thin(posterior)))
-    (name,) = map(str, data)
-    group = next(str(d) for d in data[name].dims if d not in ("chain", "draw"))
-    made = plot_forest(
-        xr.DataTree.from_dict({"posterior": data}),
-        combined=True,
-        labels=[group],
-        ci_kind="eti",
-        ci_probs=(0.5, INTERVAL),
-        point_estimate="mean",
-        visuals={
-            "trunk": {"color": BLUE},
-            "twig": {"color": BLUE},
-            "point_estimate": {"color": RED},
-        },
-    )
-    figure = _taken(made)
-    figure.set_size_inches(6.4, 1.0 + 0.25 * data[name].sizes[group])
-    figure.axes[-1].set_xlabel(axis_label(name, data[name].attrs["units"]))
+    data = posterior[name].isel(draw=_thin(posterior))
+    (group,) = {str(d) for d in data.dims} - {"chain", "draw"}
+    draws = data.transpose(group, ...).values.reshape(data.sizes[group], -1)
+    at = np.arange(len(draws))
+    figure = new_figure(6.4, 1.0 + 0.25 * len(draws))
+    ax = figure.subplots()
+    for share, width in ((INTERVAL, 1.5), (0.5, 4.0)):
+        ax.hlines(at, *_ends(draws, share), color=BLUE, lw=width)
+    ax.plot(draws.mean(axis=1), at, "o", color=RED)
+    ax.set_yticks(at, [plain(f"{group} {label}") for label in data[group].values])
+    ax.invert_yaxis()
+    ax.set_xlabel(axis_label(name, data.attrs["units"]))
+    open_sides(ax)
     return figure
 
 
 def pairs(calibration: Calibration, names: Sequence[str] | None = None) -> Figure:
-    """Joint draws of the unknowns, two by two (ArviZ's `plot_pair`).
+    """Joint draws of the unknowns, two by two, and the density of each.
 
     Args:
         calibration: a fit.
@@ -131,55 +116,31 @@ def pairs(calibration: Calibration, names: Sequence[str] | None = None) -> Figur
     Raises:
         InputError: no such unknown, or fewer than two.
     """
-    from arviz_plots import plot_pair
-
-    data = _shown(_chosen(calibration, names, MOST))
+    data = _chosen(calibration, names, MOST)
     if len(data) < 2:
         raise InputError(f"a picture of pairs needs two unknowns or more, not {len(data)}")
     if names is None:
         data = data[most_correlated(data)]
+    draws = [unknown.values.ravel() for unknown in data.values()]
+    units = [axis_label("", unknown.attrs["units"]).strip() for unknown in data.values()]
+    said = [f"{plain(str(name))}\n{unit}" for name, unit in zip(data, units, strict=True)]
     side = 1.0 + 1.5 * len(data)
-    made = plot_pair(
-        xr.DataTree.from_dict({"posterior": data}),
-        var_names=list(map(str, data)),
-        marginal=True,
-        visuals={
-            "scatter": {"color": BLUE, "alpha": 0.25, "size": 6},
-            "dist": {"color": BLUE},
-            "divergence": False,
-            "label": False,
-            "credible_interval": False,
-            "point_estimate": False,
-            "point_estimate_text": False,
-            "xlabel": False,
-            "ylabel": False,
-        },
-        figure_kwargs={"figsize": (side, side)},
-    )
-    figure = _taken(made)
-    for ax in figure.axes:
-        for points in ax.collections:
-            points.set_rasterized(True)  # thousands of points in a vector picture weigh too much
-    _label_matrix(figure, data)
-    return figure
-
-
-def _label_matrix(figure: Figure, data: xr.Dataset) -> None:
-    """Names and units along the lower and the left edge of a matrix of panels."""
-    units = {str(n): axis_label("", v.attrs["units"]).strip() for n, v in data.items()}
-    said = [f"{plain(name)}\n{unit}" for name, unit in units.items()]
-    for ax in figure.axes:
-        place = ax.get_subplotspec()
-        if place is None:
-            continue
-        row, column = place.rowspan.start, place.colspan.start
+    figure = new_figure(side, side)
+    panels = figure.subplots(len(data), len(data), sharex="col")
+    for (row, column), ax in np.ndenumerate(panels):
+        ax.set_visible(column <= row)
+        if column == row:
+            _density(ax, draws[row])
+        elif column < row:  # thousands of points in a vector picture weigh too much
+            ax.plot(draws[column], draws[row], ".", color=BLUE, alpha=0.25, ms=3, rasterized=True)
+            ax.locator_params(axis="y", nbins=3)
         ax.tick_params(labelsize=7)
         ax.locator_params(axis="x", nbins=2)
-        ax.locator_params(axis="y", nbins=3)
         if row == len(said) - 1:
             ax.set_xlabel(said[column], fontsize=8)
         if column == 0 and row > 0:
             ax.set_ylabel(said[row], fontsize=8)
+    return figure
 
 
 def most_correlated(data: xr.Dataset) -> list[str]:
@@ -203,7 +164,8 @@ def predictive(calibration: Calibration) -> Figure:
     The share of readings below each predictive probability, minus that probability: a model that is right stays
     within the band.
     """
-    from arviz_plots import plot_ppc_pit
+    from arviz_plots import plot_ppc_pit  # a second that only a picture needs
+    from matplotlib import pyplot
 
     group = calibration.tree["posterior_predictive"].to_dataset()
     tree = xr.DataTree.from_dict(
@@ -217,7 +179,10 @@ def predictive(calibration: Calibration) -> Figure:
         visuals={"title": False, "xlabel": False, "ylabel": False, "ecdf_lines": {"color": BLUE}},
         figure_kwargs={"figsize": (5.6, 3.0)},
     )
-    figure = _taken(made)
+    figure = made.viz["figure"].item()
+    pyplot.close(figure)  # nothing is shown, nothing is kept
+    FigureCanvasAgg(figure)
+    figure.set_layout_engine("constrained")
     ax = figure.axes[0]
     ax.set_xlabel("predictive probability of the reading [1]")
     ax.set_ylabel("share of readings below it,\nminus expected [1]")
@@ -270,14 +235,3 @@ def _moves(draws: np.ndarray) -> bool:
 
 def _thin(data: xr.Dataset) -> slice:
     return slice(None, None, max(1, data.sizes["draw"] * data.sizes["chain"] // DRAWS))
-
-
-def _taken(made: Any) -> Figure:
-    """ArviZ's figure, out of pyplot's hands: nothing is shown, nothing is kept."""
-    from matplotlib import pyplot
-
-    figure = made.viz["figure"].item()
-    pyplot.close(figure)
-    FigureCanvasAgg(figure)
-    figure.set_layout_engine("constrained")
-    return figure

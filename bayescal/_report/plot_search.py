@@ -15,7 +15,6 @@ from matplotlib.transforms import ScaledTranslation
 
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._core.formatting import number
-from bayescal._model.unknown_effect import covariate_in
 from bayescal._report.plot_colours import BLUE, GREEN, GREY, ORANGE, PALE, RED
 from bayescal._report.plot_residuals import residual_panel
 from bayescal._report.plot_style import (
@@ -26,6 +25,7 @@ from bayescal._report.plot_style import (
     open_sides,
     plain,
 )
+from bayescal._report.result_json import is_quiet
 from bayescal._search.discover import Discovery
 from bayescal._search.search_path import SearchPath
 
@@ -141,11 +141,6 @@ def _ticks(low: float, high: float) -> list[float]:
     powers = [10.0**k for k in range(1, 7)]
     up = [p for p in powers if p <= high * 1.2] or [5.0]
     return [-p for p in powers[::-1] if -p >= low * 1.2] + [0.0, *up]
-
-
-def is_quiet(c: Mapping[str, Any]) -> bool:
-    """An unknown dependence without evidence gets no bar, and no line."""
-    return covariate_in(c["effect"]) is not None and c["kind"] in (None, "not visible")
 
 
 def loop(found: SearchPath) -> Figure:

@@ -19,11 +19,10 @@ from bayescal._core.templates import template
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
-from bayescal._report import conclusion, figures, sentences, tables
+from bayescal._report import figures, sentences, tables
 from bayescal._report.certificate import Certificate, read_certificate
-from bayescal._report.in_output_unit import rows_in_output_unit
-from bayescal._report.plot_search import is_quiet
-from bayescal._report.section import Chapter, chapters, taken
+from bayescal._report.result_json import is_quiet
+from bayescal._report.section import Chapter, chapters
 from bayescal._report.under_way import RESULT
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
@@ -79,7 +78,8 @@ def report(
     stated = certificate
     if stated is not None and not isinstance(stated, Certificate):
         stated = read_certificate(stated)
-    found = chapters(taken(given), effects)
+    several = given if isinstance(given, list | tuple) else [given]
+    found = chapters(several, effects)
     try:
         text = page(found, title, stated, decisions, output_unit)
     except (TemplateError, *OF_DAMAGE) as e:
@@ -120,7 +120,9 @@ def page(
         certificate=certificate.rows() if certificate else [],
         decisions=decisions,
         output_unit=output_unit,
-        in_output_unit=[rows_in_output_unit(c, output_unit) if output_unit else [] for c in found],
+        in_output_unit=[
+            tables.rows_in_output_unit(c, output_unit) if output_unit else [] for c in found
+        ],
         decided=[] if decisions is None else [decision_cells(d) for d in decisions.decisions],
     )
 
@@ -199,7 +201,7 @@ def _discovery(
         "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
         "rows": [c for c in tested if not is_quiet(c)][:MANY],
         "alike": sorted(", ".join(sorted(g)) for g in groups),
-        "not_testable": conclusion.not_tested(found["candidates"]),
+        "not_testable": sentences.not_tested(found["candidates"]),
         "picture": pictures.missing(found, title),
     }
 

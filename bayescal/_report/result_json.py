@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import platform
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,7 @@ from bayescal._core.settings_in_force import unusual
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import GROUPS
 from bayescal._model.noise_law import Noise
+from bayescal._model.unknown_effect import covariate_in
 from bayescal._search.discover import Discovery
 from bayescal._search.next_experiment import NextExperiment
 from bayescal._search.search_path import SearchPath, Step
@@ -27,6 +30,11 @@ from bayescal._use.vector_correction import vector_correction
 from bayescal._use.vector_export import data
 
 SCHEMA = "bayescal.result/2"
+# A step's key of the noise → the unknown of a law, where it has it.
+OF_NOISE = {
+    **{"white": "white", "correlated": "correlated", "diffusion": "diffusion"},
+    **{"tau": "correlated.time", "slope": "slope", "curvature": "curvature", "freedom": "freedom"},
+}
 FORMER = "bayescal.result/1"  # of 0.2.0, where `hyperparameters` were `spreads`
 PACKAGES = (
     "bayescal",
@@ -45,13 +53,18 @@ def result(trail: SearchPath) -> dict[str, Any]:
     """Everything that a calibration found, as plain data."""
     final = trail.final.calibration
     coefficients, hyperparameters = summary(final)
+    averaged = () if trail.average is None else chain(*summary(trail.average))
+    known = {r["name"]: {k: r[k] for k in ("mean", "sd", "interval95")} for r in averaged}
     for row in (*coefficients, *hyperparameters):
-        row["averaged"] = None
-    if trail.average is not None:
-        averaged = {r["name"]: r for part in summary(trail.average) for r in part}
-        for row in (*coefficients, *hyperparameters):
-            if there := averaged.get(row["name"]):
-                row["averaged"] = {k: there[k] for k in ("mean", "sd", "interval95")}
+        row["averaged"] = known.get(row["name"])
+    found: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "allan", "missing")}
+    for i, step in enumerate(trail.steps):
+        found["check"] += check_data(step.check, i)
+        found["pairs"] += [{"step": i, **as_json(pair)} for pair in step.check.pairs]
+        if step.check.allan is not None:
+            found["allan"].append({"step": i, **step.check.allan.data()})
+        if step.discovery is not None:
+            found["missing"].append(missing_data(step.discovery, i, step.check))
     verdict = final.verdict
     reasons = [*verdict.reasons, *([] if trail.gate.ok else [trail.gate.reason])]
     return as_json(
@@ -75,20 +88,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
             else {**as_json(trail.other_path), "in_words": str(trail.other_path)},
             "search": search_data(trail),
             "steps": [step_data(s) for s in trail.steps],
-            "check": [e for i, s in enumerate(trail.steps) for e in check_data(s.check, i)],
-            "pairs": [
-                {"step": i, **as_json(p)} for i, s in enumerate(trail.steps) for p in s.check.pairs
-            ],
-            "allan": [
-                {"step": i, **s.check.allan.data()}
-                for i, s in enumerate(trail.steps)
-                if s.check.allan is not None
-            ],
-            "missing": [
-                missing_data(s.discovery, i, s.check)
-                for i, s in enumerate(trail.steps)
-                if s.discovery is not None
-            ],
+            **found,
             "coefficients": coefficients,
             "hyperparameters": hyperparameters,
             "vector": vector_data(final),
@@ -192,13 +192,7 @@ def step_data(step: Step) -> dict[str, Any]:
         "log_evidence": None if evidence is None else {"value": evidence[0], "se": evidence[1]},
         "noise": {
             "law": calibration.model.noise.name,
-            "white": mean.get("noise.white"),
-            "correlated": mean.get("noise.correlated"),
-            "diffusion": mean.get("noise.diffusion"),
-            "tau": mean.get("noise.correlated.time"),
-            "slope": mean.get("noise.slope"),
-            "curvature": mean.get("noise.curvature"),
-            "freedom": mean.get("noise.freedom"),
+            **{key: mean.get(f"noise.{name}") for key, name in OF_NOISE.items()},
         },
         "verdict": calibration.verdict,
     }
@@ -246,6 +240,11 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
             if e.log_bayes_factor > 0
         ],
     }
+
+
+def is_quiet(c: Mapping[str, Any]) -> bool:
+    """An unknown dependence without evidence gets no bar, and no line."""
+    return covariate_in(c["effect"]) is not None and c["kind"] in (None, "not visible")
 
 
 def experiment_data(found: NextExperiment) -> dict[str, Any]:

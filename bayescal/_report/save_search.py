@@ -6,22 +6,23 @@ they are saved as, so the methods are attached here, and `bayescal` takes them f
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from bayescal._calibration.description import identity
 from bayescal._core import deadline
 from bayescal._core.as_json import as_json, write_json
-from bayescal._core.json_shape import read_json
-from bayescal._report.conclusion import conclusion
+from bayescal._core.errors import InputError
 from bayescal._report.result_json import result
 from bayescal._report.section import of_trail
+from bayescal._report.sentences import conclusion
 from bayescal._report.under_way import RESULT, UNDER_WAY
 from bayescal._report.whole_folder import (
     AVERAGED,
     CHANNELS,
+    channel_folders,
     folders_of,
-    is_inside,
     remove_results,
     whole_folder,
 )
@@ -110,23 +111,15 @@ def save_channels(self: Channels, folder: Path) -> None:
         InputError: there is no such folder, or it cannot be written.
     """
     folder = Path(folder)
-    before, now = _channel_folders(folder), folders_of(self.trails)
+    before, now = set[str](), folders_of(self.trails)
+    with suppress(InputError):  # none were there, or none that can be read
+        before.update(channel_folders(folder))
     for name, inner in now.items():
         (folder / inner).mkdir(exist_ok=True)
         save_search(self.trails[name], folder / inner)
     write_json(channels_data(self), folder / CHANNELS)
     for inner in before - set(now.values()):
         remove_results(folder / inner)
-
-
-def _channel_folders(folder: Path) -> set[str]:
-    """Names of the folders that a channels.json tells of; none where there is none to read."""
-    try:
-        told = read_json(folder / CHANNELS)["channels"].values()
-        names = {channel["folder"] for channel in told}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return set()
-    return {n for n in names if isinstance(n, str) and is_inside(n)}
 
 
 Channels.save = save_channels

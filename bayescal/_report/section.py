@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
 from bayescal._calibration.check_result import Check
@@ -56,14 +54,32 @@ class Chapter:
     folder: Path | None = None
 
 
-def chapters(
-    given: Iterable[Calibration | SearchPath | Chapter], effects: Iterable[Effect] = ()
-) -> list[Chapter]:
-    """Chapters of what is given, in its order; calibrations of the same readings that stand together are one."""
+def chapters(given: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapter]:
+    """Chapters of what is given, in its order; calibrations of the same readings that stand together are one.
+
+    Args:
+        given: calibrations, trails, chapters, or errors that ended a fit and carry its calibration.
+        effects: of the user's own.
+
+    Raises:
+        InputError: nothing is given, or something else.
+    """
     own = tuple(effects)
+    several = [
+        g.calibration if isinstance(g, NotConverged) and g.calibration is not None else g
+        for g in given
+    ]
+    wrong = [
+        type(g).__name__ for g in several if not isinstance(g, Calibration | SearchPath | Chapter)
+    ]
+    if wrong or not several:
+        raise InputError(
+            f"a report is of calibrations or trails, not of {', '.join(wrong) or 'nothing'}: give what bc.fit, "
+            "bc.calibrate or bc.load returned"
+        )
     found: list[Chapter] = []
     waiting: list[Calibration] = []
-    for one in [*given, None]:
+    for one in [*several, None]:
         if waiting and not (isinstance(one, Calibration) and _same_readings(waiting[-1], one)):
             found.append(of_trail(trail_of(waiting, own), _titles(waiting)))
             waiting = []
@@ -204,29 +220,4 @@ def _titles(calibrations: list[Calibration]) -> list[str]:
 
 def _same_readings(one: Calibration, other: Calibration) -> bool:
     a, b = one.readings, other.readings
-    same = one.model.instrument.name == other.model.instrument.name and a.columns == b.columns
-    return same and all(
-        np.array_equal(a[n], b[n], equal_nan=a.unit(n) is not None) for n in a.columns
-    )
-
-
-def taken(given: Any) -> list[Calibration | SearchPath | Chapter]:
-    """What a user gives, as a list; of an error that ended a fit, the calibration that it carries.
-
-    Raises:
-        InputError: nothing is given, or something else than calibrations and trails.
-    """
-    several = given if isinstance(given, (list, tuple)) else [given]
-    found: list[Any] = [
-        g.calibration if isinstance(g, NotConverged) and g.calibration is not None else g
-        for g in several
-    ]
-    wrong = [
-        type(g).__name__ for g in found if not isinstance(g, (Calibration, SearchPath, Chapter))
-    ]
-    if wrong or not found:
-        raise InputError(
-            f"a report is of calibrations or trails, not of {', '.join(wrong) or 'nothing'}: give what bc.fit, "
-            "bc.calibrate or bc.load returned"
-        )
-    return found
+    return one.model.instrument.name == other.model.instrument.name and a.data.equals(b.data)

@@ -1,17 +1,261 @@
-"""The sentences of a report: how the model came about, what it may be used for and where not, what is left open."""
+"""The sentences of a report: the result in one paragraph, how it came about, its use and limits, what is left open."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.settings import searching
-from bayescal._core.formatting import probability
+from bayescal._calibration.summary import curve_extent, place_of
+from bayescal._core.formatting import number, probability, with_error
 from bayescal._data.unit_conversion import unit_label
-from bayescal._report.conclusion import conclusion, listed, not_tested
-from bayescal._report.plot_search import is_quiet
+from bayescal._model.departure import Departure
+from bayescal._model.effect import Effect
+from bayescal._model.unknown_effect import covariate_in
+from bayescal._report.result_json import is_quiet
 from bayescal._report.section import Chapter
 from bayescal._report.tables import READ, UNUSED, measured, ranges
+
+NAMED = 4  # effects of the first model that are named
+_SUBJECTS = {"bias": "the output", "scale": "the scale factor", "zero": "the zero"}
+_IGNORED = re.compile(
+    r"ignored, because they have no unit: (.*?) \((?:to|the)|column '(.*?)' ignored"
+)
+_GROUPS = {
+    "run": "run to run",
+    "cell": "one temperature point to the next",
+    "device": "device to device",
+}
+
+
+def conclusion(chapter: Chapter) -> str:
+    """What was found, the error before and after, what is left, what was not looked at, what is not decided."""
+    said = [*_against(chapter), _found(chapter), _error(chapter), _left(chapter)]
+    return " ".join([*said, *_not_looked_at(chapter), *_not_decided(chapter)])
+
+
+def _against(chapter: Chapter) -> Iterator[str]:
+    gate = chapter.data["gate"]
+    reasons = [*chapter.data["verdict"]["reasons"], *[gate["reason"]] * (not gate["ok"])]
+    if reasons:
+        ended = chapter.data["search"] and chapter.data["search"]["stopped"] and not gate["ok"]
+        first = re.split(r"(?<=[.?]) ", reasons[0])[0]  # the rest stands at the gate
+        yield first if ended else f"Not to be used as it is: {first}"
+
+
+def _found(chapter: Chapter) -> str:
+    """What the last model has more than the first."""
+    c, steps = chapter.calibration, chapter.data["steps"]
+    first = set(steps[0]["effects"])
+    added = [e for e in c.model.effects if e.name not in first]
+    if not added:
+        weighed = (
+            "Nothing was found missing from"
+            if chapter.data["missing"]
+            else "Nothing was looked for beside"
+        )
+        names = c.model.names
+        model = f"{len(names)} effects" if len(names) > NAMED else ", ".join(names) or "no effect"
+        return f"{weighed} the first model ({model})."
+    by_subject: dict[str, list[str]] = {}
+    for effect in added:
+        likely = _probability(chapter, effect)
+        how = "" if likely is None or likely >= searching().found else f"probably ({likely:.2f}) "
+        by_subject.setdefault(_subject(effect), []).append(how + _does(c, effect))
+    sentences = (f"{subject} {listed(does)}." for subject, does in by_subject.items())
+    return " ".join(s[0].upper() + s[1:] for s in sentences)
+
+
+def _probability(chapter: Chapter, effect: Effect) -> float | None:
+    """That an effect is missing from the first model, alone or as one of several; None where that was not asked."""
+    first = (
+        chapter.data["missing"][0] if chapter.data["missing"] else {"candidates": [], "sets": []}
+    )
+    if any(effect.name in one["effects"] for one in first["sets"]):
+        return 1.0
+    known = {c["effect"]: c["probability"] for c in first["candidates"]}
+    return known.get(effect.name)
+
+
+def _subject(effect: Effect) -> str:
+    kind, slot = effect.name.partition(".")[0], effect.slot
+    return _SUBJECTS.get(slot) or _SUBJECTS.get(kind) or f"the {slot.replace('_', ' ')}"
+
+
+def _does(c: Calibration, effect: Effect) -> str:
+    """What an effect makes of its subject, with its size."""
+    cause = effect.name.partition(".")[2] or effect.name
+    if isinstance(effect, Departure):
+        return f"departs from the form of {effect.of} by up to {_extent(c, effect)}"
+    if covariate := covariate_in(effect.name):
+        form = covariate.partition(", ")[2]
+        if form == "jump":
+            return f"has a step in time of {_extent(c, effect)}"
+        if form == "cycle":
+            return f"varies periodically in time by up to {_extent(c, effect)}"
+        return (
+            f"depends on {covariate} in a form that has no name here, by up to {_extent(c, effect)}"
+        )
+    size, group = _size(c, effect), effect.coefficients[0].per
+    times = {s.name: _shape(c, effect, s.name) for s in effect.shapes}
+    if cause.startswith("thermal_lag") and "tau" in times:
+        return f"follows the temperature with a lag of {times['tau']} ({size})"
+    if cause == "warm_up" and "tau" in times:
+        return f"settles after the start by {size} with a time constant of {times['tau']}"
+    if group is not None and effect.coefficients[0].group_sd is not None:
+        between = _GROUPS.get(group, f"{group} to {group}")
+        return f"differs from {between} by {size} (standard deviation)"
+    columns = [n.replace("_", " ") for n in effect.columns if n != "time"]
+    column = columns[0] if columns else "time"
+    for ending, words in (
+        ("_quadratic", f"bends with {column} by {size}"),
+        ("_cubic", f"has a cubic term in {column} of {size}"),
+        ("_quartic", f"has a quartic term in {column} of {size}"),
+    ):
+        if cause.endswith(ending):
+            return words
+    if cause.startswith("rate"):
+        return f"follows the rate of change of {column} by {size}"
+    if cause == "drift":
+        return f"drifts by {size} over the test"
+    if cause == "hysteresis":
+        way = "direction of approach" if column == "direction" else f"way that {column} went before"
+        return f"depends on the {way}, by {size}"
+    if cause == "constant":
+        return f"is off by {size}"
+    if cause.startswith("temperature") and len(effect.columns) == 1:
+        return f"changes with {column} by {size}"
+    return f"shows {effect.name} ({effect.equation or column}), {size}"
+
+
+def _extent(c: Calibration, effect: Effect) -> str:
+    _, largest, covariate, at = curve_extent(c, effect.name)
+    return f"{number(abs(largest), 2)} {unit_label(c.unit)}, most at {place_of(c, covariate, at)}"
+
+
+def _size(c: Calibration, effect: Effect) -> str:
+    """Of the largest coefficient, where there are several; of one for each member, from the least to the largest."""
+    found = []
+    for i, one in enumerate(effect.coefficients):
+        name, unit = effect.coefficient_name(i), unit_label(one.unit)
+        between = f"{name}.group_sd"
+        draws = c.samples(between if one.per and between in c.posterior.data_vars else name)
+        mean, sd = draws.mean(axis=0), draws.std(axis=0)
+        if draws.ndim > 1:
+            ends = (number(float(v), 2) for v in (mean.min(), mean.max()))
+            found.append((float(np.abs(mean).max()), f"{' to '.join(ends)} {unit}".rstrip()))
+        else:
+            found.append(
+                (abs(float(mean)), f"{with_error(float(mean), float(sd))} {unit}".rstrip())
+            )
+    largest = max(found)[1]
+    same = len({one.unit for one in effect.coefficients}) == 1
+    if len(found) == 1 or not same:
+        return found[0][1]
+    return f"{largest} (the largest of {len(found)} coefficients)"
+
+
+def _shape(c: Calibration, effect: Effect, name: str) -> str:
+    shape = next(s for s in effect.shapes if s.name == name)
+    fixed = dict(c.model.fixed).get(effect.shape_name(shape))
+    if fixed is not None:
+        return f"{number(fixed)} {unit_label(shape.unit)}".rstrip()
+    draws = c.samples(effect.shape_name(shape))
+    return (
+        f"{with_error(float(draws.mean()), float(draws.std()))} {unit_label(shape.unit)}".rstrip()
+    )
+
+
+def _error(chapter: Chapter) -> str:
+    """The error of the first model and of the last, where it says most: hold-out data, left-out groups, the fit."""
+    steps, unit = chapter.data["steps"], unit_label(chapter.calibration.unit)
+    first, last = steps[0], steps[-1]
+
+    def of(step: dict[str, Any]) -> tuple[str, float | None]:
+        left_out = step["leave_one_group_out"]
+        if step["holdout_rmse"] is not None:
+            return "on the hold-out data", step["holdout_rmse"]
+        if left_out is not None:
+            group = left_out["group"].replace("_", " ")
+            return f"of each {group}, predicted from the others,", left_out["rmse"]
+        return "as fitted", step["rmse_fitted"]
+
+    (where, before), (_, after) = of(first), of(last)
+    if len(steps) == 1 or before is None or after is None:
+        return f"The rms error {where} is {number(after or last['rmse_fitted'], 2)} {unit}."
+    then, now = number(before, 2), number(after, 2)
+    if then == now:
+        return f"The rms error {where} stayed at {now} {unit}."
+    return (
+        f"The rms error {where} {'fell' if after < before else 'rose'} from {then} to {now} {unit}."
+    )
+
+
+def _left(chapter: Chapter) -> str:
+    """What the residuals look like."""
+    c, step = chapter.calibration, chapter.data["steps"][-1]
+    depends = [e.against for e in chapter.check.entries if e.log_bayes_factor > searching().strong]
+    if depends:
+        return f"The residuals still depend on {listed(depends[:3])}."
+    law = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
+    noise = f"{number(step['rmse_fitted'], 2)} {unit_label(c.unit)}"
+    gate = chapter.data["gate"]
+    if gate["reason"].startswith("Noise model inadequate"):
+        return f"What is left, {noise} rms, is not the noise that the model takes it for."
+    if not gate["ok"]:
+        return f"What is left is {noise} rms."
+    return f"What is left, {noise} rms, looks like {law}."
+
+
+def _not_looked_at(chapter: Chapter) -> Iterator[str]:
+    """Columns that were left out, and effects for which a column is lacking."""
+    flags = " ".join(chapter.calibration.readings.flags)
+    names = [n for pair in _IGNORED.findall(flags) for n in pair if n]
+    if names:
+        yield f"Not looked at: {', '.join(names)}."
+    last = chapter.data["missing"][-1]["candidates"] if chapter.data["missing"] else []
+    if by_reason := not_tested(last):
+        told = "; ".join(f"{listed(names)} ({reason})" for reason, names in by_reason.items())
+        yield f"Not tested: {told}."
+
+
+def not_tested(candidates: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """Reason → the effects that it kept from being tested."""
+    found: dict[str, list[str]] = {}
+    for c in candidates:
+        if c["kind"] == "not testable":
+            found.setdefault(c["reason"], []).append(c["effect"])
+    return found
+
+
+def _not_decided(chapter: Chapter) -> Iterator[str]:
+    """What these readings leave open between."""
+    open_: list[str] = []
+    in_model = set(chapter.calibration.model.names)
+    for missing in chapter.data["missing"]:
+        for one in missing["sets"]:
+            names = list(one["effects"])
+            if len(names) > 1 and in_model & set(names):
+                open_.append(" or ".join(names))
+    last = chapter.data["missing"][-1]["candidates"] if chapter.data["missing"] else []
+    leads = [c["effect"] for c in last if c["kind"] == "lead" and c["effect"] not in in_model]
+    open_ += [f"whether there is {name} as well" for name in leads]
+    if open_:
+        yield f"Not decided: {'; '.join(dict.fromkeys(open_))}."
+    if chapter.data["other_path"] is not None:
+        rival = chapter.data["other_path"]["in_words"].partition(". ")[0].rstrip(".")
+        yield f"Undecided: {rival[0].lower()}{rival[1:]}."
+
+
+def listed(words: list[str], last: str = "and") -> str:
+    """As words of a sentence: "a, b and c"."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
+
 
 ABOVE_NOISE = 1.1  # rms error over the noise floor from which something is left to explain
 

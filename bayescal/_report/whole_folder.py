@@ -1,10 +1,9 @@
 """A folder of results is there whole: written hidden, swapped in one step, with `manifest.json` of what belongs to it.
 
 On Linux the hidden folder and the visible one change places by one system call, renameat2 with RENAME_EXCHANGE; a
-process killed at any moment leaves the old results or the new. Elsewhere there are two renames, and one killed between
-them leaves the old folder hidden beside its place; the next command that writes there brings it back. The folder that a
-program works in, a mount point, and one whose parent cannot be written to are not swapped: their files are replaced one
-by one, the manifest last, and a reader refuses what does not agree with it.
+process killed at any moment leaves the old results or the new. Elsewhere, and of the folder that a program works in, a
+mount point, and one whose parent cannot be written to, files are replaced one by one, the manifest last, and a reader
+refuses what does not agree with it.
 """
 
 from __future__ import annotations
@@ -50,6 +49,22 @@ def folders_of(names: Iterable[str]) -> dict[str, str]:
     return found
 
 
+def channel_folders(folder: Path) -> list[str]:
+    """Names of the folders of a unit's channels, in the one that its results are in.
+
+    Raises:
+        InputError: its channels.json cannot be read.
+    """
+    listed = folder / CHANNELS
+    try:
+        names = [c["folder"] for c in read_json(listed)["channels"].values()]
+        if strange := [n for n in names if not (isinstance(n, str) and is_inside(n))]:
+            raise ValueError(f"{strange[0]!r} is no folder in it")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{listed} cannot be read ({error}): calibrate again") from None
+    return names
+
+
 def is_inside(name: str) -> bool:
     """Whether a name that stands in a file is that of something in the file's own folder, on any system."""
     return name not in ("", ".", "..") and not set(name) & set("/\\:\0")
@@ -85,12 +100,6 @@ def whole_folder(folder: Path, calibration: str | None = None, without: str = ""
         raise InputError(f"the folder {folder} cannot be written: {why(error)}") from error
     finally:
         shutil.rmtree(hidden, ignore_errors=True)
-
-
-def bring_back(folder: Path) -> None:
-    """Bring back a folder that was being swapped by two renames when its process was killed."""
-    for old in () if folder.exists() else left_behind(folder, ".old")[:1]:
-        old.rename(folder)
 
 
 def files_of(folder: Path) -> dict[str, str]:
@@ -184,15 +193,13 @@ def _take_its_place(hidden: Path, visible: Path, gone: set[str]) -> None:
                 f"{visible / name} cannot be written: a folder stands in its place. Move it, or choose another --out"
             )
     stays = hidden.parent == visible or visible.is_mount() or Path.cwd().is_relative_to(visible)
-    if not stays:
+    if sys.platform == "linux" and not stays:
         for entry in visible.iterdir():
             if entry.name not in new | gone:
                 _carry(entry, hidden / entry.name)
         shutil.copystat(visible, hidden)
-        old = _swap(hidden, visible)
-        if old is not None:
-            _bring_late(old, visible, new | gone)
-            shutil.rmtree(old, ignore_errors=True)
+        if _swapped(hidden, visible):
+            _bring_late(hidden, visible, new | gone)
             return
     for name in gone - new:
         (visible / name).unlink(missing_ok=True)
@@ -200,23 +207,11 @@ def _take_its_place(hidden: Path, visible: Path, gone: set[str]) -> None:
         os.replace(hidden / name, visible / name)
 
 
-def _swap(hidden: Path, visible: Path) -> Path | None:
-    """Have two folders change places; where the old one stands then, None if it could not be done."""
+def _swapped(hidden: Path, visible: Path) -> bool:
+    """Whether two folders have changed places, as most file systems of Linux can have them do."""
     names = AT_FDCWD, os.fsencode(hidden), AT_FDCWD, os.fsencode(visible)
-    exchange = getattr(ctypes.CDLL(None), "renameat2", None) if sys.platform == "linux" else None
-    if exchange is not None and exchange(*names, RENAME_EXCHANGE) == 0:
-        return hidden
-    old = hidden.with_suffix(".old")
-    try:
-        visible.rename(old)
-    except OSError:
-        return None
-    try:
-        hidden.rename(visible)
-    except OSError:
-        old.rename(visible)
-        return None
-    return old
+    exchange = getattr(ctypes.CDLL(None), "renameat2", None)
+    return exchange is not None and exchange(*names, RENAME_EXCHANGE) == 0
 
 
 def _carry(entry: Path, to: Path) -> None:

@@ -8,10 +8,9 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY
-from bayescal._data.logged_runs import as_readings, per_sample
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, OF
-from bayescal._data.still_stretches import still_stretches
+from bayescal._data.still_stretches import as_readings, per_sample, still_stretches
 from bayescal._model.instrument import Instrument
 
 

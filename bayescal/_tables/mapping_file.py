@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bayescal._core.atomic_file import replacing_for_user
-from bayescal._core.errors import InputError
-from bayescal._core.json_shape import mismatch, read_toml
+from bayescal._core.json_shape import read_toml
 
 _SHAPE = {
     "columns?": {str: str},
@@ -31,21 +30,9 @@ def load_mapping(path: Path) -> dict[str, Any]:
     """A saved mapping, as arguments of `bayescal.read`.
 
     Raises:
-        InputError: no such file, no TOML, or an entry that no mapping has.
+        InputError: no such file, no TOML, or an entry that no mapping has; names the entries that there are.
     """
-    try:
-        found = read_toml(path)
-    except OSError as error:
-        raise InputError(f"--mapping {path}: cannot be read: {error.strerror}") from None
-    except ValueError as error:
-        raise InputError(f"--mapping {path}: is no TOML: {error}") from None
-    for name, value in found.items():
-        if mismatch({name: value}, _SHAPE):
-            raise InputError(
-                f"--mapping {path}: {name} = {repr(value)[:80]} is none of its entries, which are columns and units "
-                "(tables of strings), ignore (a list of strings), local_gravity (a number), missing, decimal, "
-                "date_order, nominal_scale and nominal_zero (strings). Correct it"
-            )
+    found = read_toml(path, _SHAPE, f"--mapping {path}", "Correct or remove it")
     return {n: float(v) if n == "local_gravity" else v for n, v in found.items()}
 
 

@@ -1,4 +1,4 @@
-"""What is wrong with files, collected before any of it is said: one problem as a sentence, several as a table."""
+"""What is wrong with files, collected before any of it is said: one problem as a sentence, several as a list."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 from shutil import get_terminal_size
 
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH, table
+from bayescal._core.formatting import WIDTH
 
 _SHOWN = 3  # rows that are named before the rest is counted
-_LONGEST = 40  # characters of a cell of the table; what is longer makes it a list
 
 
 @dataclass(frozen=True)
@@ -103,26 +102,11 @@ def _text(problems: Sequence[Problem]) -> str:
     if len(problems) == 1:
         return str(problems[0])
     files = list(dict.fromkeys(p.file for p in problems if p.file))
-    several = len(files) > 1
-    head = ["file"] * several + ["column", "rows", "came", "expected", "what to do"]
-    rows = []
-    for p in problems:
-        cells = [p.column or "–", p.where, p.came, p.expected or "–"]
-        rows.append(
-            [
-                *([p.file] * several),
-                *cells,
-                "\n".join(part for part in (p.option, p.cure) if part) or "–",
-            ]
-        )
     of = f"{files[0]!r}" if len(files) == 1 else f"{len(files)} files"
+    page = min(WIDTH, get_terminal_size((WIDTH, 24)).columns)
+    said = "\n".join(_in_lines(p, len(files) > 1, page) for p in problems)
     options = " ".join(dict.fromkeys(p.option for p in problems if p.option))
     asked = f"\n\nwith these options, if they are meant: {options}" if options else ""
-    said = table(head, rows, len(head) - 1, fold=40)
-    page = min(WIDTH, get_terminal_size((WIDTH, 24)).columns)
-    longest = max(len(cell) for row in rows for cell in row[:-1])
-    if longest > _LONGEST or max(map(len, said.splitlines())) > page:  # nothing is cut
-        said = "\n".join(_in_lines(p, several, page) for p in problems)
     return f"{len(problems)} problems with {of}\n\n{said}{asked}"
 
 

@@ -33,7 +33,6 @@ from scipy.spatial.transform import Rotation
 
 from bayescal._core.errors import InputError, ModelError
 from bayescal._data.column import UNCERTAINTY
-from bayescal._data.logged_runs import LoggedRun, as_readings, in_common, logged_runs, per_sample
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import (
     ACROSS,
@@ -46,6 +45,13 @@ from bayescal._data.pose_rows import (
     SQUARED,
     TURNED,
     tangents,
+)
+from bayescal._data.still_stretches import (
+    LoggedRun,
+    as_readings,
+    in_common,
+    logged_runs,
+    per_sample,
 )
 from bayescal._data.unit_conversion import convert, same_dimension
 from bayescal._model.instrument import Instrument

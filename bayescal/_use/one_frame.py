@@ -22,8 +22,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from bayescal._core.errors import InputError
-from bayescal._data.logged_runs import in_common, logged_runs, per_sample
 from bayescal._data.measurements import Measurements
+from bayescal._data.still_stretches import in_common, logged_runs, per_sample
 from bayescal._use.vector_correction import VectorCorrection
 
 SWEEPS = 20  # of Gauss–Newton

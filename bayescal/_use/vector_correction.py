@@ -26,9 +26,9 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
 from bayescal._calibration.mixture import usual_columns, with_columns
 from bayescal._core.errors import InputError, ModelError
-from bayescal._data.logged_runs import LoggedRun
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, TURNED
+from bayescal._data.still_stretches import LoggedRun
 from bayescal._inference.joint import slots_of
 
 EXACT = 1e-9  # of the largest term, up to which a polynomial of the temperature is the model's own

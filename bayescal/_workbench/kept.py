@@ -31,7 +31,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.json_shape import OneOf, mismatch, read_json
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
-from bayescal._report.whole_folder import AGAIN, MANIFEST, bring_back, refuse_mixed, whole_folder
+from bayescal._report.whole_folder import AGAIN, MANIFEST, refuse_mixed, whole_folder
 from bayescal._workbench import origin
 from bayescal._workbench.origin import Origin, Settings
 from bayescal._workbench.state import FOLDER, State
@@ -167,7 +167,6 @@ def states_in(
     seen: list[int] = []
     for number in sorted(numbers):
         own = folder / FOLDER.format(number)
-        bring_back(own)
         if not (own / MANIFEST).is_file():  # killed before it was whole
             continue
         refuse_mixed(own)

@@ -15,7 +15,7 @@ import pytest
 import bayescal as bc
 from bayescal._report import dcc
 from bayescal._report.certificate import read_certificate
-from bayescal._report.d_si import d_si
+from bayescal._report.dcc import d_si
 from bayescal_models import still_sensor
 from tests.support.command_line import run
 
@@ -91,21 +91,24 @@ def test_the_report_states_device_place_people_conditions_standards_and_dates(
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[device\n", r"'stated.toml' is not TOML: .*line 1"),
-        ("", r"'stated.toml' states nothing: write \[device\]"),
-        ("[devices]\n", r"\[devices\]: no such section; there are: certificate, device,"),
-        ('[device]\nserial_number = "1"\n', r"\[device\]: no such key 'serial_number'; .*serial"),
-        ("[device]\nserial = []\n", r"\[device\] serial = \[\]: text was expected, in quotes"),
+        ("[device\n", r"stated.toml' is not TOML: .*line 1"),
+        ("", r"stated.toml' states nothing: write \[device\]"),
+        ("[devices]\n", r"devices is not known here; there are: certificate, device,"),
+        (
+            '[device]\nserial_number = "1"\n',
+            r"device\.serial_number is not known here; there are: .*serial, owner",
+        ),
+        ("[device]\nserial = []\n", r"device\.serial is a list, text was expected"),
         (
             '[calibration]\nbegin = "May"\n',
-            r"\[calibration\] begin = 'May': a date was expected, begin = 2026-",
+            r"calibration\.begin is 'May', a date was expected\. .* dates as 2026-",
         ),
         (
             "[calibration]\nbegin = 2026-02-02\nend = 2026-02-01\n",
             r"it ends \(2026-02-01\) before it begins \(2026-02-02\)",
         ),
-        ("[standards]\n", r"\[standards\]: write \[\[standards\]\], once for each"),
-        ("device = 1\n", r"\[device\]: a section was expected"),
+        ("[standards]\n", r"standards is a table, a list was expected\. .*\[\[standards\]\]"),
+        ("device = 1\n", r"device is 1, a table was expected\. It has sections such as \[device\]"),
     ],
 )
 def test_what_a_certificate_cannot_state_is_refused_before_anything_is_loaded(

@@ -10,7 +10,7 @@ import pytest
 import bayescal as bc
 from bayescal._core.errors import InputError
 from bayescal._data.column import NominalScale
-from bayescal._report.in_output_unit import OutputUnit
+from bayescal._report.tables import exchanged, output_factor
 from bayescal._tables.write import write
 from bayescal_models import mems_gyro
 from tests.support.command_line import QUICK, needs_installation, run
@@ -53,10 +53,10 @@ def test_a_gyroscope_in_millivolts_reads_the_same_numbers_in_both_units(tmp_path
 
 
 def test_what_is_per_something_keeps_it_and_other_units_stay_out() -> None:
-    unit = OutputUnit.new("mV", "ug", NominalScale("V", -2.5e-4))
-    assert unit.shown(4.0, "ug/degC") == (pytest.approx(1.0), "mV/degC")
-    assert unit.shown(4.0, "ug") == (pytest.approx(1.0), "mV")
-    assert unit.shown(4.0, "ppm") is None
-    assert unit.shown(4.0, "ug2") is None
+    assert output_factor("mV", "ug", NominalScale("V", -2.5e-4)) == pytest.approx(0.25)
+    assert exchanged("ug/degC", "ug", "mV") == "mV/degC"
+    assert exchanged("ug", "ug", "mV") == "mV"
+    assert exchanged("ppm", "ug", "mV") is None
+    assert exchanged("ug2", "ug", "mV") is None
     with pytest.raises(InputError, match="--output-unit mV: the output is in ug"):
-        OutputUnit.new("mV", "ug", None)
+        output_factor("mV", "ug", None)

@@ -17,7 +17,7 @@ from bayescal._calibration.description import identity
 from bayescal._core.atomic_file import sha256_of
 from bayescal._report import whole_folder as folders
 from bayescal._report.under_way import UNDER_WAY, Keeper
-from bayescal._report.whole_folder import MANIFEST, bring_back, files_of, refuse_mixed, whole_folder
+from bayescal._report.whole_folder import MANIFEST, files_of, refuse_mixed, whole_folder
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import run
 
@@ -162,15 +162,15 @@ def test_results_of_a_run_before_go_but_not_those_that_were_changed(tmp_path) ->
     assert state(tmp_path).keys() == {"b.json", "c.json", MANIFEST}
 
 
-@pytest.mark.parametrize("how", ["exchange", "two renames", "one by one"])
+@pytest.mark.parametrize("how", ["exchange", "another system", "no exchange"])
 def test_there_is_always_a_whole_folder(how, tmp_path, monkeypatch) -> None:
     folder = tmp_path / "out"
     folder.mkdir()
     (folder / "mine.txt").write_text("mine")
-    if how != "exchange":
+    if how == "another system":
         monkeypatch.setattr(sys, "platform", "other")
-    if how == "one by one":
-        monkeypatch.setattr(folders, "_swap", lambda hidden, visible: None)
+    if how == "no exchange":
+        monkeypatch.setattr(folders, "_swapped", lambda hidden, visible: False)
     for text in ("1", "2"):
         write(folder, text)
         assert {(folder / n).read_text() for n in ("a.json", "b.json")} == {text}
@@ -201,17 +201,14 @@ def test_a_failure_leaves_the_folder_as_it_was(folder) -> None:
     assert os.listdir(folder.parent) == ["result"]
 
 
-def test_what_a_killed_process_left_is_cleared_away_or_brought_back(tmp_path) -> None:
+def test_what_a_killed_process_left_is_cleared_away(tmp_path) -> None:
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
     folder = tmp_path / "out"
     left = tmp_path / f".out.{gone.pid}.partial"
-    old = tmp_path / f".out.{gone.pid}.old"
-    for made in (left, old):
+    for made in (folder, left):
         made.mkdir()
         (made / "a.json").write_text("1")
-    bring_back(folder)
-    assert (folder / "a.json").read_text() == "1"
     write(folder, "2")
     assert os.listdir(tmp_path) == ["out"]
 

@@ -61,11 +61,11 @@ def test_nested_toml_is_refused(text, tmp_path) -> None:
     path = tmp_path / "nested.toml"
     path.write_text(text)
     with pytest.raises(
-        bc.InputError, match=r"nested\.toml: is no TOML: it (is nested|is larger|has a line of)"
+        bc.InputError, match=r"nested\.toml is not TOML: it (is nested|is larger|has a line of)"
     ):
         load_mapping(path)
     with pytest.raises(
-        bc.InputError, match=r"'nested\.toml' is not TOML: it (is nested|is larger|has a line of)"
+        bc.InputError, match=r"nested\.toml' is not TOML: it (is nested|is larger|has a line of)"
     ):
         read_certificate(path)
 
@@ -74,7 +74,7 @@ def test_nested_toml_is_refused(text, tmp_path) -> None:
 def test_a_mapping_of_another_shape_is_refused(value, tmp_path) -> None:
     path = tmp_path / "mapping.toml"
     path.write_text(f"local_gravity = {value}\n")
-    with pytest.raises(bc.InputError, match="is none of its entries"):
+    with pytest.raises(bc.InputError, match=r"local_gravity is .*, a finite number was expected"):
         load_mapping(path)
 
 

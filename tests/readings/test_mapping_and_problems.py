@@ -1,4 +1,4 @@
-"""The door on the command line: all problems in one table, options that cure them, a mapping kept for the next file."""
+"""The door on the command line: all problems in one list, options that cure them, a mapping kept for the next file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOISY = RATE + 0.01 * np.sin(7 * TIME)
 UNNAMED = text(("time", "Temp (C)", "gyro z"), (TIME, TEMPERATURE, NOISY))
 
 
-def test_all_problems_stand_in_one_table_and_its_options_cure_them(tmp_path: Path) -> None:
+def test_all_problems_stand_in_one_list_and_its_options_cure_them(tmp_path: Path) -> None:
     path, out = tmp_path / "lab.csv", tmp_path / "out"
     path.write_text(with_cell(5, 1, "", UNNAMED))
     refused = run("fit", path, *GYRO, *QUICK, "--out", out, "--save-mapping", tmp_path / "lab.toml")
@@ -67,10 +67,10 @@ def test_a_mapping_is_read_as_it_was_written(tmp_path_factory, columns, units, g
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("columns = 1\n", "columns = 1 is none of its entries"),
-        ("[columns]\noutput = 1\n", "is none of its entries"),
-        ("colour = 'red'\n", "colour = 'red' is none of its entries"),
-        ("columns\n", "is no TOML"),
+        ("columns = 1\n", "lab.toml: columns is 1, a table was expected"),
+        ("[columns]\noutput = 1\n", "columns.output is 1, text was expected"),
+        ("colour = 'red'\n", "colour is not known here; there are: columns, units, .*, missing,"),
+        ("columns\n", "is not TOML"),
         (None, "cannot be read"),
     ],
 )

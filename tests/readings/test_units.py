@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayescal._core.errors import InputError
-from bayescal._data.header_reading import unit_in
+from bayescal._data.header_matching import unit_in
 from bayescal._data.unit_conversion import (
     base_unit,
     coefficient_factor,
