@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from bayescal_models import (
     quartz_beam_accelerometer,
     still_sensor,
 )
-from tests.support.export_check import FLAGS, needs_compiler
+from tests.support.export_check import needs_compiler, run_c
 from tests.support.made_up import bent_sensor
 
 TIGHT = 1e-12  # of the largest value in a record
@@ -141,21 +140,11 @@ def test_c_fed_row_by_row(case, tmp_path: Path) -> None:
     header = compensator.export(tmp_path / "calibration.h")
     name, fed = identifier(compensator.program.about.instrument), columns(compensator)
     fill = " ".join(f"now.{identifier(c)} = row[{2 + k}];" for k, c in enumerate(fed))
-    source, program = tmp_path / "driver.c", tmp_path / "driver"
-    source.write_text(
-        DRIVER.format(header=header.name, width=2 + len(fed), name=name, fill=fill), "utf-8"
-    )
-    made = subprocess.run(
-        ["cc", *FLAGS, str(source), "-o", str(program), "-lm"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert made.returncode == 0, made.stderr
+    source = DRIVER.format(header=header.name, width=2 + len(fed), name=name, fill=fill)
     rows = np.column_stack([readings["output"], steps(readings), *(readings[c] for c in fed)])
     twice = np.concatenate([rows, rows])  # a run after a run begins anew
-    ran = subprocess.run([str(program)], input=twice.tobytes(), capture_output=True, check=True)
-    agree(np.frombuffer(ran.stdout).reshape(-1, 3), np.concatenate([wanted, wanted]))
+    found = run_c(source, twice, tmp_path).reshape(-1, 3)
+    agree(found, np.concatenate([wanted, wanted]))
 
 
 def test_python_fed_row_by_row(case) -> None:
