@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,8 @@ from bayescal_models import (
     quartz_beam_accelerometer,
     still_sensor,
 )
-from tests.support.export_check import needs_compiler, run_c
-from tests.support.made_up import bent_sensor
+from tests.support.export_check import needs_compiler, run_c, tilted
+from tests.support.made_up import bent_sensor, split_search
 
 TIGHT = 1e-12  # of the largest value in a record
 pytestmark = pytest.mark.filterwarnings("ignore::bayescal._use.inputs.OutsideCalibration")
@@ -40,8 +41,9 @@ def of(module: Any, *effects: str, members: dict[str, str] | None = None, **camp
     return bc.compensator(fit, members=members), readings
 
 
-def bent():
-    return bc.compensator(bent_sensor.calibration()), bent_sensor.readings(2)
+def averaged() -> tuple[bc.Compensator, bc.Measurements]:
+    average = split_search.trail().calibration
+    return bc.compensator(average), average.readings
 
 
 MADE: dict[str, Callable[[], tuple[bc.Compensator, bc.Measurements]]] = {
@@ -62,7 +64,9 @@ MADE: dict[str, Callable[[], tuple[bc.Compensator, bc.Measurements]]] = {
     "inclinometer": lambda: of(
         inclinometer, "zero.temperature", "zero.cross_axis", members={"axis": "x"}
     ),
-    "bent sensor": bent,
+    "inclinometer, exact": tilted,
+    "bent sensor": lambda: (bc.compensator(bent_sensor.calibration()), bent_sensor.readings(2)),
+    "averaged over structures": averaged,
 }
 
 
@@ -149,8 +153,9 @@ def test_c_fed_row_by_row(case, tmp_path: Path) -> None:
 
 def test_python_fed_row_by_row(case) -> None:
     compensator, readings, wanted = case
-    space: dict[str, Any] = {}
-    exec(compile(as_text(compensator.program, "python"), "exported.py", "exec"), space)
+    text, space = as_text(compensator.program, "python"), {}
+    assert [line for line in text.splitlines() if "import" in line.split()] == ["import math"]
+    exec(compile(text, "exported.py", "exec"), space)
     given = [readings[c] for c in columns(compensator)]
     found = []
     record = space["Record"]() if compensator.history else None
@@ -166,7 +171,12 @@ def test_python_fed_row_by_row(case) -> None:
 
 def test_json_read_back(case, tmp_path: Path) -> None:
     compensator, readings, wanted = case
-    loaded = bc.load_compensator(compensator.export(tmp_path / "compensator.json"))
+    path = compensator.export(tmp_path / "compensator.json")
+    data, loaded = json.loads(path.read_text("utf-8")), bc.load_compensator(path)
+    assert (data["schema"], data["version"]) == ("bayescal.compensator", 2)
+    covariance, factor = np.array(data["covariance"]), loaded.program.factor
+    np.testing.assert_allclose(factor @ factor.T, covariance, atol=1e-12 * covariance.max())
+    np.testing.assert_array_equal(np.triu(factor, 1), 0.0)
     whole, own = loaded(readings), loaded(readings, noise=False)
     agree(np.column_stack([whole.value, own.uncertainty, whole.uncertainty]), wanted)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._core.quoting import identifier
+from bayescal_models import inclinometer
 
 COMPILER = shutil.which("cc")
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-ffp-contract=off")
@@ -39,6 +41,15 @@ int main(void)
     return 0;
 }}
 """
+
+
+def tilted() -> tuple[bc.Compensator, bc.Measurements]:
+    """Of an axis of an inclinometer that reads arcsec and is turned back into rad, by the whole geometry."""
+    campaign = replace(inclinometer.VERIFICATION, grid=(-40.0, -20.0, 0.0, 20.0, 40.0), exact=True)
+    readings = inclinometer.simulate(seed=0, campaign=campaign)
+    model = dict(inclinometer.INSTRUMENT.structures)["projection, exact geometry"]()
+    fit = bc.fit(model, readings, bc.LeastSquares(draws=400))
+    return bc.compensator(fit, members={"axis": "x"}), readings
 
 
 VECTOR_DRIVER = """
