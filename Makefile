@@ -61,7 +61,10 @@ $(READY) $(READY)-workbench $(READY)-test $(READY)-test-lint $(READY)-test-bench
 	  echo "Name another one: make $(MAKECMDGOALS) PYTHON=python3.13" >&2; exit 1; }
 	@[ "$$($(IN_VENV)/python -c 'import platform; print(platform.python_version())' 2>/dev/null)" = "$(VERSION)" ] \
 	  || { echo "making $(VENV) with Python $(VERSION)"; $(PYTHON) -m venv --clear $(VENV); }
-	$(IN_VENV)/python -m pip install --quiet -e '.$(if $(findstring -test,$@),[test$(if $(findstring -lint,$@),$(comma)lint)$(if $(findstring -bench,$@),$(comma)bench)])$(if $(findstring -docs,$@),[docs])$(if $(findstring -workbench,$@),[workbench])'
+	$(IN_VENV)/python -m pip install --quiet --no-compile -e '.$(if $(findstring -test,$@),[test$(if $(findstring -lint,$@),$(comma)lint)$(if $(findstring -bench,$@),$(comma)bench)])$(if $(findstring -docs,$@),[docs])$(if $(findstring -workbench,$@),[workbench])'
+	@# pip would compile to bytecode on one core, tests of the packages too: half of an installation. What is of another
+	@# Python, as templates are, does not compile and need not.
+	@$(IN_VENV)/python -m compileall -qq -j 0 -x '/site-packages/.*/tests?/' $(VENV)/lib || true
 	@touch $@
 
 comma := ,

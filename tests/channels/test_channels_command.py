@@ -1,4 +1,4 @@
-"""`bayescal calibrate --channels`: a folder for each channel, a report of all, refusals in words."""
+"""`bayescal calibrate --channels`: a folder for each channel, a report of all."""
 
 from __future__ import annotations
 
@@ -51,16 +51,7 @@ def test_channels_are_calibrated_saved_and_reported(folder: Path) -> None:
     assert all(f"{name}: any sensor at rest" in page for name in NAMES)
 
 
-@pytest.mark.parametrize(
-    ("channels", "said"),
-    [
-        ("gyro_x", "two names or more"),
-        ("gyro_x,gyro_x", "each once"),
-        ("gyro_x,gyro_y", "gyro_y"),
-    ],
-)
-def test_channels_that_are_not_there_are_refused(folder: Path, channels: str, said: str) -> None:
-    ran = run(*command(folder), "--channels", channels, "--out", folder / "none")
-    assert ran.status == 2
-    assert said in ran.err
+def test_a_channel_that_is_not_there_is_refused(folder: Path) -> None:
+    ran = run(*command(folder), "--channels", "gyro_x,gyro_y", "--out", folder / "none")
+    assert ran.status == 2 and "gyro_y" in ran.err
     assert not (folder / "none").exists()

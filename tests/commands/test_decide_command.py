@@ -1,4 +1,4 @@
-"""`bayescal decide`: 0 where every limit is met, 1 where one is not or is undecided, 2 for what is no limit."""
+"""`bayescal decide`: 0 where every limit is met, 1 where one is not or is undecided."""
 
 from __future__ import annotations
 
@@ -39,27 +39,6 @@ def test_one_limit_of_two_that_is_open_leaves_with_1(turned) -> None:
     assert done.status == 0 and "consumer's risk" in done.out
     done = run("decide", turned, "--limit", "bias: ±1 °/s")
     assert done.status == 1 and "(reject)" in done.said[0]
-
-
-@pytest.mark.parametrize(
-    ("asked", "said"),
-    [
-        (("--limit", "bias ±0.5"), "names no quantity"),
-        (("--limit", "beauty: ±0.5"), "nothing is called 'beauty'"),
-        (("--limit", "bias: ±1 °/s", "--rule", "lucky"), "rule 'lucky' is none"),
-        (("--limit", "bias: ±1 °/s", "--false-accept", "2.5"), "above 0 and below 0.5"),
-        (("--limit", "bias: ±1 °/s", "--population", "no/folder"), 'write "sd 0.2 °/s"'),
-        (("--limit", "bias: ±1 °/s", "--member", "device=A17"), "was not in the calibration"),
-        ((), "--limit"),
-    ],
-)
-def test_what_cannot_be_decided_on_leaves_with_2_and_one_sentence(
-    turned, asked, said, tmp_path
-) -> None:
-    out = tmp_path / "decisions.json"
-    done = run("decide", turned, *asked, "--out", out)
-    assert done.status == 2 and done.out == "" and not out.exists()
-    assert len(done.said) == 1 and said in done.said[0]
 
 
 @pytest.mark.slow

@@ -15,6 +15,8 @@ pytestmark = needs_installation
 FIT = "fit {table} --instrument mems_gyro --out {new}"
 CALIBRATE = "calibrate {table} --instrument mems_gyro --out {new}"
 COMPARE = "compare {table} --instrument mems_gyro --structure line"
+CHANNELS = "calibrate {table} --instrument still_sensor --out {new} --channels"
+DECIDE = "decide {saved} --out {folder}/d.json --limit"
 SIMULATE = "simulate --instrument mems_gyro --out {folder}/a.csv"
 
 REFUSED = (
@@ -74,6 +76,21 @@ REFUSED = (
     ("calibrate {table} --instrument mems_gyro --out {unit}", "holds the channels of a unit"),
     (f"{CALIBRATE} --max-effects 0", "'--max-effects'"),
     (f"{CALIBRATE} --seed x", "'--seed'"),
+    (f"{CHANNELS} gyro_x", "two names or more"),
+    (f"{CHANNELS} gyro_x,gyro_x", "each once"),
+    ("export {saved}", "say which format"),
+    ("export {saved} --format pascal", "is not one of json, c, python"),
+    ("export {saved} --out {folder}/x.txt", "choose json, c, python or html"),
+    ("budget {saved} --at pressure=1", "'pressure' plays no part"),
+    ("budget {saved} -k -1", "a coverage factor is a positive number"),
+    ("compensate {saved} no.csv --out {folder}/o.csv", "cannot be read: No such file"),
+    (f"{DECIDE} 'bias ±0.5'", "names no quantity"),
+    (f"{DECIDE} 'beauty: ±0.5'", "nothing is called 'beauty'"),
+    (f"{DECIDE} 'bias: ±1 °/s' --rule lucky", "rule 'lucky' is none"),
+    (f"{DECIDE} 'bias: ±1 °/s' --false-accept 2.5", "above 0 and below 0.5"),
+    (f"{DECIDE} 'bias: ±1 °/s' --population no/folder", 'write "sd 0.2 °/s"'),
+    (f"{DECIDE} 'bias: ±1 °/s' --member device=A17", "was not in the calibration"),
+    ("decide {saved} --out {folder}/d.json", "--limit"),
     ("demo --instrument gyro --out {new}", "no instrument is called 'gyro'"),
     ("demo --instrument {level}:INSTRUMENT --out {new}", "has no demonstration"),
     ("demo --out {saved}", "cannot write to the folder"),

@@ -153,23 +153,6 @@ def test_the_commands_compensate_export_and_budget(saved, tmp_path) -> None:
     json.dumps(ran.data)
 
 
-def test_the_commands_refuse_in_one_sentence(saved, tmp_path) -> None:
-    for arguments, said in (
-        (("export", saved, *OWN), "say which format"),
-        (("export", saved, "--format", "pascal", *OWN), "is not one of json, c, python"),
-        (("export", saved, "--out", tmp_path / "x.txt", *OWN), "choose json, c, python or html"),
-        (("budget", saved, "--at", "pressure=1", *OWN), "'pressure' plays no part"),
-        (("budget", saved, "-k", "-1", *OWN), "a coverage factor is a positive number"),
-        (
-            ("compensate", saved, tmp_path / "no.csv", "-o", tmp_path / "o.csv", *OWN),
-            "cannot be read: No such file",
-        ),
-    ):
-        ran = run(*arguments)
-        assert ran.status == 2 and said in ran.err, (arguments, ran.err)
-        assert len(ran.said) == 1 and not list(tmp_path.iterdir())
-
-
 def test_a_folder_of_results_stands_for_its_calibration(saved, tmp_path) -> None:
     shutil.copy(saved, tmp_path / "calibration.nc")
     assert run("budget", tmp_path, *OWN).out == run("budget", saved, *OWN).out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,8 @@ from bayescal_models import (
     quartz_beam_accelerometer,
     still_sensor,
 )
-from tests.support.export_check import FLAGS, needs_compiler
-from tests.support.made_up import bent_sensor
+from tests.support.export_check import needs_compiler, run_c, tilted
+from tests.support.made_up import bent_sensor, split_search
 
 TIGHT = 1e-12  # of the largest value in a record
 pytestmark = pytest.mark.filterwarnings("ignore::bayescal._use.inputs.OutsideCalibration")
@@ -41,8 +41,9 @@ def of(module: Any, *effects: str, members: dict[str, str] | None = None, **camp
     return bc.compensator(fit, members=members), readings
 
 
-def bent():
-    return bc.compensator(bent_sensor.calibration()), bent_sensor.readings(2)
+def averaged() -> tuple[bc.Compensator, bc.Measurements]:
+    average = split_search.trail().calibration
+    return bc.compensator(average), average.readings
 
 
 MADE: dict[str, Callable[[], tuple[bc.Compensator, bc.Measurements]]] = {
@@ -63,7 +64,9 @@ MADE: dict[str, Callable[[], tuple[bc.Compensator, bc.Measurements]]] = {
     "inclinometer": lambda: of(
         inclinometer, "zero.temperature", "zero.cross_axis", members={"axis": "x"}
     ),
-    "bent sensor": bent,
+    "inclinometer, exact": tilted,
+    "bent sensor": lambda: (bc.compensator(bent_sensor.calibration()), bent_sensor.readings(2)),
+    "averaged over structures": averaged,
 }
 
 
@@ -141,27 +144,18 @@ def test_c_fed_row_by_row(case, tmp_path: Path) -> None:
     header = compensator.export(tmp_path / "calibration.h")
     name, fed = identifier(compensator.program.about.instrument), columns(compensator)
     fill = " ".join(f"now.{identifier(c)} = row[{2 + k}];" for k, c in enumerate(fed))
-    source, program = tmp_path / "driver.c", tmp_path / "driver"
-    source.write_text(
-        DRIVER.format(header=header.name, width=2 + len(fed), name=name, fill=fill), "utf-8"
-    )
-    made = subprocess.run(
-        ["cc", *FLAGS, str(source), "-o", str(program), "-lm"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert made.returncode == 0, made.stderr
+    source = DRIVER.format(header=header.name, width=2 + len(fed), name=name, fill=fill)
     rows = np.column_stack([readings["output"], steps(readings), *(readings[c] for c in fed)])
     twice = np.concatenate([rows, rows])  # a run after a run begins anew
-    ran = subprocess.run([str(program)], input=twice.tobytes(), capture_output=True, check=True)
-    agree(np.frombuffer(ran.stdout).reshape(-1, 3), np.concatenate([wanted, wanted]))
+    found = run_c(source, twice, tmp_path).reshape(-1, 3)
+    agree(found, np.concatenate([wanted, wanted]))
 
 
 def test_python_fed_row_by_row(case) -> None:
     compensator, readings, wanted = case
-    space: dict[str, Any] = {}
-    exec(compile(as_text(compensator.program, "python"), "exported.py", "exec"), space)
+    text, space = as_text(compensator.program, "python"), {}
+    assert [line for line in text.splitlines() if "import" in line.split()] == ["import math"]
+    exec(compile(text, "exported.py", "exec"), space)
     given = [readings[c] for c in columns(compensator)]
     found = []
     record = space["Record"]() if compensator.history else None
@@ -177,7 +171,12 @@ def test_python_fed_row_by_row(case) -> None:
 
 def test_json_read_back(case, tmp_path: Path) -> None:
     compensator, readings, wanted = case
-    loaded = bc.load_compensator(compensator.export(tmp_path / "compensator.json"))
+    path = compensator.export(tmp_path / "compensator.json")
+    data, loaded = json.loads(path.read_text("utf-8")), bc.load_compensator(path)
+    assert (data["schema"], data["version"]) == ("bayescal.compensator", 2)
+    covariance, factor = np.array(data["covariance"]), loaded.program.factor
+    np.testing.assert_allclose(factor @ factor.T, covariance, atol=1e-12 * covariance.max())
+    np.testing.assert_array_equal(np.triu(factor, 1), 0.0)
     whole, own = loaded(readings), loaded(readings, noise=False)
     agree(np.column_stack([whole.value, own.uncertainty, whole.uncertainty]), wanted)
 

@@ -226,24 +226,9 @@ def check_python(name: str) -> None:
     assert [type(node).__name__ for node in ast.walk(hostile)] == shape
     strings = {n.value for n in ast.walk(hostile) if isinstance(n, ast.Constant)}
     assert name in strings
-
-
-@pytest.mark.parametrize("name", BY_HAND)
-@needs_compiler
-def test_a_name_is_no_code_in_an_exported_header(name) -> None:
-    check_c(name)
-
-
-@pytest.mark.parametrize("name", BY_HAND)
-def test_a_name_is_no_code_in_an_exported_module(name) -> None:
-    check_python(name)
-
-
-@needs_compiler
-@MANY
-@given(TEXT)
-def test_no_hostile_name_is_code_in_c(name) -> None:
-    check_c(name)
+    space: dict[str, Any] = {}
+    exec(compile(exported(lambda _: name, "python"), "exported.py", "exec"), space)
+    assert space["compensate"](4.0, 10.0)[0] == pytest.approx((4.0 - 1.0) / 1.5)
 
 
 def check_page(name: str) -> None:
@@ -254,25 +239,20 @@ def check_page(name: str) -> None:
     assert scripts.findall(hostile) == scripts.findall(plain)
 
 
+EXPORTS = [pytest.param(check_c, marks=needs_compiler), check_python, check_page]
+
+
+@pytest.mark.parametrize("check", EXPORTS)
 @pytest.mark.parametrize("name", BY_HAND)
-def test_a_name_is_no_code_in_an_exported_page(name) -> None:
-    check_page(name)
+def test_a_name_is_no_code_in_an_export(name, check) -> None:
+    check(name)
 
 
+@pytest.mark.parametrize("check", EXPORTS)
 @MANY
 @given(TEXT)
-def test_no_hostile_name_is_code_in_a_page(name) -> None:
-    check_page(name)
-
-
-@MANY
-@given(TEXT)
-def test_no_hostile_name_is_code_in_python(name) -> None:
-    check_python(name)
-    space: dict[str, Any] = {}
-    exec(compile(exported(lambda _: name, "python"), "exported.py", "exec"), space)
-    value, *_ = space["compensate"](4.0, 10.0)
-    assert value == pytest.approx((4.0 - 1.0) / 1.5)
+def test_no_hostile_name_is_code_in_an_export(check, name) -> None:
+    check(name)
 
 
 @settings(MANY, max_examples=300)

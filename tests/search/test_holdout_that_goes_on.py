@@ -128,7 +128,11 @@ def test_correlated_noise_goes_on_from_the_last_readings() -> None:
     assert np.all(np.diff(found.sd) > 0)  # and those after it less and less
 
 
-@pytest.mark.parametrize("terms", [("walk",), ("correlated", "smooth")], ids="+".join)
+@pytest.mark.parametrize(
+    "terms",
+    [("walk",), pytest.param(("correlated", "smooth"), marks=pytest.mark.slow)],
+    ids="+".join,
+)
 def test_a_level_that_noise_and_coefficients_share_is_uncertain_once(terms) -> None:
     """A prediction between readings and beyond them is that of the dense process, coefficients integrated out."""
     random = np.random.default_rng(5)

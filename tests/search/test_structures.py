@@ -241,7 +241,7 @@ def with_noise(seed: int, law: str) -> bc.Measurements:
 
 
 @pytest.mark.parametrize("law", ["student_t", "heteroscedastic(temperature)"])
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_the_noise_law_is_found_beside_the_effect(law: str, seed: int) -> None:
     made = structures(with_noise(seed, law), FEW)
     walk(Library(made), max_effects=3)

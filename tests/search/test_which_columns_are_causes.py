@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import bayescal as bc
 from bayescal._data.header_matching import channels_beside
 from bayescal_models import still_sensor
-from tests.support.command_line import needs_installation, run
+from tests.support.command_line import GYRO, TABLE, needs_installation, run
+from tests.support.command_line import QUICK as LEAST_SQUARES
 
 SENSOR, QUICK = still_sensor.INSTRUMENT, bc.LeastSquares(draws=200)
 
@@ -83,19 +85,17 @@ def test_only_covariates_that_are_named_are_causes(line: bc.Calibration) -> None
 
 
 @needs_installation
-def test_the_command_takes_both(log: Path) -> None:
-    given = [
-        "--instrument",
-        "still_sensor",
-        "--columns",
-        "output=acc_z",
-        "--method",
-        "least-squares",
-    ]
-    done = run("calibrate", log, *given, "--max-effects", "1", "--ignore", "supply", "--json")
+def test_the_command_takes_both(tmp_path: Path) -> None:
+    """Of a table without time, in which no correlated noise is looked for."""
+    table, path = pd.read_csv(TABLE), tmp_path / "table.csv"
+    table["supply [V]"] = 5 + 0.05 * np.cos(1.7 * np.arange(len(table)))
+    table["pressure [hPa]"] = 1000 + np.sin(2.9 * np.arange(len(table)))
+    table.to_csv(path, index=False)
+    given = ("calibrate", path, *GYRO, *LEAST_SQUARES)
+    done = run(*given, "--max-effects", "1", "--ignore", "supply", "--json")
     names = {c["effect"] for c in done.data["missing"][0]["candidates"]}
     assert "unknown(pressure)" in names and "unknown(supply)" not in names
-    refused = run("calibrate", log, *given, "--covariates", "moon")
+    refused = run(*given, "--covariates", "moon")
     assert refused.status == 2 and "no column 'moon'" in refused.said[-1]
 
 

@@ -1,16 +1,19 @@
-"""Run an exported header on many inputs: what the tests of exports share."""
+"""Run what was exported, in C and in Python: what the tests of exports share."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import bayescal as bc
 from bayescal._core.quoting import identifier
+from bayescal_models import inclinometer
 
 COMPILER = shutil.which("cc")
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-ffp-contract=off")
@@ -40,6 +43,55 @@ int main(void)
 """
 
 
+def tilted() -> tuple[bc.Compensator, bc.Measurements]:
+    """Of an axis of an inclinometer that reads arcsec and is turned back into rad, by the whole geometry."""
+    campaign = replace(inclinometer.VERIFICATION, grid=(-40.0, -20.0, 0.0, 20.0, 40.0), exact=True)
+    readings = inclinometer.simulate(seed=0, campaign=campaign)
+    model = dict(inclinometer.INSTRUMENT.structures)["projection, exact geometry"]()
+    fit = bc.fit(model, readings, bc.LeastSquares(draws=400))
+    return bc.compensator(fit, members={"axis": "x"}), readings
+
+
+VECTOR_DRIVER = """
+#include "sensor.h"
+#include <stdio.h>
+int main(void)
+{{
+    double row[6], f[3], c[3][3], outside;
+    while (fread(row, sizeof(double), 6, stdin) == 6) {{
+        outside = sensor_correct({given});
+        fwrite(f, sizeof(double), 3, stdout);
+        fwrite(c, sizeof(double), 9, stdout);
+        fwrite(&outside, sizeof(double), 1, stdout);
+    }}
+    return 0;
+}}
+"""
+
+
+def run_c(source: str, rows: np.ndarray, folder: Path, real: str = "double") -> np.ndarray:
+    """Compile a program beside the headers that it includes, warnings being errors, and feed it numbers.
+
+    Args:
+        source: of the program, C99; it reads doubles from standard input and writes doubles.
+        rows: what it reads.
+        folder: of the headers; to work in.
+        real: precision of the header, "double" or "float".
+
+    Returns:
+        What it wrote, one after the other, (n,).
+    """
+    assert COMPILER is not None
+    file, program = folder / "driver.c", folder / f"driver_{real}"
+    file.write_text(source, "utf-8")
+    command = [COMPILER, *FLAGS, f"-DBAYESCAL_REAL={real}", str(file), "-o", str(program), "-lm"]
+    made = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stderr
+    given = np.ascontiguousarray(rows, dtype=float).tobytes()
+    ran = subprocess.run([str(program)], input=given, capture_output=True, check=True)
+    return np.frombuffer(ran.stdout)
+
+
 def run_header(
     compensator: bc.Compensator, rows: np.ndarray, folder: Path, real: str = "double"
 ) -> np.ndarray:
@@ -54,17 +106,45 @@ def run_header(
     Returns:
         Value, uncertainty, uncertainty with noise, flags, (n, 4).
     """
-    assert COMPILER is not None
     header = compensator.export(folder / "calibration.h")
     name = identifier(compensator.program.about.instrument)
     fields = ["reading", *(identifier(i.name) for i in compensator.inputs)]
     fill = " ".join(f"in.{field} = (BAYESCAL_REAL)row[{k}];" for k, field in enumerate(fields))
-    source, program = folder / "driver.c", folder / f"driver_{real}"
-    source.write_text(DRIVER.format(header=header.name, width=len(fields), name=name, fill=fill))
-    command = [COMPILER, *FLAGS, f"-DBAYESCAL_REAL={real}", str(source), "-o", str(program), "-lm"]
-    made = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert made.returncode == 0, made.stderr
-    ran = subprocess.run(
-        [str(program)], input=np.ascontiguousarray(rows).tobytes(), capture_output=True, check=True
-    )
-    return np.frombuffer(ran.stdout).reshape(-1, 4)
+    source = DRIVER.format(header=header.name, width=len(fields), name=name, fill=fill)
+    return run_c(source, rows, folder, real).reshape(-1, 4)
+
+
+def check_vector_exports(
+    correct: Any, outputs: np.ndarray, temperature: float, folder: Path, beside: Any = None
+) -> None:
+    """A correction of three axes gives one vector and covariance from JSON, Python and, with a compiler, C.
+
+    Args:
+        correct: from `bc.vector_correction`.
+        outputs: of the three axes, (3,).
+        temperature: °C.
+        folder: to work in.
+        beside: the columns that it asks for beside the outputs, (3,); None where it asks for none.
+    """
+    found = correct(outputs, temperature=temperature, beside=beside)
+    for name in ("sensor.h", "sensor.py", "sensor.json", "sensor.yaml"):
+        bc.export_vector(correct, folder / name)
+    again = bc.load_vector_correction(folder / "sensor.json")
+    again = again(outputs, temperature=temperature, beside=beside)
+    assert np.array_equal(again.vector, found.vector)
+    space: dict[str, Any] = {}
+    exec((folder / "sensor.py").read_text("utf-8"), space)
+    more = {} if beside is None else {"beside": beside}
+    vector, covariance = space["correct"](outputs, temperature, **more)
+    results = [(vector, covariance)]
+    if COMPILER is not None:
+        given = (
+            f"row, {'' if beside is None else 'row + 3, '}{temperature!r}, {correct.noise!r}, f, c"
+        )
+        rows = np.concatenate([outputs, np.zeros(3) if beside is None else beside])
+        ran = run_c(VECTOR_DRIVER.format(given=given), rows, folder)
+        assert ran[12] == 0, "it says that it is outside its range"
+        results.append((ran[:3], ran[3:12].reshape(3, 3)))
+    for vector, covariance in results:
+        assert vector == pytest.approx(found.vector[0], abs=1e-12)
+        assert covariance == pytest.approx(found.covariance[0], rel=1e-9)

@@ -1,9 +1,10 @@
-"""The closed form of a composed model is the integral of its density."""
+"""A composed model: its Jacobian is the derivative of its mean, and three forms of it have one density."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,11 +14,12 @@ import bayescal as bc
 from bayescal import effects
 from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density
+from bayescal._inference.nuts import program
 from bayescal._inference.record import Record
 from bayescal._model import forward
 from bayescal_models.mems_gyro import INSTRUMENT
 from bayescal_models.mems_gyro.effects import THERMOMETER
-from tests.support.made_up.rich_gyro import bound, readings
+from tests.support.made_up.rich_gyro import RICH, bound, readings
 
 GAUSSIAN = {
     "line": INSTRUMENT.baseline(),
@@ -94,3 +96,71 @@ def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
     direct = multivariate_normal(np.full(14, one @ y / one.sum()), V).logpdf(y)
     direct += 0.5 * np.log(2 * np.pi / one.sum())
     assert values[0] == pytest.approx(direct, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    "promoted", [(), ("bias.temperature", "scale.constant")], ids=["x", "promoted"]
+)
+def test_jacobian_is_the_derivative_of_the_mean(promoted) -> None:
+    b = bound(RICH, readings())
+    layout = b.layout.promote(*promoted)
+    rng = np.random.default_rng(1)
+    v = jnp.asarray(rng.normal(0.0, 0.5, len(layout.hypers)))
+    hyper = forward.hyper_values(layout, v)
+    x = forward.prior_sd(layout, hyper) * rng.normal(size=layout.size)
+
+    def mean(x, rows):
+        return forward.mean(layout, b.frame, x, rows, hyper)
+
+    line = forward.linearise(layout, b.frame, x, b.rows, hyper)
+    by_x, by_rows = jax.jacfwd(mean, argnums=(0, 1))(x, b.rows)
+    np.testing.assert_allclose(line.mean, mean(x, b.rows), rtol=1e-13)
+    width = np.abs(by_x).max(axis=0)
+    np.testing.assert_allclose(line.jacobian / width, by_x / width, rtol=1e-11, atol=1e-12)
+    # A thermometer error moves its own reading and no other, so that one number a reading says all.
+    diagonal = jnp.einsum("ij,ik->ijk", jnp.eye(b.frame.size), line.rows)
+    np.testing.assert_allclose(diagonal, by_rows, rtol=1e-11, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        RICH,
+        RICH.with_noise(bc.StudentT()).fix({"bias.thermal_lag.tau": 200.0, "bias.constant": 3.0}),
+    ],
+    ids=["white", "student, some fixed"],
+)
+def test_numpyro_program_has_the_same_density(model) -> None:
+    from numpyro.infer.util import log_density
+
+    b = bound(model, readings())
+    rng = np.random.default_rng(4)
+    differences = []
+    for _ in range(4):
+        v = jnp.asarray(rng.normal(0.0, 0.7, len(b.layout.hypers)))
+        hyper = forward.hyper_values(b.layout, v)
+        sites = {h.name: hyper[h.name] for h in b.layout.hypers}
+        x, ours = [], forward.hyper_log_prior(b.layout, v)
+        for i, h in enumerate(b.layout.hypers):
+            ours -= jnp.log(
+                jax.grad(h.prior.value)(v[i])
+            )  # density in the value, not in its coordinate
+        for block in b.layout.x_blocks:
+            z = jnp.asarray(rng.normal(size=block.size))
+            c = block.coefficient
+            spread = hyper[block.group_sd_name] if c.group_sd is not None else c.size
+            sites[f"{block.name}.standard"] = z
+            x.append(c.mean + spread * z)
+            ours += block.size * jnp.log(spread)  # likewise: x is written in units of its spread
+        e = jnp.asarray(rng.normal(size=b.rows.shape))
+        rows = e * forward.row_sd(b.layout)
+        sites["rows.standard"] = e
+        x = jnp.concatenate(x)
+        ours += forward.log_prior_x(b.layout, x, rows, hyper)
+        ours += jnp.sum(forward.log_likelihood(b.layout, b.frame, b.y, x, rows, hyper))
+        ours += b.rows.shape[0] * jnp.sum(jnp.log(forward.row_sd(b.layout)))
+        theirs, trace = log_density(program(b.layout, b.frame), (b.y,), {}, sites)
+        np.testing.assert_allclose(trace["x"]["value"], x, rtol=1e-12)
+        np.testing.assert_allclose(trace["v"]["value"], v, rtol=1e-9, atol=1e-12)
+        differences.append(float(theirs - ours))
+    np.testing.assert_allclose(differences, 0.0, atol=1e-7)
