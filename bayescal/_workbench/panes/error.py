@@ -43,7 +43,8 @@ class ErrorPane(Pane):
         self.figure = self._figure()
         self.figures = [self.figure]
         buttons = row(self.find, self.halt, self.undo, self.progress)
-        self.view = column(buttons, halves(plot(self.figure), self.rows))
+        kinds = ("bare", "error")
+        self.view = column(buttons, halves(plot(self.figure), self.rows), kinds=kinds)
 
     def _figure(self) -> Any:
         ranges: dict[str, Any] = {"x_range": (-0.3, 1.3), "y_range": (0.0, 1.0)}
