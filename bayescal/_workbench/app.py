@@ -202,13 +202,15 @@ class Workbench:
 
     def done(self, _: Any = None) -> None:
         """Something was done: show the state that it led to, and look for what is missing from it."""
-        self.refresh()
         self._fresh()
+        self.refresh()
         self.look()
 
     def point(self, effect: str) -> None:
-        """Lay a candidate's curve over the residuals; none if it is empty."""
-        if not effect:
+        """Lay a candidate's curve over the residuals; none if it is no candidate."""
+        if effect not in {
+            row["id"] for row in self.missing.rows.rows
+        }:  # none, or of a state before
             self.work.forget_preview()
             self.fails.preview(None)
             return

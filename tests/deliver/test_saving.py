@@ -14,7 +14,8 @@ import bayescal as bc
 from bayescal import effects
 from bayescal._calibration import storage
 from bayescal._calibration.description import identity
-from bayescal._core.atomic_file import netcdf_bytes, write_sealed
+from bayescal._core.atomic_file import write_sealed
+from bayescal._core.netcdf_bytes import netcdf_bytes
 from bayescal._model.parameters import bind
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.effects import THERMOMETER

@@ -128,7 +128,8 @@ class Fails(Pane):
         self._made: dict[str, ColumnPanel] = {}  # of each column that was ever ticked
         self._views: dict[str, tuple[float, float]] = {}
         self._y = range_over(self.shown.residual)
-        self.source, self._curves = ColumnDataSource({}), ColumnDataSource({})
+        self.source: Any = ColumnDataSource({})
+        self._curves: Any = ColumnDataSource({})  # of the preview: only what has it is drawn anew
         self.source.selected.on_change("indices", self._brushed_in_source)
         self._say_runs()
 

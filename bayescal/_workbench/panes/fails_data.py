@@ -90,13 +90,14 @@ class ResidualsOfState:
         return (
             same
             and [*own] == [*others]
-            and (self.units, self.levels, self.runs[0]) == (other.units, other.levels, other.runs[0])
+            and (self.units, self.levels, self.runs[0])
+            == (other.units, other.levels, other.runs[0])
             and np.array_equal(self.runs[1], other.runs[1])
             and all(np.array_equal(own[n], others[n]) for n in own if n != AGAINST)
         )
 
     def worst(self, name: str) -> tuple[float, float] | None:
-        """Where the worst region over a covariate begins and ends on its axis; None where there is no evidence of one."""
+        """Where the worst region over a covariate begins and ends on its axis; None without evidence of one."""
         entry = next((e for e in self.check.entries if e.against == name), None)
         if entry is None or entry.log_bayes_factor <= 0:
             return None

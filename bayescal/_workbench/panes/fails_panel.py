@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from bokeh.events import Reset, SelectionGeometry
 from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, PlainText, Range1d, Span
 
@@ -55,7 +54,6 @@ class ColumnPanel:
         measured = range_over(shown.measured)
         output = _figure(shown, name, f"output [{shown.unit}]", self.x_range, measured)
         output.xaxis.axis_label, output.xaxis.major_label_text_font_size = None, "0px"
-        output.min_width = 0
         _points(output, x, "measured", source)
         _other(output, x, "fit before", source)
         _dots(output, x, FIT, source)
@@ -70,7 +68,7 @@ class ColumnPanel:
         _points(made, x, "residual", source)
         _dots(made, x, CURVE, curves)
         self.figures = {OUTPUT: output, RESIDUALS: made}
-        self.room = column(kinds=("stack",))
+        self.room: Any = column(kinds=("stack",))
         self.show(shown)
 
     def show(self, shown: ResidualsOfState) -> None:
@@ -120,6 +118,9 @@ def _figure(
         active_scroll="xwheel_zoom",
         x_range=x_range,
         y_range=y_range,
+        # Their sum would be a property of the room of all, and a change of it one layout of the page more.
+        min_width=0,
+        min_height=0,
     )
     made.name = f"panel {name}"
     if name == TIME and shown.cut is not None:

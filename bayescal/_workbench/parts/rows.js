@@ -1,7 +1,7 @@
 // A list (or table) of rows that the pointer and the keyboard reach alike. Every text is set as text, never as HTML.
 //   rows: [{id, group, cells: [{text, bar, tick, kind, title}], actions: [{id, label, title, off}], kind, current, note}]
 //   Pointing at a row, or moving the focus into it, sets `pointed` after a moment; a press sends {row, action}.
-const MOMENT = 80; // ms that the pointer rests before a row counts as pointed at
+const MOMENT = 30; // ms that the pointer rests before a row counts as pointed at; a preview takes ten
 
 function element(tag, kind, text) {
   const made = document.createElement(tag);

@@ -87,7 +87,7 @@ def dress(made: Any, palette: Palette) -> None:
 
 
 def range_over(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
-    """A range with a little room at either end, to which a reset returns; one of the same ends keeps what is in view."""
+    """A range with a little room at either end, to which a reset returns; one of the same ends keeps its view."""
     low, high = float(min(v.min() for v in values)), float(max(v.max() for v in values))
     room = 0.06 * (high - low) or abs(high) or 1.0
     start, end = low - room, high + room
