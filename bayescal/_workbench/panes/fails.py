@@ -41,7 +41,6 @@ class Fails(Pane):
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
-        self.selected = np.array([], int)
         self._waiting = self._showing = False
         self.choice = several([], [], "Columns that residuals are laid against")
         self.when = choice([AFTER, BEFORE, BOTH], AFTER, "Of which step")
@@ -127,6 +126,7 @@ class Fails(Pane):
         """Other readings: no panel over those before is of use."""
         self._made: dict[str, ColumnPanel] = {}  # of each column that was ever ticked
         self._views: dict[str, tuple[float, float]] = {}
+        self.selected = np.array([], int)
         self._y = range_over(self.shown.residual)
         self.source: Any = ColumnDataSource({})
         self._curves: Any = ColumnDataSource({})  # of the preview: only what has it is drawn anew
