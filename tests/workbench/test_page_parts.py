@@ -162,8 +162,8 @@ def test_panels_stay_from_step_to_step_and_go_with_their_readings(session: Sessi
     panel = fails.panels[0]
     made = fails._made[fails.choice.value[0]]
     made.x_range.update(start=30.0, end=40.0)
-    session.add("bias.thermal_lag")
     before = fails.source.data["residual"]
+    session.add("bias.thermal_lag")
     fails.show(session.current, session.states[0])
     shown = session.current.step.check
     assert fails.panels[0] is panel and (made.x_range.start, made.x_range.end) == (30.0, 40.0)
