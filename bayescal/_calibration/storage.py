@@ -27,7 +27,6 @@ from bayescal._calibration.description import (
 from bayescal._calibration.fitted import Fitted, named
 from bayescal._core.atomic_file import (
     named_back,
-    netcdf_bytes,
     renamed,
     replacing_for_user,
     verified,
@@ -35,6 +34,7 @@ from bayescal._core.atomic_file import (
 )
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.json_shape import parsed_json
+from bayescal._core.netcdf_bytes import netcdf_bytes
 from bayescal._data.column import NominalScale, Source
 from bayescal._data.measurements import Measurements
 from bayescal._inference.assembly import Point

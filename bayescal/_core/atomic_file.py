@@ -11,9 +11,8 @@ import glob
 import hashlib
 import os
 import re
-import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -134,17 +133,6 @@ def sha256_of(path: Path) -> str:
     """SHA-256 of a file's bytes, read in pieces."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def netcdf_bytes(data: Any, **options: Any) -> memoryview:
-    """A Dataset or DataTree as the bytes of a NetCDF file.
-
-    In memory, because HDF5 ends the process where it writes to a full disk itself; and in this process alone: where a
-    Dask cluster is open, xarray would ask it for a lock.
-    """
-    dask: Any = sys.modules.get("dask")
-    with dask.config.set(scheduler="synchronous") if dask else nullcontext():
-        return data.to_netcdf(engine="h5netcdf", **options)
 
 
 def storable(name: str) -> str:

@@ -33,13 +33,13 @@ import xarray as xr
 
 from bayescal._core.atomic_file import (
     left_behind,
-    netcdf_bytes,
     replacing_for_user,
     to_disk,
     verified,
     write_sealed,
 )
 from bayescal._core.errors import InputError
+from bayescal._core.netcdf_bytes import netcdf_bytes
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
@@ -81,11 +81,10 @@ class Checkpoint:
         counts = {name: len(leaves) for name, leaves in self.arrays.items()}
         head = {"schema": SCHEMA, "fingerprint": self.fingerprint, "notes": self.notes}
         data = xr.Dataset(variables, attrs={"bayescal": json.dumps({**head, "arrays": counts})})
-        plain = {name: {"_FillValue": None} for name in variables}
         # First the file's bytes on the disk, then its name, then the folder that holds the name: a power cut between
         # any two leaves the old file or the new one.
         with replacing_for_user(self.path) as partial:
-            write_sealed(netcdf_bytes(data, encoding=plain), partial)
+            write_sealed(netcdf_bytes(data), partial)
             to_disk(partial)
         to_disk(self.path.parent)
         self.written = time.monotonic()

@@ -14,8 +14,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import xarray as xr
 
-from bayescal._core.atomic_file import netcdf_bytes, renamed, replacing_for_user, storable
+from bayescal._core.atomic_file import renamed, replacing_for_user, storable
 from bayescal._core.errors import InputError
+from bayescal._core.netcdf_bytes import netcdf_bytes
 from bayescal._core.quoting import csv_cell
 from bayescal._tables.raw_table import FORMATS
 

@@ -9,6 +9,8 @@ renamed.
 from __future__ import annotations
 
 import csv
+import sys
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import xarray as xr
 
-from bayescal._core.atomic_file import netcdf_bytes, replacing_for_user
+from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_line
 from bayescal._data.column import Column, ConvertedColumns, NominalScale, Source
@@ -286,4 +288,8 @@ def _netcdf(job: _FileCompensation, path: Path, partial: Path, table: Table, raw
     unit = {"units": job.compensator.unit}
     values = zip(job.done.columns, job.rows(table), strict=True)
     dataset = dataset.assign({name: (dimension, v, unit) for name, v in values})
-    partial.write_bytes(netcdf_bytes(dataset))
+    # In memory, because HDF5 ends the process where it writes to a full disk itself; and in this process alone: where a
+    # Dask cluster is open, xarray would ask it for a lock.
+    dask: Any = sys.modules.get("dask")
+    with dask.config.set(scheduler="synchronous") if dask else nullcontext():
+        partial.write_bytes(dataset.to_netcdf(engine="h5netcdf"))

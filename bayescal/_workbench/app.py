@@ -27,12 +27,14 @@ class Browser(JSComponent):
     """What the browser prefers, sees and is given: its ground, its room, a server that is gone, a dropped file.
 
     Attributes:
+        stale: whether what is shown is of a model that is being left; it is dimmed until the next one stands there.
         dark, wide, seen: whether it prefers a dark ground, has room for a further panel, and has said so.
         kept: folder in which everything is, for the words when the server is gone.
         files: how often a file was dropped on the page.
         undone: how often Ctrl-Z was pressed outside a field.
     """
 
+    stale = param.Boolean(default=False)
     dark = param.Boolean(default=False)
     wide = param.Boolean(default=False)
     seen = param.Boolean(default=False)
@@ -139,15 +141,12 @@ class Workbench:
         self.work.forget_preview()
         self.error.searching(False)  # what the last search found is of another path
         told = f"{_DOING.get(name, name)} {' '.join(map(str, arguments))} …"
-        self._make_stale(True)
+        self.browser.stale = True
         job = lambda: getattr(self.session, name)(*arguments)  # noqa: E731
-        self.work.begin(told, job, self.done, failed=lambda: self._make_stale(False))
+        self.work.begin(told, job, self.done, failed=self._fresh)
 
-    def _make_stale(self, stale: bool) -> None:
-        """Whether what is shown is of a model that is being left: it is dimmed until the next one stands there."""
-        for pane in (self.model, self.fails, self.missing, self.error):
-            kept = [kind for kind in pane.view.css_classes if kind != "stale"]
-            pane.view.css_classes = [*kept, *["stale"] * stale]
+    def _fresh(self) -> None:
+        self.browser.stale = False
 
     def begin_with(self, readings: Any) -> None:
         """Begin anew with other readings: a session of its own, in the place of this one."""
@@ -203,13 +202,15 @@ class Workbench:
 
     def done(self, _: Any = None) -> None:
         """Something was done: show the state that it led to, and look for what is missing from it."""
-        self._make_stale(False)
+        self._fresh()
         self.refresh()
         self.look()
 
     def point(self, effect: str) -> None:
-        """Lay a candidate's curve over the residuals; none if it is empty."""
-        if not effect:
+        """Lay a candidate's curve over the residuals; none if it is no candidate."""
+        if effect not in {
+            row["id"] for row in self.missing.rows.rows
+        }:  # none, or of a state before
             self.work.forget_preview()
             self.fails.preview(None)
             return

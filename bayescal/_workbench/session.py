@@ -45,7 +45,7 @@ from bayescal._workbench import kept, take_away
 from bayescal._workbench.change import Change, changed
 from bayescal._workbench.origin import Origin, Settings
 from bayescal._workbench.script import script
-from bayescal._workbench.state import State
+from bayescal._workbench.state import State, path_to
 
 
 @dataclass(eq=False)
@@ -197,10 +197,9 @@ class Session:
 
     def path(self, number: int | None = None) -> list[State]:
         """The states from the first to one, the current one if none is named."""
-        found = [self._states[self._at if number is None else number]]
-        while found[0].parent is not None:
-            found.insert(0, self._states[found[0].parent])
-        return found
+        return [
+            self._states[n] for n in path_to(self._states, self._at if number is None else number)
+        ]
 
     def go_to(self, number: int) -> State:
         """Make another state the current one; what is done next branches off there.

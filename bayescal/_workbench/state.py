@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -52,3 +53,11 @@ class State:
         return {
             e.name: e for e in (self.discovery.best if self.discovery else ()) if e.name in known
         }
+
+
+def path_to(states: Mapping[int, State], number: int) -> list[int]:
+    """Numbers of the states from the first to one."""
+    path = [number]
+    while (parent := states[path[0]].parent) is not None:
+        path.insert(0, parent)
+    return path

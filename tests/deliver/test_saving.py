@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 from dataclasses import replace
 
@@ -14,7 +15,8 @@ import bayescal as bc
 from bayescal import effects
 from bayescal._calibration import storage
 from bayescal._calibration.description import identity
-from bayescal._core.atomic_file import netcdf_bytes, write_sealed
+from bayescal._core.atomic_file import write_sealed
+from bayescal._core.netcdf_bytes import netcdf_bytes
 from bayescal._model.parameters import bind
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.effects import THERMOMETER
@@ -221,6 +223,29 @@ def test_what_is_no_calibration_is_refused(tmp_path) -> None:
         bc.InputError, match=r"foreign.nc is no calibration .* schema is None, expected"
     ):
         bc.load(foreign)
+
+
+def test_what_is_written_is_what_xarray_itself_would_write() -> None:
+    """Numbers, text and truth values, attributes, a dimension of size 0, one without values, groups in groups."""
+    x, y = ("chain", "draw"), ("draw", "none")
+    some = {"a": (x, np.arange(6.0).reshape(2, 3), {"units": "°/s"}), "b": (y, np.zeros((3, 0)))}
+    other = {"n": ("k", np.arange(4)), "t": ("k", np.array(["ä", "b", "", "cc"])), "s": 0.25}
+    found = {
+        "/": xr.Dataset(attrs={"said": "text", "count": 3}),
+        "/one": xr.Dataset(some, coords={"draw": [2, 4, 6], "late": ("draw", [0.1, 0.2, 0.3])}),
+        "/one/two": xr.Dataset(other | {"yes": ("k", np.array([True, False, True, True]))}),
+    }
+    tree = xr.DataTree.from_dict(found)
+    mine, theirs = (
+        xr.open_datatree(io.BytesIO(written), engine="h5netcdf").load()
+        for written in (netcdf_bytes(tree), tree.to_netcdf(engine="h5netcdf"))
+    )
+    xr.testing.assert_identical(mine, theirs)
+    for node in mine.subtree:
+        kinds = {n: v.dtype for n, v in theirs[node.path].variables.items()}
+        assert {n: v.dtype for n, v in node.variables.items()} == kinds
+    with pytest.raises(TypeError, match="when is of type datetime64"):
+        netcdf_bytes(xr.Dataset({"when": ("k", np.array(["2026-11-25"], "datetime64[ns]"))}))
 
 
 @pytest.mark.parametrize("text", ["not json", "[1, 2]", '{"schema": "bayescal.calibration/999"}'])

@@ -10,7 +10,8 @@ from typing import Any
 
 import xarray as xr
 
-from bayescal._core.atomic_file import netcdf_bytes, verified, write_sealed
+from bayescal._core.atomic_file import verified, write_sealed
+from bayescal._core.netcdf_bytes import netcdf_bytes
 
 
 def resealed(path: Path, out: Path, change: Callable[[xr.DataTree], xr.DataTree | None]) -> Path:

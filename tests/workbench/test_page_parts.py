@@ -12,7 +12,7 @@ from bayescal._search.candidate import Candidate
 from bayescal._search.discover import Discovery
 from bayescal._search.posterior import Found
 from bayescal._workbench.app import Workbench
-from bayescal._workbench.panes.error import in_order, path_to
+from bayescal._workbench.panes.error import in_order
 from bayescal._workbench.panes.file import safe_name
 from bayescal._workbench.panes.missing import candidate_rows
 from bayescal._workbench.panes.tabs import ERROR
@@ -22,6 +22,7 @@ from bayescal._workbench.parts.pieces import words
 from bayescal._workbench.parts.rows import Rows
 from bayescal._workbench.parts.style import new_figure
 from bayescal._workbench.session import Session
+from bayescal._workbench.state import path_to
 
 COUNT = 100_000
 
@@ -153,6 +154,29 @@ def test_every_pane_is_made_without_a_browser(session: Session) -> None:
     file.given()
     assert bench.view.get_root()
     assert "dark" in bench.view.css_classes
+
+
+def test_panels_stay_from_step_to_step_and_go_with_their_readings(session: Session) -> None:
+    """Of another step they have its residuals, noise and worst region; a zoomed view stays."""
+    fails = Workbench(session).fails
+    panel = fails.panels[0]
+    made = fails._made[fails.choice.value[0]]
+    made.x_range.update(start=30.0, end=40.0)
+    before = fails.source.data["residual"]
+    session.add("bias.thermal_lag")
+    fails.show(session.current, session.states[0])
+    shown = session.current.step.check
+    assert fails.panels[0] is panel and (made.x_range.start, made.x_range.end) == (30.0, 40.0)
+    assert np.array_equal(fails.source.data["residual"], shown.residuals)
+    assert not np.array_equal(fails.source.data["residual"], before)
+    assert made._noise.top == shown.noise and made._worst.visible == (
+        fails.shown.worst(fails.choice.value[0]) is not None
+    )
+    fails.select(np.arange(30))
+    few = session.with_readings(session.readings.select(np.arange(len(session.readings)) % 2 == 0))
+    fails.show(few.current)
+    assert fails.panels[0] is not panel and not fails.selected.size
+    assert len(fails.source.data["residual"]) == len(few.readings)
 
 
 def test_long_gaps_between_runs_are_left_out_of_the_time_axis() -> None:

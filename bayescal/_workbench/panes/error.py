@@ -16,6 +16,7 @@ from bayescal._workbench.panes.pane import Pane
 from bayescal._workbench.parts.pieces import button, column, halves, plot, row, words
 from bayescal._workbench.parts.rows import Rows
 from bayescal._workbench.parts.style import Palette, new_figure
+from bayescal._workbench.state import path_to
 
 SERIES = (  # of a step's errors: name, marker, colour (None: the ground's blue)
     ("as fitted", "circle", None),
@@ -43,7 +44,8 @@ class ErrorPane(Pane):
         self.figure = self._figure()
         self.figures = [self.figure]
         buttons = row(self.find, self.halt, self.undo, self.progress)
-        self.view = column(buttons, halves(plot(self.figure), self.rows))
+        kinds = ("bare", "error")
+        self.view = column(buttons, halves(plot(self.figure), self.rows), kinds=kinds)
 
     def _figure(self) -> Any:
         ranges: dict[str, Any] = {"x_range": (-0.3, 1.3), "y_range": (0.0, 1.0)}
@@ -135,14 +137,6 @@ class ErrorPane(Pane):
         """Whether the whole search is under way, and how far it is."""
         self.halt.disabled = not on
         self.progress.object = told
-
-
-def path_to(states: Mapping[int, Any], number: int) -> list[int]:
-    """Numbers of the states from the first to one."""
-    path = [number]
-    while (parent := states[path[0]].parent) is not None:
-        path.insert(0, parent)
-    return path
 
 
 def in_order(states: Mapping[int, Any]) -> list[tuple[int, str]]:

@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import panel as pn
-from bokeh.events import Reset, SelectionGeometry
 from bokeh.models import ColumnDataSource
 
-from bayescal._workbench.panes.fails_data import AGAINST, ResidualsOfState
+from bayescal._workbench.panes.fails_data import ResidualsOfState
 from bayescal._workbench.panes.fails_panel import (
     AT,
     CURVE,
     FIT,
-    dress_panel,
-    output_panel,
-    residual_panel,
-    show_curve,
+    OUTPUT,
+    WHAT,
+    ColumnPanel,
 )
 from bayescal._workbench.panes.pane import Pane
 from bayescal._workbench.parts.decimate import drawn_rows, sentence
-from bayescal._workbench.parts.pieces import choice, column, plot, row, several, words
-from bayescal._workbench.parts.style import Palette, fixed_range, span
+from bayescal._workbench.parts.pieces import choice, column, row, several, words
+from bayescal._workbench.parts.style import Palette, range_over
 
 AFTER, BEFORE, BOTH = "after", "before", "both"  # this step, the one beside it
-WHAT = ["output", "residuals"]
 MOST = 4  # panels side by side, at most
 LEGEND = 6  # runs that are named beside their colour
 SIGNS = "●■▲◆▼⬢"  # as MARKERS
@@ -40,11 +37,10 @@ class Fails(Pane):
         selected: rows that are brushed, of all readings.
     """
 
-    shown: ResidualsOfState
+    shown: Any = None  # `ResidualsOfState`, from the first `show` on
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
-        self.selected = np.array([], int)
         self._waiting = self._showing = False
         self.choice = several([], [], "Columns that residuals are laid against")
         self.when = choice([AFTER, BEFORE, BOTH], AFTER, "Of which step")
@@ -62,7 +58,7 @@ class Fails(Pane):
             kinds=("pane", "fails"),
         )
         self.choice.param.watch(self._chosen, "value")
-        self.when.param.watch(lambda _: self._showing or self._fill(), "value")
+        self.when.param.watch(lambda _: self._showing or self._fill_source(), "value")
         self.what.param.watch(lambda _: self._place(), "value")
 
     def show(self, state: Any, other: Any | None = None) -> None:
@@ -70,9 +66,9 @@ class Fails(Pane):
         residual = state.step.check.residuals
         earlier = None if other is None else np.asarray(other.step.check.residuals, float)
         same = earlier is not None and earlier.size == len(residual)
+        before = self.shown
         self.shown = ResidualsOfState(state.step, earlier if same else None)
         self._curve: np.ndarray | None = None
-        self._views: dict[str, tuple[float, float]] = {}
         self.said.object = self.shown.sentence()
         columns = list(self.shown.covariates)
         kept = [n for n in self.choice.value if n in columns]
@@ -83,7 +79,11 @@ class Fails(Pane):
         self.when.param.update(options=options, disabled=not same, value=value)
         self.choice.param.update(options=columns, value=kept or self.shown.start())
         self._showing = False
-        self._begin()
+        if before is None or not self.shown.same_readings(before):
+            self._begin()
+        for made in self._made.values():
+            made.show(self.shown)
+        self._lay_out()
         self._say_selected()
 
     def widen(self, wide: bool) -> None:
@@ -94,15 +94,13 @@ class Fails(Pane):
     def preview(self, curve: np.ndarray | None) -> None:
         """Lay an effect's curve over the residuals, output unit, (n,); None takes it away."""
         self._curve = None if curve is None else np.asarray(curve, float)
-        self._curves.data[CURVE] = self._curve_at(self.source.data["row"])
-        for made in self._figures.values():
-            show_curve(made, self._curve is not None)
+        self._curves.data = self._of_curve()
 
     def wear(self, palette: Palette) -> None:
         self.source.data["colour"] = self.shown.colours(palette)[self.source.data["row"]]
         self._say_runs()
-        for made in (*self._figures.values(), *self._outputs.values()):
-            dress_panel(made, palette)
+        for made in self._made.values():
+            made.wear(palette)
 
     def select(self, rows: np.ndarray) -> None:
         """Brush rows, of all readings; in the panels those that are drawn light up."""
@@ -125,15 +123,13 @@ class Fails(Pane):
             self._lay_out()
 
     def _begin(self) -> None:
-        """A source and panels of another state: those that go keep theirs."""
-        self._y = fixed_range(-1, 1)
+        """Other readings: no panel over those before is of use."""
+        self._made: dict[str, ColumnPanel] = {}  # of each column that was ever ticked
+        self._views: dict[str, tuple[float, float]] = {}
+        self.selected = np.array([], int)
+        self._y = range_over(self.shown.residual)
         self.source: Any = ColumnDataSource({})
         self._curves: Any = ColumnDataSource({})  # of the preview: only what has it is drawn anew
-        self._figures: dict[str, Any] = {}
-        self._outputs: dict[str, Any] = {}
-        self._panes: dict[str, pn.Column] = {}
-        self._fit_range()  # before the panels are laid out: a change after it may overtake them
-        self._lay_out()
         self.source.selected.on_change("indices", self._brushed_in_source)
         self._say_runs()
 
@@ -141,29 +137,14 @@ class Fails(Pane):
         """A panel for each column chosen; those that stay are left as they are."""
         names = [n for n in self.choice.value if n in self.shown.covariates]
         self._fill_source(names)
-        self._figures = {name: self._figures.get(name) or self._panel(name) for name in names}
-        self._panes = {name: self._panes.get(name) or column(kinds=("stack",)) for name in names}
+        for name in names:
+            if name not in self._made:
+                self._made[name] = self._panel(name)
         self._place()
-        self.panels.css_classes = ["panels", f"of{len(names)}"]
-        self.panels[:] = list(self._panes.values())
-
-    def _place(self) -> None:
-        """In the room of each column its output, its residuals, or both."""
-        for name, room in self._panes.items():
-            made = self._figures[name]
-            if name not in self._outputs and name != AGAINST and WHAT[0] in self.what.value:
-                output = output_panel(self.shown, name, self.source, made)
-                self._outputs[name] = self._brushable(output, name, True)
-            upper = [self._outputs[name]] if name in self._outputs else []
-            wanted = [*upper * (WHAT[0] in self.what.value)]
-            wanted += [made] * (WHAT[1] in self.what.value or not wanted)
-            if [getattr(pane, "object", None) for pane in room] != wanted:
-                room[:] = [plot(one) for one in wanted]
-
-    def _fill(self) -> None:
-        """The same panels with other residuals."""
-        self._fill_source(list(self._figures))
-        self._fit_range()
+        rooms = [self._made[name].room for name in names]
+        if [*self.panels] != rooms:
+            self.panels.css_classes = ["panels", *["of4"] * (len(rooms) == MOST)]
+            self.panels[:] = rooms
 
     def _now(self) -> np.ndarray:
         before = self.shown.before if self.when.value == BEFORE else None
@@ -173,13 +154,19 @@ class Fails(Pane):
         """Residuals of the other step, where both are drawn."""
         return self.shown.before if self.when.value == BOTH else None
 
-    def _fill_source(self, names: list[str]) -> None:
+    def _place(self) -> None:
+        for made in self._made.values():
+            made.place(self.what.value)
+
+    def _fill_source(self, coming: Sequence[str] = ()) -> None:
+        """The readings that are drawn, for the panels that are there and those that come."""
         shown, residual, before = self.shown, self._now(), self._other()
-        rows = np.array([], int)
+        there = [n for n, made in self._made.items() if made.room in [*self.panels]]
+        names, rows = list(coming) or there, np.array([], int)
         if names:
             covariates = {n: shown.places[n] for n in names}
             rows = drawn_rows(covariates, [residual, shown.measured], self._views)
-        drawn = dict.fromkeys([*names, *self._figures])  # panels that go are drawn once more
+        drawn = dict.fromkeys([*names, *there])  # panels that go are drawn once more
         at: dict[str, Any] = {AT + n: shown.places[n][rows] for n in drawn}
         other = np.full(rows.size, np.nan) if before is None else before[rows]
         self.source.data = at | {
@@ -194,30 +181,24 @@ class Fails(Pane):
             "colour": shown.colours(self.bench.palette)[rows],
             "marker": shown.markers()[rows],
         }
-        self._curves.data = {**at, CURVE: self._curve_at(rows)}
+        self._curves.data = self._of_curve()
         self._light_up(rows)
         self.drawn.object = sentence(rows.size, residual.size)
+        range_over(residual, *([] if before is None else [before]), view=self._y)
 
-    def _fit_range(self) -> None:
-        other = self._other()
-        values = [self._now(), *([] if other is None else [other])]
-        ends = span(float(min(v.min() for v in values)), float(max(v.max() for v in values)))
-        self._y.update(**ends, reset_start=ends["start"], reset_end=ends["end"])
+    def _of_curve(self) -> dict[str, np.ndarray]:
+        """What is drawn of a preview: nothing without one."""
+        at = {n: v for n, v in self.source.data.items() if n.startswith(AT)}
+        if self._curve is None:
+            return dict.fromkeys([*at, CURVE], np.array([]))
+        return {**at, CURVE: self._curve[self.source.data["row"]]}
 
-    def _curve_at(self, rows: np.ndarray) -> np.ndarray:
-        return np.full(len(rows), np.nan) if self._curve is None else self._curve[rows]
-
-    def _panel(self, name: str) -> Any:
-        made = residual_panel(self.shown, name, self.source, self._curves, self._y)
-        show_curve(made, self._curve is not None)
-        for end in ("start", "end"):
-            made.x_range.on_change(end, lambda attr, old, new: self._moved(name, made.x_range))
-        return self._brushable(made, name, name == AGAINST)
-
-    def _brushable(self, made: Any, name: str, output: bool) -> Any:
-        dress_panel(made, self.bench.palette)
-        made.on_event(SelectionGeometry, lambda event: self._brushed_in_panel(name, output, event))
-        made.on_event(Reset, lambda _: self.select(np.array([], int)))
+    def _panel(self, name: str) -> ColumnPanel:
+        made = ColumnPanel(self.shown, name, self.source, self._curves, self._y)
+        made.wear(self.bench.palette)
+        made.on_moved(lambda: self._moved(name, made.x_range))
+        brushed = lambda what, event: self._brushed_in_panel(name, what, event)  # noqa: E731
+        made.on_brushed(brushed, lambda: self.select(np.array([], int)))
         return made
 
     @property
@@ -226,26 +207,27 @@ class Fails(Pane):
 
     def _moved(self, name: str, view: Any) -> None:
         """A panel was zoomed: of many readings, others are drawn; once, when it rests."""
-        if self._all_drawn and not self._views:
-            return
-        self._views[name] = (float(view.start), float(view.end))
+        views = {n: ends for n, ends in self._views.items() if n != name}
+        if (view.start, view.end) != (view.reset_start, view.reset_end):
+            views[name] = (float(view.start), float(view.end))
+        moved, self._views = views != self._views, views
         document = self.source.document
-        if document is None or self._waiting:
+        if document is None or self._waiting or self._all_drawn or not moved:
             return
         self._waiting = True
 
         def rested() -> None:
             self._waiting = False
-            self._fill_source(list(self._figures))
+            self._fill_source()
 
         document.add_timeout_callback(rested, 120)
 
-    def _brushed_in_panel(self, name: str, output: bool, event: Any) -> None:
+    def _brushed_in_panel(self, name: str, what: str, event: Any) -> None:
         """Of many readings those that are not drawn belong to a region too; of few the browser's selection has all."""
         place = event.geometry
         if not event.final or place.get("type") != "rect" or self._all_drawn:
             return
-        x, y = self.shown.places[name], self.shown.measured if output else self._now()
+        x, y = self.shown.places[name], self.shown.measured if what == OUTPUT else self._now()
         low, high = sorted((place["x0"], place["x1"]))
         bottom, top = sorted((place["y0"], place["y1"]))
         self.selected = np.flatnonzero((x >= low) & (x <= high) & (y >= bottom) & (y <= top))

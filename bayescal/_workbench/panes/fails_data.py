@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.check import covariates_of
-from bayescal._calibration.check_result import Check, Entry, place_in_words
+from bayescal._calibration.check_result import Check, place_in_words
 from bayescal._data.unit_conversion import unit_label
 from bayescal._workbench.parts.gaps import CutAxis
 from bayescal._workbench.parts.style import MARKERS, Palette
 
-AGAINST = "measured against predicted"
+AGAINST = "predicted output"  # over which the output is measured against predicted
 TIME = "time"  # the column whose long gaps are left out
 
 
@@ -83,8 +83,31 @@ class ResidualsOfState:
         """Values (n,) and unit of every column that a region can be given in."""
         return {n: (v, self.units[n]) for n, v in self.covariates.items() if n not in self.levels}
 
-    def entry(self, name: str) -> Entry | None:
-        return next((e for e in self.check.entries if e.against == name), None)
+    def same_readings(self, other: ResidualsOfState) -> bool:
+        """Whether another state is of the same readings, with the same columns to lay residuals against."""
+        own, others = self.covariates, other.covariates
+        same = self.measured is other.measured or np.array_equal(self.measured, other.measured)
+        return (
+            same
+            and [*own] == [*others]
+            and (self.units, self.levels, self.runs[0])
+            == (other.units, other.levels, other.runs[0])
+            and np.array_equal(self.runs[1], other.runs[1])
+            and all(np.array_equal(own[n], others[n]) for n in own if n != AGAINST)
+        )
+
+    def worst(self, name: str) -> tuple[float, float] | None:
+        """Where the worst region over a covariate begins and ends on its axis; None without evidence of one."""
+        entry = next((e for e in self.check.entries if e.against == name), None)
+        if entry is None or entry.log_bayes_factor <= 0:
+            return None
+        low, high = entry.worst.low, entry.worst.high
+        if entry.by_group:
+            low = high = float(self.levels[name].index(str(entry.worst.group)))
+        if name == TIME and self.cut is not None:
+            low, high = map(float, self.cut.place(np.array([low, high])))
+        wide = 0.02 * float(np.ptp(self.places[name])) if low == high else 0.0
+        return low - wide, high + wide
 
     @cached_property
     def runs(self) -> tuple[tuple[str, ...], np.ndarray]:

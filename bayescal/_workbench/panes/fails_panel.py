@@ -1,74 +1,134 @@
-"""A panel of "where it fails": over one column the output with the fit, and the residuals with the noise, the worst
-region, the curve of a preview.
+"""A panel of "where it fails": over one column the output with the fit, and residuals with the noise, the worst region,
+the curve of a preview.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, PlainText, Range1d, Span
+from bokeh.events import Reset, SelectionGeometry
+from bokeh.models import (
+    BoxAnnotation,
+    ColumnDataSource,
+    HoverTool,
+    PlainText,
+    Range1d,
+    Scatter,
+    Span,
+)
 
 from bayescal._report.plot_colours import RED
-from bayescal._workbench.panes.fails_data import AGAINST, TIME, ResidualsOfState
-from bayescal._workbench.parts.style import Palette, dress, fixed_range, new_figure
+from bayescal._workbench.panes.fails_data import TIME, ResidualsOfState
+from bayescal._workbench.parts.pieces import column, plot
+from bayescal._workbench.parts.style import Palette, dress, new_figure, range_over
 
 TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
 SHORT = 48  # letters of a label
 FEW = 600  # readings up to which points are large
 NOISE, CURVE, FIT, AT = "#8a939b", "curve", "fit", "at "
+OUTPUT, RESIDUALS = WHAT = ["output", "residuals"]
 
 
-def residual_panel(
-    shown: ResidualsOfState,
-    name: str,
-    source: ColumnDataSource,
-    curves: ColumnDataSource,
-    y_range: Range1d,
-) -> Any:
-    """A figure of one column; its readings come from the source of all panels, which are so brushed together.
+class ColumnPanel:
+    """One column's output and residuals, one above the other, zoomed together.
 
-    Args:
+    It is made once for the readings: of another state, only what is drawn in it changes. A new figure would cost the
+    browser a new layout of the whole page.
+
+    Attributes:
+        figures: of output and residuals.
+        x_range: of both.
+        room: what the page shows.
+    """
+
+    def __init__(
+        self,
+        shown: ResidualsOfState,
+        name: str,
+        source: ColumnDataSource,
+        curves: ColumnDataSource,
+        y_range: Range1d,
+    ) -> None:
+        """Args:
         shown: the state.
-        name: of the column, or AGAINST: measured against predicted.
-        source: of all panels; the column stands in it as `AT` and its name.
+        name: of the column.
+        source: of all panels, whose readings are so brushed together; the column stands in it as `AT` and its name.
         curves: the same of a preview's curve.
         y_range: of the residuals, the same in all panels.
-    """
-    if name == AGAINST:
-        return _against(shown, source)
-    made = _figure(shown, name, f"residual [{shown.unit}]", y_range)
-    _ground(made, shown, name)
-    _other(made, AT + name, "before", source)
-    _points(made, AT + name, "residual", source)
-    _dots(made, AT + name, CURVE, curves)
-    return made
+        """
+        self._name, x = name, AT + name
+        self.x_range = range_over(shown.places[name])
+        measured = range_over(shown.measured)
+        output = _figure(shown, name, f"output [{shown.unit}]", self.x_range, measured)
+        output.xaxis.axis_label, output.xaxis.major_label_text_font_size = None, "0px"
+        _points(output, x, "measured", source)
+        _other(output, x, "fit before", source)
+        _dots(output, x, FIT, source)
+        made = _figure(shown, name, f"residual [{shown.unit}]", self.x_range, y_range)
+        plain: dict[str, Any] = {"level": "underlay", "fill_alpha": 0.16}
+        self._noise = BoxAnnotation(fill_color=NOISE, line_alpha=0.0, **plain)
+        self._worst = BoxAnnotation(fill_color=RED, line_color=RED, line_alpha=0.5, **plain)
+        zero = Span(location=0, dimension="width", line_color=NOISE, line_width=1)
+        for ground in (self._noise, zero, self._worst):
+            made.add_layout(ground)
+        _other(made, x, "before", source)
+        _points(made, x, "residual", source)
+        _dots(made, x, CURVE, curves)
+        self.figures = {OUTPUT: output, RESIDUALS: made}
+        self.room: Any = column(kinds=("stack",))
+        self.show(shown)
 
+    def show(self, shown: ResidualsOfState) -> None:
+        """Show another state of the same readings; a view of a part stays where its column does."""
+        range_over(shown.places[self._name], view=self.x_range)
+        self._noise.update(bottom=-shown.check.noise, top=shown.check.noise)
+        region = shown.worst(self._name)
+        self._worst.visible = region is not None
+        if region is not None:
+            self._worst.update(left=region[0], right=region[1])
 
-def output_panel(shown: ResidualsOfState, name: str, source: ColumnDataSource, beneath: Any) -> Any:
-    """The output over the column of the panel beneath it, with the fit on it; both are zoomed together."""
-    measured = fixed_range(float(shown.measured.min()), float(shown.measured.max()))
-    made = _figure(shown, name, f"output [{shown.unit}]", measured, beneath.x_range)
-    made.xaxis.axis_label, made.xaxis.major_label_text_font_size = None, "0px"
-    made.min_width = 0
-    _points(made, AT + name, "measured", source)
-    _other(made, AT + name, "fit before", source)
-    _dots(made, AT + name, FIT, source)
-    return made
+    def place(self, what: list[str]) -> None:
+        """Have output, residuals or both in the room; residuals where neither is asked for."""
+        wanted = [self.figures[w] for w in WHAT if w in (what or [RESIDUALS])]
+        if [pane.object for pane in self.room] != wanted:
+            self.room[:] = [plot(one) for one in wanted]
+
+    def wear(self, palette: Palette) -> None:
+        """Take the colours of a ground."""
+        for made in self.figures.values():
+            dress(made, palette)
+            for renderer in made.renderers:
+                if renderer.name in (CURVE, FIT):
+                    renderer.glyph.fill_color = renderer.nonselection_glyph.fill_color = palette.ink
+
+    def on_moved(self, moved: Callable[[], None]) -> None:
+        """Have something called when the view changes."""
+        for end in ("start", "end"):
+            self.x_range.on_change(end, lambda attr, old, new: moved())
+
+    def on_brushed(self, brushed: Callable[[str, Any], None], reset: Callable[[], None]) -> None:
+        """Have `brushed(output or residuals, event)` called when a region is drawn, `reset()` when all is undone."""
+        for what, made in self.figures.items():
+            made.on_event(SelectionGeometry, lambda event, what=what: brushed(what, event))
+            made.on_event(Reset, lambda _: reset())
 
 
 def _figure(
-    shown: ResidualsOfState, name: str, label: str, y_range: Range1d, x_range: Range1d | None = None
+    shown: ResidualsOfState, name: str, label: str, x_range: Range1d, y_range: Range1d
 ) -> Any:
-    at, unit = shown.places[name], shown.units[name]
+    unit = shown.units[name]
     made = new_figure(
         name[:SHORT] if name in shown.levels else f"{name[:SHORT]} [{unit or '1'}]",
         label,
         tools=TOOLS,
         active_drag="box_select",
         active_scroll="xwheel_zoom",
-        x_range=x_range or fixed_range(float(at.min()), float(at.max())),
+        x_range=x_range,
         y_range=y_range,
+        # Their sum would be a property of the room of all, and a change of it one layout of the page more.
+        min_width=0,
+        min_height=0,
     )
     made.name = f"panel {name}"
     if name == TIME and shown.cut is not None:
@@ -79,80 +139,38 @@ def _figure(
     return made
 
 
-def _against(shown: ResidualsOfState, source: ColumnDataSource) -> Any:
-    """Measured against predicted, with the line on which they are equal."""
-    measured = fixed_range(float(shown.measured.min()), float(shown.measured.max()))
-    made = _figure(shown, AGAINST, f"measured [{shown.unit}]", measured)
-    made.xaxis.axis_label = PlainText(text=f"predicted [{shown.unit}]")
-    ends = [float(np.min(shown.covariates[AGAINST])), float(np.max(shown.covariates[AGAINST]))]
-    made.line(ends, ends, color=NOISE, line_dash="dashed")
-    _points(made, AT + AGAINST, "measured", source)
-    return made
-
-
-def show_curve(made: Any, on: bool) -> None:
-    """Whether a panel has the curve of a preview."""
-    for renderer in made.renderers:
-        if renderer.name == CURVE:
-            renderer.visible = on
-
-
-def dress_panel(made: Any, palette: Palette) -> None:
-    """A panel in the colours of its ground."""
-    dress(made, palette)
-    for renderer in made.renderers:
-        if renderer.name in (CURVE, FIT):
-            renderer.glyph.fill_color = palette.ink
-
-
-def _ground(made: Any, shown: ResidualsOfState, name: str) -> None:
-    """The noise, zero, and the worst region."""
-    noise, entry = shown.check.noise, shown.entry(name)
-    plain = {"line_alpha": 0.0, "level": "underlay"}
-    made.add_layout(
-        BoxAnnotation(bottom=-noise, top=noise, fill_color=NOISE, fill_alpha=0.16, **plain)
-    )
-    made.add_layout(Span(location=0, dimension="width", line_color=NOISE, line_width=1))
-    if entry is None or entry.log_bayes_factor <= 0:
-        return
-    low, high = entry.worst.low, entry.worst.high
-    if entry.by_group:
-        low = high = float(shown.levels[name].index(str(entry.worst.group)))
-    if name == TIME and shown.cut is not None:
-        low, high = map(float, shown.cut.place(np.array([low, high])))
-    wide = 0.02 * float(np.ptp(shown.places[name])) if low == high else 0.0
-    region = {"fill_color": RED, "fill_alpha": 0.14, "line_color": RED, "line_alpha": 0.5}
-    made.add_layout(BoxAnnotation(left=low - wide, right=high + wide, level="underlay", **region))
-
-
 def _other(made: Any, x: str, y: str, source: ColumnDataSource) -> None:
     """Of the step that this one is compared with."""
-    hollow = {"fill_color": None, "line_color": NOISE, "line_alpha": 0.7}
-    made.scatter(x, y, source=source, size=4, nonselection_line_alpha=0.2, **hollow)
+    hollow = {"fill_color": None, "line_color": NOISE, "line_alpha": 0.7, "size": 4}
+    _scatter(made, source, {"x": x, "y": y, **hollow}, {"line_alpha": 0.2})
 
 
 def _dots(made: Any, x: str, name: str, source: ColumnDataSource) -> None:
     """A curve, a dot a reading."""
-    size = 3.5 if name == CURVE else 2.5
-    made.scatter(
-        x, name, source=source, size=size, line_color=None, name=name, nonselection_alpha=0.9
-    )
+    dot = {"size": 3.5 if name == CURVE else 2.5, "line_color": None}
+    _scatter(made, source, {"x": x, "y": name, **dot}, {"fill_alpha": 0.9}).name = name
 
 
 def _points(made: Any, x: str, y: str, source: ColumnDataSource) -> None:
-    points = made.scatter(
-        x,
-        y,
-        source=source,
-        size=5 if len(source.data["row"]) <= FEW else 3.5,
-        marker="marker",
-        fill_color="colour",
-        line_color=None,
-        fill_alpha=0.75,
-        nonselection_fill_alpha=0.12,
-        selection_fill_alpha=1.0,
-    )
+    size = 5 if len(source.data["row"]) <= FEW else 3.5
+    plain = {"marker": "marker", "fill_color": "colour", "line_color": None, "fill_alpha": 0.75}
+    drawn = {"x": x, "y": y, "size": size, **plain}
+    points = _scatter(made, source, drawn, {"fill_alpha": 0.12}, {"fill_alpha": 1.0})
     told = [("reading", "@reading"), ("run", "@run"), (y, f"@{y}{{0.0000 a}}")]
     made.add_tools(
         HoverTool(renderers=[points], tooltips=told, point_policy="follow_mouse", limit=1)
     )
+
+
+def _scatter(
+    made: Any,
+    source: ColumnDataSource,
+    drawn: dict[str, Any],
+    beside: dict[str, Any],
+    selected: dict[str, Any] | None = None,
+) -> Any:
+    """Points, what differs of those beside a selection and in it; `figure.scatter` makes twice as many models."""
+    glyphs = {"nonselection_glyph": Scatter(**{**drawn, **beside})}
+    if selected:
+        glyphs["selection_glyph"] = Scatter(**{**drawn, **selected})
+    return made.add_glyph(source, Scatter(**drawn), **glyphs)

@@ -1,4 +1,4 @@
-// What the browser prefers and sees, once when the page opens; a banner while the server is gone; files that are dropped
+// What the browser prefers and sees, once when the page opens; what is stale is dimmed; a banner while the server is gone; files that are dropped
 // anywhere on the page go to the field of the tab File; Ctrl-Z outside a field undoes.
 const LATE = 20000; // ms within which that field comes
 
@@ -24,6 +24,10 @@ export function render({ model, view }) {
   model.dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
   model.wide = window.innerWidth >= 1700;
   model.seen = true;
+
+  let top = view;  // of the page, which only one property of reaches all: a class more would have all of it laid out anew
+  while (top.parent) top = top.parent;
+  model.on("stale", () => top.el.style.setProperty("--shown", model.stale ? "0.45" : "1"));
 
   const banner = document.createElement("div");
   banner.setAttribute("role", "alert");

@@ -1,7 +1,7 @@
 // A list (or table) of rows that the pointer and the keyboard reach alike. Every text is set as text, never as HTML.
-//   rows: [{id, group, cells: [{text, bar, tick, kind, title}], actions: [{id, label, title, off}], kind, current, note}]
+//   rows: [{id, group, cells: [{text, bar, kind, title}], actions: [{id, label, title, off}], kind, current, note}]
 //   Pointing at a row, or moving the focus into it, sets `pointed` after a moment; a press sends {row, action}.
-const MOMENT = 80; // ms that the pointer rests before a row counts as pointed at
+const MOMENT = 30; // ms that the pointer rests before a row counts as pointed at; a preview takes ten
 
 function element(tag, kind, text) {
   const made = document.createElement(tag);
@@ -18,11 +18,6 @@ function cellOf(cell, tag) {
     const part = element("span", "part");
     part.style.width = `${Math.round(1000 * Math.max(0, Math.min(1, cell.bar))) / 10}%`;
     bar.append(part);
-    if (cell.tick !== undefined && cell.tick !== null) {
-      const tick = element("span", "tick");
-      tick.style.left = `${100 * Math.max(0, Math.min(1, cell.tick))}%`;
-      bar.append(tick);
-    }
     bar.setAttribute("aria-hidden", "true");
     made.append(bar);
   }
@@ -98,7 +93,6 @@ export function render({ model, el }) {
       group = one.group;
       table.append(rowOf(one));
     }
-    if (!model.rows.length && model.empty) table.append(element("div", "empty", model.empty));
     last = model.pointed;
     mark();
     el.scrollTop = scrolled;
@@ -123,7 +117,7 @@ export function render({ model, el }) {
       if (first) first.click();
     }
   });
-  for (const name of ["rows", "head", "busy", "empty"]) model.on(name, draw);
+  for (const name of ["rows", "head", "busy"]) model.on(name, draw);
   model.on("pointed", () => { last = model.pointed; mark(); });
   draw();
   return table;

@@ -20,14 +20,13 @@ class Rows(JSComponent):
     """A list of rows, or a table with a head.
 
     Attributes:
-        rows: each {"id", "cells": [{"text", "bar", "tick", "kind", "title"}], "actions": [{"id", "label", "title",
-            "off"}], "group", "kind", "current", "note"}; `bar` and `tick` from 0 to 1.
+        rows: each {"id", "cells": [{"text", "bar", "kind", "title"}], "actions": [{"id", "label", "title",
+            "off"}], "group", "kind", "current", "note"}; `bar` from 0 to 1.
         head: titles of a table's columns.
         table: whether it is one.
         pointing: whether pointing at a row, with the pointer or the keyboard, counts.
         pointed: the row pointed at last; empty for none.
         busy: whether its buttons are shut for now.
-        empty: what stands there without rows.
         label: its name for those who hear the page.
         kind: class of its style.
     """
@@ -38,7 +37,6 @@ class Rows(JSComponent):
     pointing = param.Boolean(default=False)
     pointed = param.String(default="")
     busy = param.Boolean(default=False)
-    empty = param.String(default="")
     label = param.String(default="")
     kind = param.String(default="")
 

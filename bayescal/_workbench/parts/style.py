@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from bokeh.models import Legend, PlainText, Range1d
 from bokeh.plotting import figure
 
@@ -85,13 +86,12 @@ def dress(made: Any, palette: Palette) -> None:
         legend.background_fill_alpha = legend.border_line_alpha = 0
 
 
-def span(low: float, high: float, margin: float = 0.06) -> dict[str, Any]:
-    """Start and end of a range with a little room at either end."""
-    room = margin * (high - low) or abs(high) or 1.0
-    return {"start": low - room, "end": high + room}
-
-
-def fixed_range(low: float, high: float) -> Range1d:
-    """A range that a reset returns to."""
-    ends = span(low, high)
-    return Range1d(**ends, reset_start=ends["start"], reset_end=ends["end"])
+def range_over(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
+    """A range with a little room at either end, to which a reset returns; one of the same ends keeps its view."""
+    low, high = float(min(v.min() for v in values)), float(max(v.max() for v in values))
+    room = 0.06 * (high - low) or abs(high) or 1.0
+    start, end = low - room, high + room
+    made = Range1d() if view is None else view
+    if (made.reset_start, made.reset_end) != (start, end):
+        made.update(start=start, end=end, reset_start=start, reset_end=end)
+    return made
