@@ -19,7 +19,7 @@ from bayescal._inference.method import Draws, Verdict
 from bayescal._inference.mode import Mode
 from bayescal._inference.programs import padded_length
 from bayescal._inference.record import Record
-from bayescal._model.frame import Frame, Reference, build_frame
+from bayescal._model.frame import Frame, Reference, build_frame, reference_name
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, Levels
 
@@ -102,6 +102,17 @@ class Fitted:
     @property
     def unit(self) -> str:
         return self.model.instrument.unit
+
+    @property
+    def hold_at(self) -> dict[str, float]:
+        """Temperatures at which the coefficients hold, °C, by the names of the reference's constants, T0 and the like.
+
+        Those of thermometers that an effect depends on. Where none does, constants are means over the readings, at
+        whatever temperatures these were taken.
+        """
+        needed = {n for e in self.model.effects for n in (*e.columns, *e.varies)}
+        named = (reference_name(n) for n in self.readings.columns if n in needed)
+        return {n: float(self.reference[n]) for n in named if n in self.reference}  # pyright: ignore[reportArgumentType]
 
     def frame_of(self, readings: Measurements) -> Frame:
         """Other readings as this calibration sees them: its T0, its run starts, its groups."""

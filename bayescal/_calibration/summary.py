@@ -52,9 +52,7 @@ def calibration_text(calibration: Fitted) -> str:
     lines = [table(head, [*rows.values()])] if rows else ["every unknown is fixed"]
     if fixed := ", ".join(f"{name} = {value:g}" for name, value in calibration.model.fixed):
         lines.append(f"fixed: {fixed}")
-    constants = calibration.reference.items()
-    at = [f"{k} = {v:g} °C" for k, v in constants if isinstance(v, float) and k.endswith("0")]
-    if at:
+    if at := [f"{k} = {v:g} °C" for k, v in calibration.hold_at.items()]:
         lines.append("constants hold at " + ", ".join(at))
     lines += [f"not measured: {d['in_words']}" for d in null_directions(calibration)]
     lines.append(str(calibration.verdict))

@@ -238,6 +238,8 @@ def noise(
 ) -> None:
     """Noise density, bias instability and random walk of a sensor at rest, with 95 % intervals."""
     from bayescal._cli.request import open_channels
+    from bayescal._core.atomic_file import write_text
+    from bayescal._report.whole_folder import folders_of
     from bayescal._use.kalibr_file import kalibr_yaml
 
     if not 0 < quantile < 1:
@@ -261,10 +263,11 @@ def noise(
             print_result({name: one.data() for name, one in found.items()})
         written = []
         if yaml is not None:
-            yaml.write_text(kalibr_yaml(found, topic, quantile), encoding="utf-8")
-            written.append(yaml)
-        for name, one in found.items() if folder is not None else ():
-            assert folder is not None
-            written.append(bc.plot.save(bc.plot.noise(one), folder / f"noise_{name}.png"))
+            written.append(write_text(kalibr_yaml(found, topic, quantile), yaml))
+        if folder is not None:
+            written += [
+                bc.plot.save(bc.plot.noise(found[name]), folder / f"noise_{place}.png")
+                for name, place in folders_of(found).items()
+            ]
         if written and not json_:
             print(f"written: {', '.join(map(str, written))}")

@@ -134,9 +134,8 @@ def _covered(calibration: Calibration, local_gravity: float) -> Iterator[tuple[s
 
 
 def _quantities(calibration: Calibration, local_gravity: float) -> Iterator[tuple[str, Real]]:
-    for name, value in calibration.reference.items():
-        if isinstance(value, float) and name.endswith("0"):
-            yield f"{name}, at which constants hold", real(value, "degC", local_gravity)
+    for name, value in calibration.hold_at.items():
+        yield f"{name}, at which constants hold", real(value, "degC", local_gravity)
     coefficients, hyperparameters = summary(calibration)
     for row in coefficients:
         yield row["name"], real(row["mean"], row["unit"], local_gravity, row["sd"])

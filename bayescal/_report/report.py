@@ -155,11 +155,7 @@ def _chapter(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
         "effects": tables.effects(chapter),
         "noise": c.model.noise.in_words,
         "fixed": [(n, number(v, 6)) for n, v in c.model.fixed],
-        "reference": [
-            (n, tables.measured(v, "degC"))
-            for n, v in c.reference.items()
-            if isinstance(v, float) and n.endswith("0")
-        ],
+        "reference": [(n, tables.measured(v, "degC")) for n, v in c.hold_at.items()],
         "coefficients": rows[: 4 * MANY],
         "matrix": tables.matrix(chapter),
         "skewed": tables.skewed(chapter),

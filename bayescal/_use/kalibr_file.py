@@ -6,15 +6,18 @@ Kalibr's noise model has two terms, in continuous time: a noise density (N of IE
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 from bayescal._calibration.sensor_noise import SensorNoise
 from bayescal._calibration.settings import guarding
 from bayescal._core.errors import InputError
+from bayescal._core.quoting import c_comment
 from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse
 
 KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 ROUNDED = " + quantisation"  # in the words of a law
+TOPIC = re.compile(r"[~/]?[A-Za-z][A-Za-z0-9_/]*")  # http://wiki.ros.org/Names
 EVEN = 0.05  # of the step, by which those of channels of one unit may differ
 
 
@@ -29,11 +32,15 @@ def kalibr_yaml(
         quantile: of the posterior, which every number is.
 
     Raises:
-        InputError: a channel is neither, or their rates differ, or the quantile is no probability.
+        InputError: a channel is neither, or their rates differ, the quantile is no probability, or the topic no name.
     """
     quantile = guarding().filter_quantile if quantile is None else quantile
     if not 0 < quantile < 1:
         raise InputError(f"the quantile {quantile:g} must be between 0 and 1, such as 0.95")
+    if not TOPIC.fullmatch(topic):
+        raise InputError(
+            f"the topic {topic!r} is no name of ROS: letters, digits, _ and /, such as /imu0"
+        )
     steps = {name: noise.step for name, noise in channels.items()}
     if max(steps.values()) > (1 + EVEN) * min(steps.values()):
         raise InputError(f"channels of one unit have one rate, not steps of {steps} s")
@@ -45,7 +52,7 @@ def kalibr_yaml(
         f"# Every number is the {quantile:.0%} quantile of its posterior, of the noisiest axis."
     ]
     for name, noise in channels.items():
-        lines += [f"# {name}: {noise.law}. {_left_out(noise)}"]
+        lines += [f"# {c_comment(name)}: {noise.law}. {_left_out(noise)}"]
     for kind, unit in KINDS.items():
         own = [noise for name, noise in channels.items() if kinds[name] == kind]
         lines.append(f"# {kind}, {unit}")

@@ -24,6 +24,7 @@ import numpy as np
 
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
+from bayescal._core.json_shape import read_json
 from bayescal._core.quoting import c_comment, identifier, number_text
 from bayescal._core.version import __version__
 from bayescal._data.unit_conversion import convert, same_dimension
@@ -33,6 +34,22 @@ from bayescal._use.languages import template
 from bayescal._use.vector_correction import NEWTON, SIZES, VectorCorrection
 
 AXES = "xyz"
+SHAPE = {
+    **{
+        "made_by": str,
+        "calibration": str,
+        "outputs": (str, str, str),
+        "unit": str,
+        "equation": str,
+    },
+    **{"order_of_terms": str, "beside?": [str], "reference_degC": float, "noise": float},
+    **{
+        "temperatures_degC": (float, float),
+        "terms": [[float]],
+        "covariance": [[float]],
+        "notes": [str],
+    },
+}
 
 
 def data(correction: VectorCorrection) -> dict[str, Any]:
@@ -61,7 +78,7 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
         InputError: there is no such file, or it is none.
     """
     try:
-        found = json.loads(Path(path).read_text(encoding="utf-8"))
+        found = read_json(Path(path), SHAPE)
         terms = np.array(found["terms"], dtype=float)
         covariance = np.array(found["covariance"], dtype=float)
         if (
@@ -72,21 +89,21 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
             raise ValueError(
                 f"terms of shape {terms.shape} with a covariance of shape {covariance.shape}"
             )
-        low, high = map(float, found["temperatures_degC"])
+        low, high = found["temperatures_degC"]
         return VectorCorrection(
-            outputs=tuple(map(str, found["outputs"])),
-            unit=str(found["unit"]),
-            reference=float(found["reference_degC"]),
+            outputs=tuple(found["outputs"]),
+            unit=found["unit"],
+            reference=found["reference_degC"],
             low=low,
             high=high,
             terms=terms,
             covariance=covariance,
-            noise=float(found["noise"]),
-            notes=tuple(map(str, found["notes"])),
-            source=str(found["calibration"]),
-            beside=tuple(map(str, found.get("beside", ()))),
+            noise=found["noise"],
+            notes=tuple(found["notes"]),
+            source=found["calibration"],
+            beside=tuple(found.get("beside", ())),
         )
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(
             f"{Path(path).name} is no correction of three axes ({error}): give a JSON file that `export` wrote"
         ) from None
@@ -135,7 +152,7 @@ def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
         else "    # from the axes of the first M to those of this one",
         f"    {'C_gyro_i' if turns else 'R'}:",
         *_rows(turn @ frame.T),
-        f"    # bias, {unit}, and its standard uncertainty",
+        f"    # bias, {c_comment(unit)}, and its standard uncertainty",
         f"    bias: {_list(correction.offset * factor)}",
         f"    bias_uncertainty: {_list(correction.uncertainty[0, :3] * factor)}",
         "    # measured = matrix*f + bias, in the body axes of this calibration, and standard uncertainties",

@@ -166,7 +166,7 @@ def _away(
     """Distance of each true coefficient that the model holds from its mean, posterior standard deviations."""
     if kind.renamed:
         return {}
-    true = subject.truth(campaign.hidden, final.reference, seed, kind.changed(subject))
+    true = subject.truth(campaign.hidden, final.hold_at, seed, kind.changed(subject))
     held = {row["name"]: row for row in summary(final)[0]}
     return {
         name: (held[name]["mean"] - value) / max(held[name]["sd"], 1e-12 * abs(value), 1e-300)

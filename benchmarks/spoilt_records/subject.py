@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._model.frame import Reference, reference_name
+from bayescal._model.frame import reference_name
 from benchmarks.hidden_effects.bank import instrument_named
 
 Columns = dict[str, np.ndarray]  # a file: each column's cells, in the order of the rows
@@ -128,15 +128,15 @@ class Subject:
     def truth(
         self,
         hidden: Mapping[str, float],
-        reference: Reference,
+        hold_at: Mapping[str, float],
         seed: int,
         changed: Mapping[str, float],
     ) -> dict[str, float]:
-        """True coefficients by name, about a fit's own reference temperature.
+        """True coefficients by name, about a fit's own reference temperature; about `T0` where it has none.
 
         Args:
             hidden: effects in the record, by size.
-            reference: constants of the fit.
+            hold_at: temperatures at which the fit's coefficients hold, °C.
             seed: of the campaign.
             changed: what a kind of record adds to coefficients.
         """
@@ -145,8 +145,7 @@ class Subject:
             found |= {n: size * each for n, each in self.exact.get(effect, {}).items()}
         for name, more in changed.items():
             found[name] = found.get(name, 0.0) + more
-        there = reference.get(reference_name(self.thermometer), self.T0)
-        assert isinstance(there, float)
+        there = hold_at.get(reference_name(self.thermometer), self.T0)
         for names in self.polynomials:
             found |= _about(there - self.T0, {n: found.get(n, 0.0) for n in names}, names)
         return found

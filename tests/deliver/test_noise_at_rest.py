@@ -209,3 +209,15 @@ def test_bad_input_on_the_command_line_is_status_two(tmp_path) -> None:
     file.write_text("time [s],gyro_x [deg/s]\n" + "".join(f"{i},{i % 3}\n" for i in range(50)))
     found = run("noise", file, "--columns", "output=gyro_x", "--quantile", "2")
     assert found.status == 2 and "between 0 and 1" in found.err
+
+
+def test_pictures_of_channels_stand_in_the_folder_whatever_their_names(tmp_path) -> None:
+    file = tmp_path / "still.csv"
+    drawn = np.random.default_rng(1).normal(size=(600, 2))
+    rows = "".join(f"{0.01 * i:.2f},{a:.5f},{b:.5f}\n" for i, (a, b) in enumerate(drawn))
+    file.write_text(f"time [s],a/b [deg/s],../c [deg/s]\n{rows}")
+    folder = tmp_path / "in" / "out"
+    yaml = ("--yaml", folder / "imu.yaml", "--out", folder)
+    assert run("noise", file, "--channels", "a/b,../c", *yaml).status == 0
+    assert sorted(p.name for p in folder.iterdir()) == ["imu.yaml", "noise_a_b.png", "noise_c.png"]
+    assert [p.name for p in folder.parent.iterdir()] == ["out"]

@@ -40,6 +40,16 @@ def test_the_documents_lines_come_back(lines: bc.Calibration) -> None:
             assert abs(values.mean() - true) < 3.5 * values.std(), name
 
 
+def test_a_reference_temperature_is_stated_where_something_depends_on_it(
+    lines: bc.Calibration,
+) -> None:
+    """Lines alone hold at no temperature; a thermometer that read 40 °C too high for a while moved their T0."""
+    assert lines.hold_at == {} and "constants hold at" not in str(lines)
+    warm = bc.fit(lines.model + "zero.temperature", lines.readings, bc.LeastSquares(draws=100))
+    assert warm.hold_at == {"T0": warm.reference["T0"]}
+    assert f"constants hold at T0 = {warm.hold_at['T0']:g} °C" in str(warm)
+
+
 def test_a_new_mounting_is_predicted_for_each_axis(lines: bc.Calibration) -> None:
     found = bc.predict(lines, inclinometer.simulate(seed=8))
     assert found.rmse < 1.5 * Campaign().noise  # the axes differ by 34″

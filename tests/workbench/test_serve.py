@@ -56,6 +56,8 @@ class Server(Bench):
             try:
                 status, page = get(self.url)
             except (urllib.error.URLError, ConnectionError):  # while one server follows the other
+                if self.process.poll() is not None:
+                    raise
                 continue
             if status == 200 and "bokeh" in page:
                 return page
