@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -46,20 +46,22 @@ ROUNDED = (
 )
 DEGREE = 3  # of the polynomial over temperature: a sensor's own law is rarely of more in one soak
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
+SETTLED = 1e-2  # nats that a step of a search for a maximum gains, below which it is found
 SHIFT = 1e-3  # of a coordinate, for curvatures from slopes
 LEAST = 0.05  # curvature of a coordinate, below which its prior has taken over
 DRAWS = 512  # of a heavy-tailed Gaussian about the mode
+FEWEST = 0.25  # of them, for a sum of little probability or a bound
 KEPT = 2048  # of these, drawn anew by their weights, over all sums together
 TAILS = 5.0  # its degrees of freedom
-TOGETHER = 16  # draws in one call
+TOGETHER = 4  # draws whose filters run in one loop: more leave the cache
 
 
 class _Part(NamedTuple):
     """Readings, or means of as many as said elsewhere, padded by runs of one row of zeros."""
 
-    table: Float[Any, "n q"]  # what is integrated out, and the output
+    table: Float[Any, "n q"]  # a level, what else is integrated out, and the output
     first: Float[Any, "n"]  # where runs begin
-    counted: Float[Any, "n"]  # 1 for rows that are there
+    within: Float[Any, "n r"]  # 1 for the run that a row is of; none for rows that pad
 
 
 class RestNoise(NamedTuple):
@@ -150,7 +152,11 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
         for term in alone:
             pair = _sorted((*best, term))
             if pair not in fits and (term not in best or term == "correlated"):
-                fits[pair] = _fit(channel, pair)
+                fits[pair] = _fit(
+                    channel,
+                    pair,
+                    dict(zip(_priors(channel.law(best)), fits[best].mode, strict=True)),
+                )
     order = sorted(fits, key=lambda t: -_total(fits, t))
     totals = np.array([_total(fits, t) for t in order])
     shares = np.exp(totals - totals.max())
@@ -160,7 +166,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     walk = drawn[0]
     if "walk" not in walk.terms:
         further = _sorted((*walk.terms, "walk"))
-        walk = _drawn(channel, further, fits.get(further) or _fit(channel, further), seed)
+        walk = _drawn(channel, further, fits.get(further) or _fit(channel, further), seed, FEWEST)
     return WeighedNoise(tuple(drawn), walk, probabilities, tuple(notes), runs)
 
 
@@ -185,62 +191,33 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
             f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is rounded "
             "more coarsely than its noise: record it with more digits"
         )
-    columns = _levels(rows, len(output))
+    columns = [np.ones(len(output))]
     if readings.has("temperature") and float(np.ptp(readings["temperature"])) > recording().stirred:
         t = np.asarray(readings["temperature"], float)
         t = 2 * (t - t.min()) / np.ptp(t) - 1
-        powers = np.polynomial.legendre.legvander(t, DEGREE)[:, 1:]
-        columns = np.column_stack([columns, powers])
+        columns += list(np.polynomial.legendre.legvander(t, DEGREE)[:, 1:].T)
         notes.append(
             f"a polynomial of degree {DEGREE} over temperature was taken out beside the noise"
         )
-    table = np.column_stack([columns, (output - np.median(output)) / size])
+    table = np.column_stack([*columns, (output - np.median(output)) / size])
     total = sum(len(r) for r in rows)
     count = 2 ** max(0, math.ceil(math.log2(total / LONG)))
     parts, counts = [], []
     if count > 1:
-        runs_before, rows_of_means = len(rows), rows
-        rows = _stretches(rows, LONG // STRETCHES)
-        # Each stretch has a level of its own: as runs that begin anew, their levels would speak of the random walk.
-        levels = _levels(rows, len(output))
-        means, first = _means(np.column_stack([0 * levels, table]), rows_of_means, count)
-        table = np.column_stack([levels, table])
-        table[:, len(rows) : len(rows) + runs_before] = 0.0
-        parts.append(_padded(means, first))
+        whole = [r[: len(r) // count * count].reshape(-1, count) for r in rows if len(r) >= count]
+        parts.append(_part([table[r].mean(axis=1) for r in whole]))
         counts.append(count)
+        rows = _stretches(rows, LONG // STRETCHES)
         notes.append(
-            f"of {total} readings the filter took {len(means)} means of {count} by their exact law, and "
+            f"of {total} readings the filter took {sum(map(len, whole))} means of {count} by their exact law, and "
             f"{len(rows)} stretches of {len(rows[0])} single readings"
         )
-    first = np.zeros(sum(len(r) for r in rows), bool)
-    first[np.cumsum([0, *(len(r) for r in rows[:-1])])] = True
-    parts.append(_padded(table[np.concatenate(rows)], first))
+    parts.append(_part([table[r] for r in rows]))
     counts.append(1)
     longest = 2.0 ** math.ceil(math.log2(max(len(r) for r in runs.rows)))
     variance, _ = overlapping(output / size, runs)
     made = _AtRest(tuple(parts), tuple(counts), size, runs.step, longest, runs.factors, variance)
     return made, notes
-
-
-def _levels(rows: Sequence[np.ndarray], size: int) -> np.ndarray:
-    """A column for each stretch of readings, 1 in it."""
-    columns = np.zeros((size, len(rows)))
-    for k, r in enumerate(rows):
-        columns[r, k] = 1.0
-    return columns
-
-
-def _means(
-    table: Float[np.ndarray, "n q"], rows: Sequence[np.ndarray], count: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Means of neighbours in each run, what is left at its end not among them; and where runs begin."""
-    found, first = [], []
-    for r in rows:
-        whole = len(r) // count
-        if whole:
-            found.append(table[r[: whole * count]].reshape(whole, count, -1).mean(axis=1))
-            first.append(np.arange(whole) == 0)
-    return np.concatenate(found), np.concatenate(first)
 
 
 def _stretches(rows: Sequence[np.ndarray], length: int) -> list[np.ndarray]:
@@ -254,10 +231,16 @@ def _stretches(rows: Sequence[np.ndarray], length: int) -> list[np.ndarray]:
     return found
 
 
-def _padded(table: np.ndarray, first: np.ndarray) -> _Part:
-    more = padded_length(len(table)) - len(table)
-    counted = np.append(np.ones(len(table)), np.zeros(more))
-    return _Part(np.pad(table, ((0, more), (0, 0))), np.append(first, np.ones(more, bool)), counted)
+def _part(runs: Sequence[Float[np.ndarray, "k q"]]) -> _Part:
+    lengths = [len(run) for run in runs]
+    total = sum(lengths)
+    more = padded_length(total) - total
+    first = np.ones(total + more, bool)
+    first[:total] = False
+    first[np.cumsum([0, *lengths[:-1]])] = True
+    within = np.repeat(np.eye(len(runs)), lengths, axis=0)
+    table = np.concatenate(runs)
+    return _Part(np.pad(table, ((0, more), (0, 0))), first, np.pad(within, ((0, more), (0, 0))))
 
 
 # one sum -------------------------------------------------------------------------------------------------------------
@@ -292,12 +275,14 @@ def _log_posterior(
                 one = law.states(values, jnp.array([-1.0, 1.0]))
                 states = of_means(one, count, part.first)
             white, log_sd = filtered(states, own, part.table)
-        gram = gram + white.T @ white
-        total = total - jnp.sum(part.counted * log_sd)
-    factor = jnp.linalg.cholesky(gram[:-1, :-1])
-    shared = jax.scipy.linalg.solve_triangular(factor, gram[:-1, -1], lower=True)
-    squares = gram[-1, -1] - shared @ shared
-    return total - jnp.sum(jnp.log(jnp.diag(factor))) - 0.5 * squares
+        # Runs are independent: one column of ones, whitened, is the levels of them all, and these are orthogonal.
+        level, rest = white[:, 0], white[:, 1:]
+        precision = part.within.T @ level**2
+        shared = part.within.T @ (level[:, None] * rest)
+        gram = gram + rest.T @ rest - shared.T @ (shared / precision[:, None])
+        total = total - part.within.sum(axis=1) @ log_sd - 0.5 * jnp.sum(jnp.log(precision))
+    factor = jnp.linalg.cholesky(gram)  # its last row: what the other columns leave of the output
+    return total - jnp.sum(jnp.log(jnp.diag(factor)[:-1])) - 0.5 * factor[-1, -1] ** 2
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -306,8 +291,8 @@ def _with_slopes(law, counts, parts, v):
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _at_several(law, counts, parts, vs):
-    return jax.lax.map(lambda v: _log_posterior(law, counts, parts, v), vs)
+def _abreast(law, counts, parts, vs):
+    return jax.vmap(lambda v: _log_posterior(law, counts, parts, v))(vs)
 
 
 def _several(channel: _AtRest, law: SummedNoise | None, vs: np.ndarray) -> np.ndarray:
@@ -315,13 +300,18 @@ def _several(channel: _AtRest, law: SummedNoise | None, vs: np.ndarray) -> np.nd
     found = []
     for start in range(0, len(vs), TOGETHER):
         pick = np.minimum(np.arange(start, start + TOGETHER), len(vs) - 1)
-        made = np.asarray(_at_several(law, channel.counts, channel.parts, vs[pick]))
+        made = np.asarray(_abreast(law, channel.counts, channel.parts, vs[pick]))
         found.append(made[: len(vs) - start])
     return np.nan_to_num(np.concatenate(found), nan=-np.inf)
 
 
-def _fit(channel: _AtRest, terms: tuple[str, ...]) -> _Fit:
-    """The mode and the curvature there."""
+def _fit(channel: _AtRest, terms: Terms, known: Mapping[str, float] | None = None) -> _Fit:
+    """The mode and the curvature there.
+
+    Args:
+        terms: of the sum.
+        known: coordinates at the mode of a part of it, by name: a search begins there and at the best start beside.
+    """
     law = channel.law(terms)
     priors = _priors(law)
 
@@ -331,11 +321,16 @@ def _fit(channel: _AtRest, terms: tuple[str, ...]) -> _Fit:
             return math.inf, np.zeros(len(v))
         return -float(value), -np.asarray(slope)
 
-    starts = np.array(list(_starts(channel, terms, priors)))
-    there = _several(channel, law, starts)
+    # By the same program as the slopes: one for values alone would take longer to compile than it saves here.
+    starts = list(_starts(channel, terms, priors))
+    if known is not None:
+        least = starts[-1]  # further terms as small as any start has them
+        starts.append(np.array([known.get(n, v) for n, v in zip(priors, least, strict=True)]))
+    there = [down(start)[0] for start in starts]
+    settled = {"ftol": SETTLED / max(1.0, min(map(abs, there)))}
     tries = [
-        minimize(down, starts[i], jac=True, method="L-BFGS-B", options={"ftol": 1e-10})
-        for i in np.argsort(-there)[:STARTS]
+        minimize(down, starts[i], jac=True, method="L-BFGS-B", options=settled)
+        for i in np.argsort(there)[:STARTS]
     ]
     best = min(tries, key=lambda t: t.fun)
     weights, vectors = np.linalg.eigh(curvature(lambda at: -down(at)[1], best.x, SHIFT))
@@ -381,10 +376,11 @@ def _drawn(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float = 
         share: of all draws that are kept.
     """
     law, random = channel.law(terms), np.random.default_rng(seed)
-    d = len(fit.mode)
+    # A sum of little probability has few of the draws that are kept.
+    d, tried = len(fit.mode), TOGETHER * math.ceil(DRAWS / TOGETHER * max(share, FEWEST))
     root = np.linalg.cholesky(fit.covariance)
-    normal = random.standard_normal((DRAWS, d))
-    stretch = np.sqrt(TAILS / random.chisquare(TAILS, DRAWS))
+    normal = random.standard_normal((tried, d))
+    stretch = np.sqrt(TAILS / random.chisquare(TAILS, tried))
     v = fit.mode + (normal * stretch[:, None]) @ root.T
     squares = np.sum((normal * stretch[:, None]) ** 2, axis=1)
     log_weight = _several(channel, law, v) + 0.5 * (TAILS + d) * np.log1p(squares / TAILS)
@@ -393,6 +389,6 @@ def _drawn(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float = 
     # Systematic resampling: quantiles are those of the weights.
     count = max(1, round(share * KEPT))
     at = (np.arange(count) + random.uniform()) / count
-    chosen = v[np.minimum(np.searchsorted(np.cumsum(weight), at), DRAWS - 1)]
+    chosen = v[np.minimum(np.searchsorted(np.cumsum(weight), at), tried - 1)]
     own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(_priors(law).items())}
     return channel.physical(terms, own)

@@ -8,10 +8,18 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 from jax.scipy.special import betainc, gammaln
+from jaxtyping import Array, Float
 
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model.frame import Frame
-from bayescal._model.noise_law import WHITE, Noise, offered, own_variance, scores_of_tails
+from bayescal._model.noise_law import (
+    WHITE,
+    Noise,
+    Parameters,
+    offered,
+    own_variance,
+    scores_of_tails,
+)
 from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 
 SLOPE, CURVATURE = "noise.slope", "noise.curvature"
@@ -72,10 +80,7 @@ class Heteroscedastic(Noise):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        if self.column == "elapsed":
-            return ("time",)
-        column = self.column.removesuffix(" rate")
-        return (column,) if column == self.column else (column, "time")
+        return followed_columns(self.column)
 
     @property
     def name(self) -> str:
@@ -96,11 +101,24 @@ class Heteroscedastic(Noise):
         return output if name == WHITE else "1"
 
     def variance(self, parameters, frame):
-        z = jnp.clip(2 * frame.position(self.column) - 1, -1.0, 1.0)
-        # Legendre's P₁ and P₂ of z have no mean over the range: log σ is the mean of the logarithm of the scatter,
-        # and a and b change the form alone.
-        growth = parameters[SLOPE] * z + parameters[CURVATURE] * (1.5 * z**2 - 0.5)
-        return own_variance({WHITE: parameters[WHITE] * jnp.exp(growth)}, frame)
+        return scattered_variance(parameters, frame, self.column)
+
+
+def followed_columns(column: str) -> tuple[str, ...]:
+    """Columns of readings that a scatter needs which follows a column, "elapsed" or a rate."""
+    if column == "elapsed":
+        return ("time",)
+    plain = column.removesuffix(" rate")
+    return (plain,) if plain == column else (plain, "time")
+
+
+def scattered_variance(parameters: Parameters, frame: Frame, column: str) -> Float[Array, "n"]:
+    """Variance of each reading by itself, its white part as `Heteroscedastic` has it, output unit squared."""
+    z = jnp.clip(2 * frame.position(column) - 1, -1.0, 1.0)
+    # Legendre's P₁ and P₂ of z have no mean over the range: log σ is the mean of the logarithm of the scatter, and a
+    # and b change the form alone.
+    growth = parameters[SLOPE] * z + parameters[CURVATURE] * (1.5 * z**2 - 0.5)
+    return own_variance({WHITE: parameters[WHITE] * jnp.exp(growth)}, frame)
 
 
 @offered

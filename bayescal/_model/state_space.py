@@ -48,15 +48,17 @@ class States(NamedTuple):
         carry: what is kept over the step before: of each state (n, p), or of all by all (n, p, p).
         fresh: covariance of what is new: (n, p) of each state, or (n, p, p).
         shown: how much of each state a reading shows (p,).
+        last: how much of each state the last one takes up over the step before (n, p), where none else does of another.
     """
 
     carry: Float[Array, "n *p"]
     fresh: Float[Array, "n *p"]
     shown: Float[np.ndarray, "p"]
+    last: Float[Array, "n p"] | None = None
 
     @property
     def apart(self) -> bool:
-        """Whether no state says anything of another's future."""
+        """Whether no state says anything of another's future, but of the last one's."""
         return self.carry.ndim == 2
 
 
@@ -116,29 +118,38 @@ def filtered(
         columns: in the order of time within runs.
     """
     shown, count = jnp.asarray(states.shown), len(states.shown)
+    end = jnp.eye(count)[-1]
 
     def ahead(before, reading):
-        kept, fresh, own = reading
-        if states.apart:
-            made = kept[:, None] * before * kept + jnp.diag(fresh)
-        else:
-            made = _times(_times(kept, before), kept.T) + fresh
+        kept, taken, fresh, own = reading
+        made = (
+            kept[:, None] * before * kept if states.apart else _times(_times(kept, before), kept.T)
+        )
+        # A = diag(a) + e·tᵀ, e the last state: as many products as states squared.
+        if taken is not None:
+            across = jnp.sum(before * taken, axis=1)
+            side = end[:, None] * (kept * across)
+            made = made + side + side.T + jnp.sum(taken * across) * end[:, None] * end
+        made = made + (jnp.diag(fresh) if fresh.ndim == 1 else fresh)
         column = jnp.sum(made * shown, axis=1)
         total = jnp.sum(column * shown) + own
         gain = column / total
         return made - gain[:, None] * column, (gain, total)
 
     nothing = jnp.zeros((count, count))
-    _, (gain, total) = jax.lax.scan(ahead, nothing, (states.carry, states.fresh, white), unroll=2)
+    steps = states.carry, states.last, states.fresh, white
+    _, (gain, total) = jax.lax.scan(ahead, nothing, steps, unroll=2)
 
     def further(last, reading):
-        kept, own, row = reading
+        kept, taken, own, row = reading
         made = kept[:, None] * last if states.apart else _times(kept, last)
+        if taken is not None:
+            made = made + end[:, None] * jnp.sum(taken[:, None] * last, axis=0)
         new = row - jnp.sum(made * shown[:, None], axis=0)
         return made + own[:, None] * new, new
 
     start = jnp.zeros((count, columns.shape[1]))
-    _, new = jax.lax.scan(further, start, (states.carry, gain, columns), unroll=2)
+    _, new = jax.lax.scan(further, start, (states.carry, states.last, gain, columns), unroll=2)
     log_sd = 0.5 * jnp.log(total)
     return new * jnp.exp(-log_sd)[:, None], log_sd
 
@@ -182,9 +193,13 @@ def of_means(states: States, count: int, first: Float[Array, "n"]) -> States:
     whole, new = together(count)
     # A new mean begins with an empty sum: its column of the transition is taken out.
     emptied = whole.at[:, -1].set(0.0)
-    begins = first[:, None, None]
-    carry = jnp.where(begins, 0.0, emptied)
-    return States(carry, jnp.where(begins, begun, new), np.append(np.zeros(size), 1 / count))
+    begins, shows = first[:, None, None], np.append(np.zeros(size), 1 / count)
+    fresh = jnp.where(begins, begun, new)
+    if states.apart:  # powers of a diagonal are diagonal: the sum alone takes up what states had
+        of_each, sums = jnp.diag(emptied), emptied[-1]
+        carry, last = (jnp.where(first[:, None], 0.0, row) for row in (of_each, sums))
+        return States(carry, fresh, shows, last)
+    return States(jnp.where(begins, 0.0, emptied), fresh, shows)
 
 
 def _diagonal(blocks: list[Array]) -> Float[Array, "n p p"]:

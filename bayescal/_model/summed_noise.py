@@ -18,9 +18,15 @@ from bayescal._data import unit_conversion
 from bayescal._data.record_settings import recording
 from bayescal._model.correlated_noise import OrnsteinUhlenbeck
 from bayescal._model.frame import Frame
+from bayescal._model.independent_noise import (
+    CURVATURE,
+    SLOPE,
+    followed_columns,
+    scattered_variance,
+)
 from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, own_variance
 from bayescal._model.noise_terms import TERMS, Bounds, CorrelatedTerm, NoiseTerm
-from bayescal._model.prior import HalfCauchy, Positive
+from bayescal._model.prior import HalfCauchy, Normal, Positive
 from bayescal._model.state_space import States, drawn, filtered, states_of
 from bayescal._model.static import set_once
 
@@ -48,6 +54,8 @@ class SummedNoise(Noise):
         scale: prior of the white part's standard deviation, output unit.
         correlated: prior of a correlated part's.
         column: that the frequency of a tone follows, as "temperature"; none if empty.
+        scatter: a column, "elapsed" or a rate, that the white part's standard deviation follows as `Heteroscedastic`
+            has it, by `noise.slope` and `noise.curvature`; none if empty.
 
     Raises:
         ValueError: unknown terms, one twice that is there once, or bounds that are not in order.
@@ -61,6 +69,7 @@ class SummedNoise(Noise):
     scale: Positive = HalfCauchy(1.0)
     correlated: Positive = HalfCauchy(1.0)
     column: str = ""
+    scatter: str = ""
     gaussian: ClassVar[bool] = True
     law: ClassVar[str] = "sum"
     looks_like: ClassVar[str] = "noise that is correlated in time, over more than one time"
@@ -98,7 +107,9 @@ class SummedNoise(Noise):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        return ("time", self.column) if self.column else ("time",)
+        more = (self.column,) if self.column else ()
+        more += followed_columns(self.scatter) if self.scatter else ()
+        return tuple(dict.fromkeys(("time", *more)))
 
     def followed(self, frame):
         return 2 * frame.position(self.column) - 1 if self.column else None
@@ -107,17 +118,21 @@ class SummedNoise(Noise):
         z = self.followed(frame)
         z = None if z is None else np.asarray(z)
         found = [part.starts(np.asarray(frame.step), left, z) for part in self.parts]
+        if self.scatter:
+            found.append([_start_of_scatter(frame, left, self.scatter)])
         return [dict(ChainMap(*chosen)) for chosen in itertools.product(*found)]
 
     @property
     def name(self) -> str:
         along = f"; {self.column}" if self.column else ""
+        along += f"; scatter({self.scatter})" if self.scatter else ""
         return f"{self.law}({', '.join(self.terms)}{along})"
 
     @property
     def in_words(self) -> str:
         counts = Counter(p.words for p in self.parts)
-        return " + ".join(("white", *(f"{c} {w}" if c > 1 else w for w, c in counts.items())))
+        white = f"white (scatter follows {self.scatter})" if self.scatter else "white"
+        return " + ".join((white, *(f"{c} {w}" if c > 1 else w for w, c in counts.items())))
 
     @property
     def plain(self) -> Noise:
@@ -128,6 +143,8 @@ class SummedNoise(Noise):
 
     def parameters(self) -> dict[str, Any]:
         found: dict[str, Any] = {WHITE: self.scale}
+        if self.scatter:
+            found |= dict.fromkeys((SLOPE, CURVATURE), Normal(0.0, 1.0))
         for part in self.parts:
             found |= part.parameters(self.bounds)
         return found
@@ -137,6 +154,8 @@ class SummedNoise(Noise):
         return (WHITE, *(next(iter(p.parameters(self.bounds))) for p in self.parts))
 
     def unit(self, name: str, output: str) -> str:
+        if name in (SLOPE, CURVATURE):
+            return "1"
         part = next((p for p in self.parts if name in p.parameters(self.bounds)), None)
         if part is None or (output == unit_conversion.ANY and name in self.amplitudes):
             return output
@@ -159,8 +178,13 @@ class SummedNoise(Noise):
         """Of all terms but the white one, output unit squared."""
         return sum((p.variance(values, self.bounds) for p in self.parts), 0.0)
 
+    def _own_variance(self, parameters: Parameters, frame: Frame) -> Float[Array, "n"]:
+        if self.scatter:
+            return scattered_variance(parameters, frame, self.scatter)
+        return own_variance(parameters, frame)
+
     def variance(self, parameters, frame):
-        return own_variance(parameters, frame) + self.slow_variance(parameters)
+        return self._own_variance(parameters, frame) + self.slow_variance(parameters)
 
     def fresh_variance(self, values, step):
         return values[WHITE] ** 2 + sum(p.fresh(values, self.bounds, step) for p in self.parts)
@@ -179,12 +203,12 @@ class SummedNoise(Noise):
 
     def whiten(self, columns, extra, parameters, frame):
         states = self.states(parameters, frame.step, self.followed(frame))
-        return filtered(states, own_variance(parameters, frame) + extra, columns)
+        return filtered(states, self._own_variance(parameters, frame) + extra, columns)
 
     def sample(self, key: Array, mean, parameters, frame):
         of_white, of_states = jax.random.split(key)
         slow = drawn(of_states, *self._blocks(parameters, frame.step, self.followed(frame)))
-        own = jnp.sqrt(own_variance(parameters, frame))
+        own = jnp.sqrt(self._own_variance(parameters, frame))
         return mean + own * jax.random.normal(of_white, mean.shape) + slow
 
     # what it says of a record -----------------------------------------------------------------------------------
@@ -255,8 +279,23 @@ def _shown(part: NoiseTerm, count: int) -> Float[np.ndarray, "k"]:
     return found
 
 
+def _start_of_scatter(frame: Frame, left: Float[np.ndarray, "n"], column: str) -> dict[str, float]:
+    """Slope and curvature of the white part's scatter: log squares of differences of neighbours are linear in them."""
+    jumps = np.diff(left)
+    told = (np.asarray(frame.step)[1:] >= 0) & (jumps != 0)
+    z = np.clip(2 * np.asarray(frame.position(column)) - 1, -1.0, 1.0)[1:][told]
+    design = np.column_stack([np.ones_like(z), 2 * z, 3 * z**2 - 1])
+    _, slope, bend = np.linalg.lstsq(design, np.log(jumps[told] ** 2), rcond=None)[0]
+    return {SLOPE: float(slope), CURVATURE: float(bend)}
+
+
 def over_octaves(
-    scale: Positive, step: float, span: float, terms: tuple[str, ...], column: str = ""
+    scale: Positive,
+    step: float,
+    span: float,
+    terms: tuple[str, ...],
+    column: str = "",
+    scatter: str = "",
 ) -> SummedNoise:
     """A sum whose times a record can tell. Bounds are whole octaves of a second: alike records share programs.
 
@@ -266,9 +305,10 @@ def over_octaves(
         span: of the longest run, s.
         terms: beside white noise.
         column: that a tone follows.
+        scatter: that the white part's standard deviation follows.
     """
     shortest, longest = 2.0 ** math.floor(math.log2(step)), 2.0 ** math.ceil(math.log2(span))
-    return SummedNoise(shortest, longest, terms, scale, scale, column)
+    return SummedNoise(shortest, longest, terms, scale, scale, column, scatter)
 
 
 @offered
@@ -279,6 +319,10 @@ def _of_two_or_more(scale: Positive, frame: Frame) -> list[Noise]:
     if longest < recording().second_correlated or not (steps > 0).any():
         return []
     step, span = float(np.median(steps[steps > 0])), float(np.max(frame.columns["elapsed"]))
-    found = [over_octaves(scale, step, span, terms) for terms in OFFERED]
+    found: list[Noise] = [over_octaves(scale, step, span, terms) for terms in OFFERED]
     column = "temperature" if "temperature" in frame.columns else ""
-    return [*found, over_octaves(scale, step, span, ("correlated", "tone"), column)]
+    found.append(over_octaves(scale, step, span, ("correlated", "tone"), column))
+    # What shakes or warms a sensor moves the temperature too: of all columns it is the one weighed with a sum.
+    if column and frame.reference["temperature_high"] > frame.reference["temperature_low"]:
+        found.append(over_octaves(scale, step, span, ("correlated",), scatter=column))
+    return found

@@ -1,0 +1,101 @@
+"""White noise whose scatter follows a column, beside correlated noise: found where it is there, and with intervals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal import effects
+from bayescal._inference.record import Record
+from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.summed_noise import over_octaves
+from bayescal._search.noise_laws import laws_over, on_residuals
+from bayescal_models import still_sensor
+
+SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
+LEVEL = effects.constant("bias", 30.0, "ug", source="none")
+STEP, TIME, DIFFUSION, WHITE, SLOPE = 1.0, 40.0, 0.3, 1.0, 0.7
+TRUTH = {
+    "noise.white": WHITE,
+    "noise.slope": SLOPE,
+    "noise.curvature": 0.0,
+    "noise.correlated1.diffusion": DIFFUSION,
+    "noise.correlated1.time": TIME,
+}
+
+
+def recorded(seed: int, slope: float, n: int = 1500) -> bc.Measurements:
+    """Two rises of the temperature, so that it is no measure of the time."""
+    random, z = np.random.default_rng(seed), -np.cos(4 * np.pi * np.arange(n) / n)
+    kept, slow = np.exp(-STEP / TIME), np.empty(n)
+    slow[0] = DIFFUSION * np.sqrt(TIME / 2) * random.standard_normal()
+    fresh = DIFFUSION * np.sqrt(TIME / 2 * (1 - kept**2)) * random.standard_normal(n)
+    for i in range(1, n):
+        slow[i] = kept * slow[i - 1] + fresh[i]
+    output = 5.0 + slow + WHITE * np.exp(slope * z) * random.standard_normal(n)
+    return bc.Measurements.from_arrays(
+        SENSOR, time=STEP * np.arange(n), temperature=40 + 20 * z, output=output
+    )
+
+
+def law(scatter: str = "temperature") -> bc.SummedNoise:
+    return over_octaves(bc.HalfCauchy(1.0), STEP, 1500.0, ("correlated",), scatter=scatter)
+
+
+def gain(readings: bc.Measurements) -> float:
+    """Log evidence of the scatter, over the same sum without it, nats."""
+    frame = build_frame(readings, reference_of(readings))
+    record = Record(SENSOR, frame, np.asarray(readings["output"]))
+    left = readings["output"] - readings["output"].mean()
+    with_it, without = (on_residuals(one, record, left) for one in (law(), law("")))
+    return with_it.log_evidence - without.log_evidence
+
+
+def test_readings_are_whitened_by_the_dense_covariance(rng) -> None:
+    readings = recorded(1, SLOPE, n=60)
+    frame = build_frame(readings, reference_of(readings)).in_time()
+    values: dict[str, Any] = {n: jnp.asarray(v) for n, v in TRUTH.items()}
+    values["noise.curvature"] = jnp.asarray(-0.4)
+    time, t = np.asarray(frame["time"]), readings["temperature"]
+    z = 2 * (t - t.min()) / np.ptp(t) - 1
+    own = WHITE**2 * np.exp(2 * (SLOPE * z - 0.4 * (1.5 * z**2 - 0.5)))
+    dense = DIFFUSION**2 * TIME / 2 * np.exp(-np.abs(time[:, None] - time) / TIME) + np.diag(own)
+    np.testing.assert_allclose(law().variance(values, frame), np.diag(dense), 1e-12)
+    columns = rng.standard_normal((60, 2))
+    white, log_sd = law().whiten(jnp.asarray(columns), 0.0, values, frame)
+    np.testing.assert_allclose(white, np.linalg.solve(np.linalg.cholesky(dense), columns), 1e-8)
+    assert 2 * float(log_sd.sum()) == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-9)
+
+
+def test_a_scatter_that_is_there_has_the_evidence_and_one_that_is_not_has_not() -> None:
+    assert gain(recorded(2, SLOPE)) > 20
+    assert max(gain(recorded(seed, 0.0)) for seed in (3, 4, 5)) < 0
+
+
+def test_it_is_a_candidate_where_the_temperature_moves() -> None:
+    readings = recorded(1, 0.0)
+    still = readings.with_column("temperature", np.full(len(readings), 40.0))
+    model = bc.Model(SENSOR, (LEVEL,), bc.White(bc.HalfCauchy(1.0)))
+    name = "sum(correlated; scatter(temperature))"
+    for data, there in ((readings, True), (still, False)):
+        assert (name in laws_over(model, build_frame(data, reference_of(data)))) is there
+    assert law().in_words == "white (scatter follows temperature) + Ornstein–Uhlenbeck"
+    assert law("temperature rate").needs == ("time", "temperature")
+    assert {law().unit(n, "ug") for n in ("noise.slope", "noise.curvature")} == {"1"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slope", [0.0, SLOPE])
+def test_intervals_hold_the_truth(slope: float) -> None:
+    """Twelve records of five parameters: 57 of 60 intervals of 95 % are expected to hold it, 51 or more in 99.9 %."""
+    model, held = bc.Model(SENSOR, (LEVEL,), law()), 0
+    for seed in range(12):
+        fit = bc.fit(model, recorded(100 + seed, slope), bc.LeastSquares(draws=400), strict=False)
+        for name, truth in {**TRUTH, "noise.slope": slope}.items():
+            low, high = np.quantile(fit.samples(name), [0.025, 0.975])
+            held += bool(low <= truth <= high)
+    assert held >= 51
