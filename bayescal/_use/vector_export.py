@@ -51,6 +51,10 @@ def data(correction: VectorCorrection) -> dict[str, Any]:
         "covariance": correction.covariance.tolist(),
         "noise": correction.noise,
         "notes": list(correction.notes),
+        "axes_of": correction.axes_of,
+        "covariance_with_axes_of": None
+        if correction.shared is None
+        else correction.shared.tolist(),
     }
 
 
@@ -73,6 +77,7 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
                 f"terms of shape {terms.shape} with a covariance of shape {covariance.shape}"
             )
         low, high = map(float, found["temperatures_degC"])
+        shared = found.get("covariance_with_axes_of")
         return VectorCorrection(
             outputs=tuple(map(str, found["outputs"])),
             unit=str(found["unit"]),
@@ -85,6 +90,8 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
             notes=tuple(map(str, found["notes"])),
             source=str(found["calibration"]),
             beside=tuple(map(str, found.get("beside", ()))),
+            axes_of=str(found.get("axes_of", "")),
+            shared=None if shared is None else np.array(shared, dtype=float),
         )
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError(

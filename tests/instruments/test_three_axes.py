@@ -323,6 +323,21 @@ def test_the_result_holds_the_matrix_and_the_report_the_sphere(tmp_path: Path) -
     assert "Residuals of the magnitude along the sphere of poses" in text
 
 
+def test_the_result_holds_the_average_that_exports_hold() -> None:
+    from bayescal._report.result_json import result
+
+    # An effect that is hardly visible: structures with and without it share the probability.
+    readings = accelerometer_triad.simulate({"square.constant": 1.2}, seed=3, campaign=THERMAL)
+    trail = bc.calibrate(MODEL, readings)
+    assert trail.average is not None
+    found = result(trail)["vector"]
+    averaged = bc.vector_correction(trail.calibration)
+    assert np.array_equal(found["averaged"]["terms"], averaged.terms)
+    assert np.array_equal(found["terms"], bc.vector_correction(trail.final.calibration).terms)
+    assert averaged.terms.shape != np.shape(found["terms"])
+    assert found["averaged"]["averaged"] is None
+
+
 def test_third_order_is_measured_and_taken_out() -> None:
     draws = np.stack([bent().samples(f"cube.constant[{a}]") for a in "xyz"])
     true = 3.0 * np.array([1.0, -0.6, 0.8])
