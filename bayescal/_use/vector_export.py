@@ -179,11 +179,10 @@ def autopilot_parameters(
     """
     if autopilot not in AUTOPILOTS:
         raise InputError(f"format {autopilot!r} is not one of {', '.join(AUTOPILOTS)}")
-    px4 = autopilot == "px4-params"
+    px4, number = autopilot == "px4-params", "" if sensor == 0 else str(sensor + 1)
     back = np.linalg.inv(correction.matrix)
     if same_dimension(correction.unit, "g") or same_dimension(correction.unit, "m/s^2"):
         factor, _ = _si(correction.unit)
-        number = "" if sensor == 0 else str(sensor + 1)
         off, scale = (
             (f"CAL_ACC{sensor}_{{}}OFF", f"CAL_ACC{sensor}_{{}}SCALE")
             if px4
@@ -193,7 +192,6 @@ def autopilot_parameters(
         return found | {scale.format(a): back[i, i] for i, a in enumerate("XYZ")}
     if same_dimension(correction.unit, "rad/s"):
         factor, _ = _si(correction.unit)
-        number = "" if sensor == 0 else str(sensor + 1)
         off = f"CAL_GYRO{sensor}_{{}}OFF" if px4 else f"INS_GYR{number}OFFS_{{}}"
         return {off.format(a): correction.offset[i] * factor for i, a in enumerate("XYZ")}
     if same_dimension(correction.unit, "uT"):
@@ -206,7 +204,6 @@ def autopilot_parameters(
             found = {f"{name}{a}OFF": gauss[i] for i, a in enumerate("XYZ")}
             found |= {f"{name}{a}SCALE": symmetric[i, i] for i, a in enumerate("XYZ")}
             return found | {f"{name}{a}ODIAG": v for a, v in beside.items()}
-        number = "" if sensor == 0 else str(sensor + 1)
         found = {f"COMPASS_OFS{number}_{a}": -1e3 * gauss[i] for i, a in enumerate("XYZ")}
         found |= {f"COMPASS_DIA{number}_{a}": symmetric[i, i] for i, a in enumerate("XYZ")}
         return found | {f"COMPASS_ODI{number}_{a}": v for a, v in beside.items()}
