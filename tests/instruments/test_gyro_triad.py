@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
-from shutil import which
 from typing import Any
 
 import numpy as np
@@ -15,6 +13,7 @@ from bayescal_models import gyro_triad
 from bayescal_models.gyro_triad import Campaign
 from bayescal_models.gyro_triad.simulator import BASELINE
 from bayescal_models.triad.simulator import SHARES
+from tests.support.triad_exports import check_exports
 from tests.support.triad_truth import TRUE
 
 INSTRUMENT = gyro_triad.INSTRUMENT
@@ -89,29 +88,7 @@ def test_what_leaves_counts_on_gravity_and_computes_the_same_everywhere(tmp_path
     bias = np.array(BASELINE["bias.constant"]) + 0.05 * SHARES.reshape(3, 3) @ gravity
     apart = found.vector[0] - np.linalg.solve(matrix, y - bias)
     assert apart @ np.linalg.solve(found.covariance[0], apart) < 16
-    for name in ("sensor.h", "sensor.py", "sensor.json", "sensor.yaml"):
-        bc.export_vector(correct, tmp_path / name)
-    again = bc.load_vector_correction(tmp_path / "sensor.json")(y, 40.0, beside=gravity)
-    assert np.array_equal(again.vector, found.vector)
-    space: dict[str, Any] = {}
-    exec((tmp_path / "sensor.py").read_text("utf-8"), space)
-    force, covariance = space["correct"](y, 40.0, beside=gravity)
-    assert force == pytest.approx(found.vector[0], abs=1e-12)
-    assert covariance == pytest.approx(found.covariance[0], rel=1e-9)
-    if (compiler := which("cc")) is None:
-        pytest.skip("no C compiler")
-    (tmp_path / "main.c").write_text(
-        '#include <stdio.h>\n#include "sensor.h"\nint main(void) {\n'
-        "    double y[3] = {10, -50, 3}, g[3] = {0.1, -0.4, 0.9}, f[3], c[3][3];\n"
-        f"    sensor_correct(y, g, 40.0, {correct.noise!r}, f, c);\n"
-        '    printf("%.17g %.17g %.17g %.17g", f[0], f[1], f[2], c[1][2]);\n    return 0;\n}\n'
-    )
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror"]
-    subprocess.run([compiler, *flags, "main.c", "-o", "main"], cwd=tmp_path, check=True)
-    made = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True).stdout
-    numbers = np.array(made.split(), dtype=float)
-    assert numbers[:3] == pytest.approx(found.vector[0], abs=1e-12)
-    assert numbers[3] == pytest.approx(found.covariance[0, 1, 2], rel=1e-9)
+    check_exports(correct, y, 40.0, tmp_path, gravity)
 
 
 def test_yaml_and_parameters_say_the_same(tmp_path: Path) -> None:

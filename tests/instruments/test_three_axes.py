@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import subprocess
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from shutil import which
 from typing import Any
 
 import jax.numpy as jnp
@@ -19,6 +17,7 @@ from bayescal._data.still_stretches import still_stretches
 from bayescal._model.vector import inverted
 from bayescal_models import accelerometer_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE
+from tests.support.triad_exports import check_exports
 
 Campaign = accelerometer_triad.Campaign
 MODEL = accelerometer_triad.INSTRUMENT.baseline()
@@ -384,33 +383,7 @@ def test_slopes_of_tilt_and_heading() -> None:
 def test_exports_compute_the_same(made: Any, order: int, tmp_path: Path) -> None:
     correct = bc.vector_correction(made())
     assert correct.order == order
-    y = np.array([0.3, -0.5, 0.8])
-    found = correct(y, temperature=40.0)
-    for name in ("sensor.h", "sensor.py", "sensor.json", "sensor.yaml"):
-        bc.export_vector(correct, tmp_path / name)
-    again = bc.load_vector_correction(tmp_path / "sensor.json")(y, temperature=40.0)
-    assert np.array_equal(again.vector, found.vector)
-    space: dict = {}
-    exec((tmp_path / "sensor.py").read_text("utf-8"), space)
-    force, covariance = space["correct"](y, 40.0)
-    assert force == pytest.approx(found.vector[0], abs=1e-14)
-    assert covariance == pytest.approx(found.covariance[0], rel=1e-9)
-    if (compiler := which("cc")) is None:
-        pytest.skip("no C compiler")
-    (tmp_path / "main.c").write_text(
-        '#include <stdio.h>\n#include "sensor.h"\nint main(void) {\n'
-        "    double y[3] = {0.3, -0.5, 0.8}, f[3], c[3][3];\n"
-        f"    int outside = sensor_correct(y, 40.0, {correct.noise!r}, f, c), i;\n"
-        '    printf("%d", outside);\n    for (i = 0; i < 3; i++) printf(" %.17g", f[i]);\n'
-        '    for (i = 0; i < 9; i++) printf(" %.17g", c[i / 3][i % 3]);\n    return 0;\n}\n'
-    )
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror"]
-    subprocess.run([compiler, *flags, "main.c", "-o", "main"], cwd=tmp_path, check=True)
-    made = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True).stdout
-    numbers = np.array(made.split(), dtype=float)
-    assert numbers[0] == 0
-    assert numbers[1:4] == pytest.approx(found.vector[0], abs=1e-14)
-    assert numbers[4:].reshape(3, 3) == pytest.approx(found.covariance[0], rel=1e-9)
+    check_exports(correct, np.array([0.3, -0.5, 0.8]), 40.0, tmp_path)
 
 
 def test_kalibrs_matrix_and_ours_give_one_magnitude() -> None:
