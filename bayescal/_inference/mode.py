@@ -20,6 +20,7 @@ from bayescal._inference.assembly import Assembly, Line, Point
 from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import LOG_2PI, Conditional, column_scale, condition
 from bayescal._inference.noise_on_record import variance
+from bayescal._inference.record import Record
 
 STILL = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
@@ -62,14 +63,14 @@ def find_mode(
         assembly: the structure on its record.
         starts: coordinates to begin at; prior draws if not given. The most probable is taken.
         covariance: what the Gaussian fit at the mode may look like; the climb is shorter for it.
-        point: where x̂ may be; its prior mean if not given.
+        point: where x̂ may be; its prior mean, or what directions of an ellipsoid give, if not given.
         still: standard deviations that a round moves anything by, below which the mode is found. The log evidence is
             off by about half their square.
         curved: whether the Gaussian fit there is asked for too; without, its covariance is the climb's guess.
         start: φ by name where the mode may be, a start beside the prior draws; what it does not name is at its prior's
             middle.
     """
-    point, dim = assembly.start if point is None else point, len(assembly.hypers)
+    point, dim = _start(assembly) if point is None else point, len(assembly.hypers)
     flat = flat_scales(assembly, point, np.zeros(dim))
     wanted = prior_draws(assembly) if starts is None else list(starts)
     if starts is None and assembly.kinds == ["noise"]:  # one hill
@@ -98,6 +99,19 @@ def find_mode(
     if density is None:
         density = Density(assembly, top.point, flat, top.v)
     return at_mode(density, top.v, top.change, top.point)
+
+
+def _start(assembly: Assembly) -> Point:
+    """Where x̂ may be, nothing known: at its prior mean, or of three axes as `Vector.with_directions` has it."""
+    record, start = assembly.record, assembly.start
+    vector = record.instrument.vector
+    known = None if vector is None else vector.with_directions(record.frame, record.y)
+    if known is None:
+        return start
+    there = Assembly(assembly.layout, Record(record.instrument, *known), assembly.size_factors)
+    middle = np.zeros(len(assembly.hypers))
+    found = mode_of_x(there, start, middle, flat_scales(there, start, middle))
+    return start._replace(x=found.x)
 
 
 def flat_scales(

@@ -27,16 +27,19 @@ each output is a reading of its own: the projection on its axis.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._data.pose_rows import ACROSS, DIRECTION, MAGNITUDE
 from bayescal._model.frame import Frame
 from bayescal._model.static import static
 
+INSIDE = 2.0  # times the magnitude, up to which outputs leave the origin inside their ellipsoid
 INVERSIONS = 1  # Newton steps before the one that is differentiated: 1e-7 in the end for a nonlinearity of a tenth
 
 Outputs = Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
@@ -80,6 +83,65 @@ class Vector:
         known = outputs(size[:, None] * direction)
         projected = jnp.any(across != 0, axis=1)
         return jnp.where(projected, jnp.sum(across * known, axis=1), expected)
+
+    def with_directions(
+        self, frame: Frame, y: Float[np.ndarray, "n"]
+    ) -> tuple[Frame, Float[np.ndarray, "n"]] | None:
+        """The same readings as projections in known directions, those of an ellipsoid through the outputs.
+
+        Their expected outputs are linear in the slots of a linear equation, from wherever a fit begins. The magnitude
+        is not where the origin is outside the ellipsoid (a hard iron larger than the field): a fit that begins with
+        the directions of the outputs themselves ends where a scale factor is zero.
+
+        Args:
+            frame: of the readings, on the host.
+            y: outputs, of which those of projections are kept.
+
+        Returns:
+            Frame and outputs; None where the origin is inside, what acts is known, or no ellipsoid is found.
+        """
+        if self.acting is not None:
+            return None
+        outputs = np.stack([frame[name] for name in self.outputs], axis=1)
+        if not np.max(np.linalg.norm(outputs, axis=1) / frame[MAGNITUDE]) > INSIDE:
+            return None
+        found = _on_ellipsoid(outputs)
+        if found is None:
+            return None
+        names, columns = (*DIRECTION, *ACROSS), dict(frame.columns)
+        given = [name in columns for name in names]
+        projected = np.zeros(len(y), bool)
+        if all(given):
+            projected = np.any(np.stack([columns[name] for name in ACROSS]) != 0, axis=0)
+        for name, values in zip(names, np.concatenate(found, axis=1).T, strict=True):
+            columns[name] = np.where(projected, columns[name], values) if all(given) else values
+        along = np.sum(found[1] * outputs, axis=1)
+        return replace(frame, columns=columns), np.where(projected, y, along)
+
+
+def _on_ellipsoid(
+    outputs: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]] | None:
+    """Of each reading the direction of what acts and the ellipsoid's normal there; None if there is no ellipsoid.
+
+    By least squares on the quadric's coefficients (Q. Li and J. G. Griffiths, Proc. GMP 2004). The triad's matrix is
+    upper triangular, as the convention of three misalignments has it.
+    """
+    scale = np.max(np.std(outputs, axis=0))
+    if not scale > 0:
+        return None
+    a = (outputs - outputs.mean(axis=0)) / scale
+    i, j = np.triu_indices(3)
+    table = np.concatenate([a[:, i] * a[:, j], a], axis=1)
+    q, _, rank, _ = np.linalg.lstsq(table, np.ones(len(a)), rcond=1e-10)
+    form = np.zeros((3, 3))
+    form[i, j] = q[:6]
+    form = 0.5 * (form + form.T)
+    if rank < len(q) or not np.min(np.linalg.eigvalsh(form)) > 0:
+        return None
+    off = a + 0.5 * np.linalg.solve(form, q[6:])
+    direction, normal = off @ np.linalg.cholesky(form), off @ form
+    return tuple(v / np.linalg.norm(v, axis=1)[:, None] for v in (direction, normal))  # pyright: ignore[reportReturnType]
 
 
 def inverted(

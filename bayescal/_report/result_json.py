@@ -91,7 +91,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
             **found,
             "coefficients": coefficients,
             "hyperparameters": hyperparameters,
-            "vector": vector_data(final),
+            "vector": vector_data(final, trail.average),
             "identifiability": {"null_directions": null_directions(final)},
             "verdict": {
                 "ok": trail.ok,
@@ -102,16 +102,24 @@ def result(trail: SearchPath) -> dict[str, Any]:
     )
 
 
-def vector_data(calibration: Calibration) -> dict[str, Any] | None:
-    """Offset and 3 × 3 matrix over temperature, with standard uncertainties, of three axes; None of one output."""
+def vector_data(
+    calibration: Calibration, average: Calibration | None = None
+) -> dict[str, Any] | None:
+    """Offset and 3 × 3 matrix over temperature, with standard uncertainties, of three axes; None of one output.
+
+    Args:
+        calibration: of the structure that is shown.
+        average: over the structures, under `averaged`: what exports hold.
+    """
     if calibration.model.instrument.vector is None:
         return None
+    averaged = None if average is None else vector_data(average)
     try:
         correction = vector_correction(calibration)
     except ModelError as error:
-        return {"unavailable": str(error)}
+        return {"unavailable": str(error), "averaged": averaged}
     whole = {k: v for k, v in data(correction).items() if k != "made_by"}
-    return {**whole, "uncertainty": correction.uncertainty.tolist()}
+    return {**whole, "uncertainty": correction.uncertainty.tolist(), "averaged": averaged}
 
 
 def search_data(trail: SearchPath) -> dict[str, Any] | None:

@@ -6,7 +6,8 @@ With û and n̂ the directions of the specific force and of the field in a pose,
 
 for one rotation R and one dip (negative here where the field points down): four unknowns, by generalised least squares
 over the poses of one log. Errors of both calibrations are shared by all poses and are in the covariance; the rotation's
-own error is that of the correction that leaves, together with what it shares with the matrix. Where poses scatter by
+own error is that of the correction that leaves, together with what it shares with the matrix and with the force's
+correction, which a heading by both counts. Where poses scatter by
 more than their uncertainty (iron near by), the rotation is that much more uncertain (R. Birge, Phys. Rev.
 40 (1932) 207). An axis that points backwards and a field that points to the other side of the level are the same to it:
 the dip found is said.
@@ -81,7 +82,7 @@ def in_frame_of(
     terms = field.covariance
 
     def linear(turn: np.ndarray, dip: float) -> tuple[np.ndarray, ...]:
-        """What is left, its weight, the estimate's gain; what terms move it by, and its covariance beside."""
+        """What is left, its weight, the estimate's gain; what terms of both move it by; covariance beside."""
         turned = along @ turn.T
         cosine = np.sum(up * turned, axis=1)
         by_force = _blocks((turned - cosine[:, None] * up) / f_size)
@@ -97,14 +98,14 @@ def in_frame_of(
                 "other: turn the unit about all three axes"
             )
         gain = np.linalg.solve(information, slopes.T @ weight)
-        return cosine - dip, weight, gain, shared, beside
+        return cosine - dip, weight, gain, shared, by_force @ f_slopes, beside
 
-    left, weight, gain, shared, beside = linear(turn, dip)
+    left, weight, gain, shared, of_force, beside = linear(turn, dip)
     for _ in range(SWEEPS):
         step = -gain @ left
         turn = Rotation.from_rotvec(step[:3]).as_matrix() @ turn
         dip += float(step[3])
-        left, weight, gain, shared, beside = linear(turn, dip)
+        left, weight, gain, shared, of_force, beside = linear(turn, dip)
         if np.max(np.abs(step)) < SETTLED:
             break
     if not np.std(left) < SCATTER:
@@ -113,13 +114,15 @@ def in_frame_of(
             "pose, and one field has one dip. Is iron or a current near, or are two columns exchanged?"
         )
     ratio = max(1.0, float(left @ weight @ left) / (len(left) - UNKNOWNS))
-    made = _rotated(field, turn, gain[:3] @ shared, ratio * gain[:3] @ beside @ gain[:3].T)
+    gain = gain[:3]
+    made, by_turn = _rotated(field, turn, gain @ shared, ratio * gain @ beside @ gain.T)
+    with_force = by_turn @ gain @ of_force @ force.covariance
     down = np.rad2deg(np.arcsin(np.clip(-dip, -1.0, 1.0)))
     said = (
         f"Axes are those of the accelerometers, by a field {abs(down):.1f}° {'below' if down >= 0 else 'above'} the "
         "level. If it points to the other side where you are, an axis of the magnetometers points backwards."
     )
-    return replace(made, notes=(said, *made.notes))
+    return replace(made, notes=(said, *made.notes), axes_of=force.source, shared=with_force)
 
 
 def _rotated(
@@ -127,8 +130,15 @@ def _rotated(
     turn: Float[np.ndarray, "3 3"],
     by_terms: Float[np.ndarray, "3 q"],
     beside: Float[np.ndarray, "3 3"],
-) -> VectorCorrection:
-    """In other axes; `by_terms` says what error of a term turns them by, `beside` is the covariance of other errors."""
+) -> tuple[VectorCorrection, Float[np.ndarray, "q 3"]]:
+    """In other axes, and what a turn of these moves its terms by.
+
+    Args:
+        field: in its own axes.
+        turn: from these to the others.
+        by_terms: what error of a term turns them by.
+        beside: covariance of what other errors turn them by, rad².
+    """
     k, p = field.terms.shape
     rotate = np.eye(p)
     rotate[3:12, 3:12] = np.kron(np.eye(3), turn)
@@ -141,7 +151,8 @@ def _rotated(
     moved = np.kron(np.eye(k), rotate) + by_turn @ by_terms
     covariance = moved @ field.covariance @ moved.T + by_turn @ beside @ by_turn.T
     notes = [note for note in field.notes if not note.startswith("Directions were unknown")]
-    return replace(field, terms=terms, covariance=covariance, notes=tuple(notes))
+    made = replace(field, terms=terms, covariance=covariance, notes=tuple(notes))
+    return made, by_turn
 
 
 def _split(vectors: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:

@@ -48,6 +48,26 @@ STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
 NEWTON = 4  # steps of the inverse: each squares the error
 
 
+@dataclass(frozen=True, eq=False)
+class TermSlopes:
+    """What corrected vectors fall by where a term of their correction rises: `powers` times `each`.
+
+    Attributes:
+        correction: whose terms.
+        powers: of T − T0 (n, k).
+        each: by the terms at its temperature (n, 3, p).
+    """
+
+    correction: VectorCorrection
+    powers: Float[np.ndarray, "n k"]
+    each: Float[np.ndarray, "n 3 p"]
+
+    def along(self, slope: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n q"]:
+        """Of a quantity with this slope by the vector."""
+        found = np.einsum("nk,nip,ni->nkp", self.powers, self.each, slope)
+        return found.reshape(len(slope), -1)
+
+
 @dataclass(frozen=True)
 class CorrectedVector:
     """What acts, by three outputs.
@@ -57,12 +77,14 @@ class CorrectedVector:
         covariance: of it (n, 3, 3), `unit` squared.
         unit: of both.
         outside: where the temperature is outside the calibrated range (n,).
+        slopes: by the terms of the correction; None where no correction made it.
     """
 
     vector: Float[np.ndarray, "n 3"]
     covariance: Float[np.ndarray, "n 3 3"]
     unit: str
     outside: np.ndarray
+    slopes: TermSlopes | None = None
 
     def _along(self, slope: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         return np.sqrt(np.einsum("ni,nij,nj->n", slope, self.covariance, slope))
@@ -92,17 +114,21 @@ class CorrectedVector:
 
     @property
     def heading(self) -> tuple[np.ndarray, np.ndarray]:
-        """Heading of a level body, z down, by the magnetic field, from magnetic north, rad: atan2(−m_y, m_x)."""
+        """Heading of a level body by the magnetic field, of x clockwise from magnetic north, rad: atan2(m_y, m_x).
+
+        With its standard uncertainty. As of `tilt` and `heading_over`, z is up and y to the left of x.
+        """
         x, y, _ = self.vector.T
-        slope = np.stack([y, -x, 0 * x], axis=1) / (x**2 + y**2)[:, None]
-        return np.arctan2(-y, x), self._along(slope)
+        slope = np.stack([-y, x, 0 * x], axis=1) / (x**2 + y**2)[:, None]
+        return np.arctan2(y, x), self._along(slope)
 
     def heading_over(self, force: CorrectedVector) -> tuple[np.ndarray, np.ndarray]:
         """Heading of the x axis by a magnetic field, of a body at rest in any attitude.
 
         Args:
-            force: specific force of the same moments in the same axes, which says where up is; its errors count as
-                independent of the field's.
+            force: specific force of the same moments in the same axes, which says where up is. Where `in_frame_of` took
+                the field's correction to the axes of the force's, the errors that it shares with them count as such;
+                otherwise errors of force and field count as independent.
 
         Returns:
             Angle from magnetic north, clockwise as seen from above, rad, and its standard uncertainty; not determined
@@ -115,21 +141,27 @@ class CorrectedVector:
             north = field - np.sum(field * up, axis=1)[:, None] * up
             return np.arctan2(east[:, 0], north[:, 0])
 
-        found, variance = heading(force.vector, self.vector), np.zeros(len(self.vector))
-        for moved in (0, 1):
-            both = [force.vector, self.vector]
-            step = STEP * np.linalg.norm(both[moved], axis=1)[:, None]
-            slopes = []
+        both, slopes = (force, self), []
+        for moved, one in enumerate(both):
+            step = STEP * np.linalg.norm(one.vector, axis=1)[:, None]
+            by_axis = []
             for axis in np.eye(3):
                 ends = []
                 for sign in (1, -1):
-                    there = list(both)
-                    there[moved] = both[moved] + sign * step * axis
-                    ends.append(heading(there[0], there[1]))
+                    there = [other.vector for other in both]
+                    there[moved] = one.vector + sign * step * axis
+                    ends.append(heading(*there))
                 turned = np.angle(np.exp(1j * (ends[0] - ends[1])))  # across ±π
-                slopes.append(turned / (2 * step[:, 0]))
-            variance += (force, self)[moved]._along(np.stack(slopes, axis=1)) ** 2
-        return found, np.sqrt(variance)
+                by_axis.append(turned / (2 * step[:, 0]))
+            slopes.append(np.stack(by_axis, axis=1))
+        variance = sum(one._along(slope) ** 2 for one, slope in zip(both, slopes, strict=True))
+        own, theirs = self.slopes, force.slopes
+        if own is not None and theirs is not None:
+            shared = own.correction.shared_with(theirs.correction)
+            if shared is not None:
+                by_terms = own.along(slopes[1]) @ shared * theirs.along(slopes[0])
+                variance = variance + 2 * np.sum(by_terms, axis=1)
+        return heading(force.vector, self.vector), np.sqrt(np.maximum(variance, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +184,8 @@ class VectorCorrection:
         notes: what to know, each a sentence.
         source: identity of the calibration.
         beside: columns of what acts beside; empty for none.
+        axes_of: identity of the calibration whose axes `in_frame_of` took it to; empty for its own.
+        shared: covariance of `terms` with those of that correction, both raveled (k·p, q); None for its own axes.
     """
 
     outputs: tuple[str, ...]
@@ -165,6 +199,13 @@ class VectorCorrection:
     notes: tuple[str, ...] = ()
     source: str = ""
     beside: tuple[str, ...] = ()
+    axes_of: str = ""
+    shared: Float[np.ndarray, "q r"] | None = None
+
+    def shared_with(self, other: VectorCorrection) -> Float[np.ndarray, "q r"] | None:
+        """Covariance of the terms with those of the correction whose axes these are; None of another."""
+        known = self.axes_of != "" and self.axes_of == other.source
+        return self.shared if known else None
 
     @property
     def order(self) -> int:
@@ -228,7 +269,8 @@ class VectorCorrection:
             if len(self.terms) > 1
             else np.zeros(len(force), bool)
         )
-        return CorrectedVector(force, covariance, self.unit, outside)
+        slopes = TermSlopes(self, self._powers(warm), slope)
+        return CorrectedVector(force, covariance, self.unit, outside, slopes)
 
     def in_poses(
         self, run: LoggedRun, windows: Float[np.ndarray, "n 2"]

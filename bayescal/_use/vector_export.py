@@ -35,25 +35,27 @@ from bayescal._use.vector_correction import NEWTON, SIZES, VectorCorrection
 
 AXES = "xyz"
 SHAPE = {
-    **{
-        "made_by": str,
-        "calibration": str,
-        "outputs": (str, str, str),
-        "unit": str,
-        "equation": str,
-    },
-    **{"order_of_terms": str, "beside?": [str], "reference_degC": float, "noise": float},
-    **{
-        "temperatures_degC": (float, float),
-        "terms": [[float]],
-        "covariance": [[float]],
-        "notes": [str],
-    },
+    "made_by": str,
+    "calibration": str,
+    "outputs": (str, str, str),
+    "unit": str,
+    "equation": str,
+    "order_of_terms": str,
+    "beside?": [str],
+    "reference_degC": float,
+    "temperatures_degC": (float, float),
+    "terms": [[float]],
+    "covariance": [[float]],
+    "noise": float,
+    "notes": [str],
+    "axes_of?": str,
+    "covariance_with_axes_of?": [[float]],
 }
 
 
 def data(correction: VectorCorrection) -> dict[str, Any]:
     """What the JSON file holds."""
+    shared = correction.shared
     return {
         "made_by": f"bayescal {__version__}",
         "calibration": correction.source,
@@ -68,6 +70,8 @@ def data(correction: VectorCorrection) -> dict[str, Any]:
         "covariance": correction.covariance.tolist(),
         "noise": correction.noise,
         "notes": list(correction.notes),
+        "axes_of": correction.axes_of,
+        **({} if shared is None else {"covariance_with_axes_of": shared.tolist()}),
     }
 
 
@@ -90,6 +94,7 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
                 f"terms of shape {terms.shape} with a covariance of shape {covariance.shape}"
             )
         low, high = found["temperatures_degC"]
+        shared = found.get("covariance_with_axes_of")
         return VectorCorrection(
             outputs=tuple(found["outputs"]),
             unit=found["unit"],
@@ -102,6 +107,8 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
             notes=tuple(found["notes"]),
             source=found["calibration"],
             beside=tuple(found.get("beside", ())),
+            axes_of=found.get("axes_of", ""),
+            shared=None if shared is None else np.array(shared, dtype=float),
         )
     except (OSError, ValueError) as error:
         raise InputError(
@@ -189,11 +196,10 @@ def autopilot_parameters(
     """
     if autopilot not in AUTOPILOTS:
         raise InputError(f"format {autopilot!r} is not one of {', '.join(AUTOPILOTS)}")
-    px4 = autopilot == "px4-params"
+    px4, number = autopilot == "px4-params", "" if sensor == 0 else str(sensor + 1)
     back = np.linalg.inv(correction.matrix)
     if same_dimension(correction.unit, "g") or same_dimension(correction.unit, "m/s^2"):
         factor, _ = _si(correction.unit)
-        number = "" if sensor == 0 else str(sensor + 1)
         off, scale = (
             (f"CAL_ACC{sensor}_{{}}OFF", f"CAL_ACC{sensor}_{{}}SCALE")
             if px4
@@ -203,7 +209,6 @@ def autopilot_parameters(
         return found | {scale.format(a): back[i, i] for i, a in enumerate("XYZ")}
     if same_dimension(correction.unit, "rad/s"):
         factor, _ = _si(correction.unit)
-        number = "" if sensor == 0 else str(sensor + 1)
         off = f"CAL_GYRO{sensor}_{{}}OFF" if px4 else f"INS_GYR{number}OFFS_{{}}"
         return {off.format(a): correction.offset[i] * factor for i, a in enumerate("XYZ")}
     if same_dimension(correction.unit, "uT"):
@@ -216,7 +221,6 @@ def autopilot_parameters(
             found = {f"{name}{a}OFF": gauss[i] for i, a in enumerate("XYZ")}
             found |= {f"{name}{a}SCALE": symmetric[i, i] for i, a in enumerate("XYZ")}
             return found | {f"{name}{a}ODIAG": v for a, v in beside.items()}
-        number = "" if sensor == 0 else str(sensor + 1)
         found = {f"COMPASS_OFS{number}_{a}": -1e3 * gauss[i] for i, a in enumerate("XYZ")}
         found |= {f"COMPASS_DIA{number}_{a}": symmetric[i, i] for i, a in enumerate("XYZ")}
         return found | {f"COMPASS_ODI{number}_{a}": v for a, v in beside.items()}

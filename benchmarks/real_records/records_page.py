@@ -41,6 +41,14 @@ FOUND = """\
 ## What was known, and what was found
 
 """
+TRIADS = """\
+## Three axes
+
+Rendered by `python -m benchmarks triads_of_others`. An Xsens MTi in poses and in the moves between them, of
+[Kyle-ak/imu_tk](https://github.com/Kyle-ak/imu_tk) (BSD licence), and magnetometers turned by hand, of
+[tomisuarez2/MagnetometerCalibration](https://github.com/tomisuarez2/MagnetometerCalibration) (MIT licence).
+
+"""
 READ = """\
 ## How to read it
 
@@ -85,7 +93,7 @@ def write(records: dict[str, Any]) -> None:
             title,
             f["known"],
             _found(f),
-            "yes" if f["ok"] else f"no: {re.split(r'[.:,] ', f['reason'])[0]}",
+            _ended(f),
             f"{100 * f['inside']:.0f} %",
         ]
         for title, f in records.items()
@@ -94,9 +102,54 @@ def write(records: dict[str, Any]) -> None:
         HEAD + table(["record", "bayescal", *OTHERS], rows),
         FOUND
         + table(["record", "known", "found", "reliable", "held-out readings within 2 u"], found),
+        *([TRIADS + _triads(triads)] if (triads := read("triads_of_others")) else []),
         READ.format(wins=_and(wins), losses=_and(losses), static=static),
     ]
     (DOCS / "records_of_others.md").write_text("\n".join(text), "utf-8")
+
+
+def _triads(found: dict[str, Any]) -> str:
+    """What is known of the triads, and what was found."""
+    force, turns, field = (
+        found[name] for name in ("accelerometers", "gyroscopes", "magnetometers")
+    )
+    offsets = ", ".join(
+        f"{with_error(*own)} ({apart:+.1f})"
+        for own, apart in zip(force["offsets"], force["from_sheet"], strict=True)
+    )
+    largest = sorted(turns["g_sensitivity"].items(), key=lambda one: -abs(one[1][0]))[:3]
+    of_gravity = ", ".join(f"{name} {with_error(*own)}" for name, own in largest)
+    rows = [
+        [
+            f"accelerometers, {force['poses']} poses",
+            "offsets of the factory's sheet: 33123, 33276 and 32360 counts",
+            f"{offsets} counts (from the sheet); noise of a pose {number(force['noise_ug'], 2)} µg",
+            _ended(force),
+        ],
+        [
+            f"gyroscopes, {turns['readings']} readings of moves and poses",
+            "no sensitivity to gravity is stated",
+            f"{_names(turns['added'])}, log Bayes factor {turns['log_bayes_factor']:.0f}; the largest three "
+            f"[°/s/g]: {of_gravity}",
+            _ended(turns),
+        ],
+        [
+            f"magnetometers, {field['fitted']} of {field['corrected']} samples fitted",
+            "published calibrations, in its files and in its README: their norms scatter by "
+            + " and ".join(f"{100 * one:.1f} %" for one in field["scatter_published"]),
+            f"norms of all samples scatter by {100 * field['scatter']:.1f} %",
+            _ended(field),
+        ],
+    ]
+    return table(["triad", "known", "found", "reliable"], rows)
+
+
+def _ended(found: dict[str, Any]) -> str:
+    return "yes" if found["ok"] else f"no: {re.split(r'[.:,] ', found['reason'])[0]}"
+
+
+def _names(added: list[str]) -> str:
+    return _and([f"`{name}`" for name in added])
 
 
 def _found(found: dict[str, Any]) -> str:

@@ -130,6 +130,18 @@ def test_agrees_with_an_ellipsoid() -> None:
     assert np.max(np.abs(50.0 * centre - found.mean(axis=0)) / found.std(axis=0)) < 1.0
 
 
+@pytest.mark.parametrize("pose_uncertainty", [None, 5e-3])
+def test_a_hard_iron_larger_than_the_field(pose_uncertainty: float | None) -> None:
+    """The origin is outside the readings' ellipsoid: directions of the outputs are none of the field."""
+    iron: Any = (150.0, -40.0, 90.0)  # µT, in a field of 50
+    campaign = replace(magnetometer_triad.Campaign(), pose_uncertainty=pose_uncertainty)
+    readings = magnetometer_triad.simulate({"bias.constant": iron}, seed=5, campaign=campaign)
+    calibration = bc.fit(magnetometer_triad.INSTRUMENT.baseline(), readings)
+    for name, true in (("bias", iron), ("scale", (6e4, -4e4, 9e4))):
+        found = np.stack([calibration.samples(f"{name}.constant[{a}]") for a in "xyz"], axis=1)
+        assert np.all(np.abs(found.mean(axis=0) - true) < 4 * found.std(axis=0))
+
+
 def test_known_directions_measure_the_frame_too() -> None:
     hidden = {"misalignment.frame": 5.0}
     campaign = Campaign(poses=16, noise=1e-3, pose_uncertainty=5e-4)
@@ -320,6 +332,21 @@ def test_the_result_holds_the_matrix_and_the_report_the_sphere(tmp_path: Path) -
     text = bc.report(calibration, tmp_path / "report.html").read_text("utf-8")
     assert "matrix xy" in text
     assert "Residuals of the magnitude along the sphere of poses" in text
+
+
+def test_the_result_holds_the_average_that_exports_hold() -> None:
+    from bayescal._report.result_json import result
+
+    # An effect that is hardly visible: structures with and without it share the probability.
+    readings = accelerometer_triad.simulate({"square.constant": 1.2}, seed=3, campaign=THERMAL)
+    trail = bc.calibrate(MODEL, readings)
+    assert trail.average is not None
+    found = result(trail)["vector"]
+    averaged = bc.vector_correction(trail.calibration)
+    assert np.array_equal(found["averaged"]["terms"], averaged.terms)
+    assert np.array_equal(found["terms"], bc.vector_correction(trail.final.calibration).terms)
+    assert averaged.terms.shape != np.shape(found["terms"])
+    assert found["averaged"]["averaged"] is None
 
 
 def test_third_order_is_measured_and_taken_out() -> None:

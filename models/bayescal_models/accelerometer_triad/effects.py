@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from bayescal_models.triad.equation import BIAS, CROSS, CUBE, LOWER, SCALE, SQUARE, UPPER
 from bayescal_models.triad.families import (
-    drift,
+    BEHIND,
+    OF_RUN,
+    WITH_TIME,
     family,
     over_temperature,
-    run,
-    thermal_lag,
     unknown_directions,
 )
 
@@ -27,26 +27,31 @@ TURNED = family(
     "ours: how well a triad is mounted",
     untestable=unknown_directions,
 )
-BIAS_TEMPERATURE = over_temperature("bias.temperature", BIAS, 0.5, "mg/degC", TEMPCO)
-SCALE_TEMPERATURE = over_temperature("scale.temperature", SCALE, 200.0, "ppm/degC", TEMPCO)
-SHEAR_TEMPERATURE = over_temperature(
+BIAS_TEMPERATURE = family("bias.temperature", BIAS, 0.5, "mg/degC", TEMPCO, **over_temperature())
+SCALE_TEMPERATURE = family(
+    "scale.temperature", SCALE, 200.0, "ppm/degC", TEMPCO, **over_temperature()
+)
+SHEAR_TEMPERATURE = family(
     "misalignment.temperature",
     UPPER,
     0.02,
     "mrad/degC",
     "ours: 1 mrad in 50 °C, of a package's plastic",
+    **over_temperature(),
 )
-BIAS_QUADRATIC = over_temperature(
-    "bias.temperature_quadratic", BIAS, 0.005, "mg/degC^2", TEMPCO, order=2
+BIAS_QUADRATIC = family(
+    "bias.temperature_quadratic", BIAS, 0.005, "mg/degC^2", TEMPCO, **over_temperature(2)
 )
 SQUARES = family("square.constant", SQUARE, 1.0, "mg/g^2", SECOND, equation="K2·f²")
 PRODUCTS = family("cross.constant", CROSS, 1.0, "mg/g^2", SECOND, equation="K·f_i·f_j")
 CUBES = family("cube.constant", CUBE, 1.0, "mg/g^3", SECOND, equation="K3·f³")
-LAG = thermal_lag(BIAS, 0.5, "mg/degC", TEMPCO)
-DRIFT = drift("bias.drift", BIAS, 1.0, "mg", "ours")
-RUN = run(
+LAG = family("bias.thermal_lag", BIAS, 0.5, "mg/degC", TEMPCO, **BEHIND)
+DRIFT = family("bias.drift", BIAS, 1.0, "mg", "ours", **WITH_TIME)
+RUN = family(
+    "bias.run",
     BIAS,
     1.0,
     "mg",
     "ours; 72 public calibrations of eight units scatter by 0.6 to 3.7 mg between sessions",
+    **OF_RUN,
 )

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import bayescal as bc
 from bayescal_models.accelerometer_triad.campaign import Campaign
 from bayescal_models.accelerometer_triad.model import INSTRUMENT, simulate
+from bayescal_models.triad.campaign import TWO_SESSIONS
 
 CAMPAIGN = Campaign()
 
@@ -21,7 +22,4 @@ def readings(seed: int = 0) -> bc.Measurements:
 
 def hidden(effects: Mapping[str, float], seed: int) -> bc.Measurements:
     """Two sessions over temperature with effects hidden in them, directions known to 0.5 mrad."""
-    campaign = Campaign(
-        poses=14, temperatures=(-20.0, 0.0, 25.0, 50.0, 70.0), runs=2, pose_uncertainty=5e-4
-    )
-    return simulate(effects, seed=seed, campaign=campaign)
+    return simulate(effects, seed=seed, campaign=Campaign(**TWO_SESSIONS))

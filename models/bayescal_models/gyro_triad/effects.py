@@ -9,13 +9,7 @@ import jax.numpy as jnp
 import bayescal as bc
 from bayescal_models.triad.columns import AROUND
 from bayescal_models.triad.equation import AXES, BIAS, LOWER, SCALE, SQUARE, UPPER
-from bayescal_models.triad.families import (
-    drift,
-    family,
-    over_temperature,
-    run,
-    thermal_lag,
-)
+from bayescal_models.triad.families import BEHIND, OF_RUN, WITH_TIME, family, over_temperature
 
 SHEETS = "data sheets of BMI088, ICM-20948 and ADXRS645, zero-rate offset, sensitivity and cross axis; size ours"
 TEMPCO = "the same data sheets, change with temperature; size ours"
@@ -46,17 +40,22 @@ MOUNTING = family(
     learned=False,
     columns=("mounting", "pose_uncertainty"),
 )
-BIAS_TEMPERATURE = over_temperature("bias.temperature", BIAS, 0.03, "deg/s/degC", TEMPCO)
-SCALE_TEMPERATURE = over_temperature("scale.temperature", SCALE, 200.0, "ppm/degC", TEMPCO)
-TURNED_TEMPERATURE = over_temperature(
+BIAS_TEMPERATURE = family(
+    "bias.temperature", BIAS, 0.03, "deg/s/degC", TEMPCO, **over_temperature()
+)
+SCALE_TEMPERATURE = family(
+    "scale.temperature", SCALE, 200.0, "ppm/degC", TEMPCO, **over_temperature()
+)
+TURNED_TEMPERATURE = family(
     "misalignment.temperature",
     (*UPPER, *LOWER),
     0.02,
     "mrad/degC",
     "ours: 1 mrad in 50 °C, of a package's plastic",
+    **over_temperature(),
 )
-BIAS_QUADRATIC = over_temperature(
-    "bias.temperature_quadratic", BIAS, 3e-4, "deg/s/degC^2", TEMPCO, order=2
+BIAS_QUADRATIC = family(
+    "bias.temperature_quadratic", BIAS, 3e-4, "deg/s/degC^2", TEMPCO, **over_temperature(2)
 )
 G_SENSITIVITY = family(
     "bias.g_sensitivity",
@@ -79,7 +78,7 @@ EARTH_ROTATION = family(
     learned=False,
     columns=AROUND,
 )
-LAG = thermal_lag(BIAS, 0.03, "deg/s/degC", TEMPCO)
+LAG = family("bias.thermal_lag", BIAS, 0.03, "deg/s/degC", TEMPCO, **BEHIND)
 SQUARES = family(
     "square.constant",
     SQUARE,
@@ -88,5 +87,5 @@ SQUARES = family(
     "IEEE Std 1431-2004, scale-factor nonlinearity; size ours, 0.1 % at 100 °/s",
     equation="K2·ω²",
 )
-DRIFT = drift("bias.drift", BIAS, 0.05, "deg/s", "ours")
-RUN = run(BIAS, 0.1, "deg/s", "ours; turn-on to turn-on of consumer parts")
+DRIFT = family("bias.drift", BIAS, 0.05, "deg/s", "ours", **WITH_TIME)
+RUN = family("bias.run", BIAS, 0.1, "deg/s", "ours; turn-on to turn-on of consumer parts", **OF_RUN)

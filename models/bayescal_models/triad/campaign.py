@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from bayescal_models.triad.poses import KINDS
+
+# Of two sessions over temperature in directions known to 0.5 mrad.
+TWO_SESSIONS: dict[str, Any] = {
+    "poses": 14,
+    "temperatures": (-20.0, 0.0, 25.0, 50.0, 70.0),
+    "runs": 2,
+    "pose_uncertainty": 5e-4,
+}
 
 
 @dataclass(frozen=True)

@@ -70,67 +70,33 @@ def family(
     )
 
 
-def over_temperature(
-    name: str, slots: Sequence[str], size: float, unit: str, source: str, order: int = 1
-) -> bc.Effect:
-    """c·(T − T0) for each of some slots, or a power of it."""
-    power = {1: "", 2: "²", 3: "³"}[order]
-    return family(
-        name,
-        slots,
-        size,
-        unit,
-        source,
-        basis=partial(_departure, order),
-        equation=f"c·(T − T0){power}",
-        columns=("temperature",),
-        varies=("temperature",),
-    )
+def over_temperature(order: int = 1) -> dict[str, Any]:
+    """c·(T − T0) for each of some slots, or a power of it: what `family` takes of it."""
+    return {
+        "basis": partial(_departure, order),
+        "equation": f"c·(T − T0){('', '²', '³')[order - 1]}",
+        "columns": ("temperature",),
+        "varies": ("temperature",),
+    }
 
 
-def drift(name: str, slots: Sequence[str], size: float, unit: str, source: str) -> bc.Effect:
-    """c·(t − t̄)/(tmax − tmin) for each of some slots."""
-    return family(
-        name,
-        slots,
-        size,
-        unit,
-        source,
-        basis=_progress,
-        equation="c·progress",
-        columns=("time",),
-        varies=("time",),
-    )
-
-
-def thermal_lag(slots: Sequence[str], size: float, unit: str, source: str) -> bc.Effect:
-    """c·(T̃ − T) for each of some slots, one time for all: dies that follow the thermometer late."""
-    return family(
-        "bias.thermal_lag",
-        slots,
-        size,
-        unit,
-        source,
-        basis=_behind,
-        equation="c·(T̃ − T),  τ·dT̃/dt = T − T̃",
-        shapes=(bc.Shape("tau", "s", 60.0, 1200.0, shared=True),),
-        columns=("time", "temperature"),
-        varies=("temperature",),
-    )
-
-
-def run(slots: Sequence[str], size: float, unit: str, source: str) -> bc.Effect:
-    """A deviation of each run for each of some slots, their standard deviation estimated."""
-    return family(
-        "bias.run",
-        slots,
-        size,
-        unit,
-        source,
-        equation="d[run],  d ~ N(0, s²)",
-        per="run",
-        columns=("run",),
-    )
+# What `family` takes of c·(t − t̄)/(tmax − tmin),
+WITH_TIME: dict[str, Any] = {
+    "basis": _progress,
+    "equation": "c·progress",
+    "columns": ("time",),
+    "varies": ("time",),
+}
+# of c·(T̃ − T), one time for all slots: dies that follow the thermometer late,
+BEHIND: dict[str, Any] = {
+    "basis": _behind,
+    "equation": "c·(T̃ − T),  τ·dT̃/dt = T − T̃",
+    "shapes": (bc.Shape("tau", "s", 60.0, 1200.0, shared=True),),
+    "columns": ("time", "temperature"),
+    "varies": ("temperature",),
+}
+# and of a deviation of each run, their standard deviation estimated.
+OF_RUN: dict[str, Any] = {"equation": "d[run],  d ~ N(0, s²)", "per": "run", "columns": ("run",)}
 
 
 def unknown_directions(readings: bc.Measurements) -> str | None:
