@@ -176,7 +176,9 @@ def certificate_of(name: str) -> ET.Element:
         "standards": [{**section, "certificate": name, "traceable_to": name}],
     }
     decided = replace(found, rule_in_words=name, decisions=(one,))
-    text = dcc_text(calibration, Certificate(stated, {name: name}), decisions=decided)
+    text = dcc_text(
+        calibration, Certificate({**stated, "conditions": {name: name}}), decisions=decided
+    )
     return ET.fromstring(text.encode("utf-8"))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -94,7 +95,7 @@ def test_a_press_that_the_page_does_not_offer_is_not_taken() -> None:
 
 def test_steps_stand_after_their_parents_and_branches_are_set_in() -> None:
     parents = {0: None, 1: 0, 2: 1, 3: 0, 4: 3, 5: 1}
-    states = {n: SimpleNamespace(parent=parent) for n, parent in parents.items()}
+    states: Any = {n: SimpleNamespace(parent=parent) for n, parent in parents.items()}
     order = [(0, ""), (3, "├ "), (4, "│ "), (1, ""), (5, "├ "), (2, "")]
     assert in_order(states) == order
     assert path_to(states, 5) == [0, 1, 5]
