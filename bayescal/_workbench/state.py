@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._model.effect import Effect
@@ -55,7 +56,7 @@ class State:
         }
 
 
-def path_to(states: Mapping[int, State], number: int) -> list[int]:
+def path_to(states: Mapping[int, Any], number: int) -> list[int]:
     """Numbers of the states from the first to one."""
     path = [number]
     while (parent := states[path[0]].parent) is not None:

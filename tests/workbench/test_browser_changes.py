@@ -87,5 +87,5 @@ def test_experiments_are_ranked_where_two_effects_are_confounded(seen: Seen) -> 
     assert ranked.is_disabled() == told.inner_text().startswith("Nothing")
     if not ranked.is_disabled():
         ranked.click()
-        seen.page.get_by_text("least expected log Bayes factor").wait_for()
+        seen.page.get_by_text("least expected for").wait_for()
     seen.clean()

@@ -1,4 +1,4 @@
-"""Questions to the current step, answered in text: verdict, comparison, budget, decisions, where to measure next."""
+"""Questions to the current step, answered in text: verdict, comparison, budget, decisions, what to measure next."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, get_args
 import panel as pn
 
 from bayescal._data.unit_conversion import unit_label
+from bayescal._search.next_experiment import next_experiment
 from bayescal._search.plan_readings import ReadingPlan
 from bayescal._use.budget import Budget
 from bayescal._use.decide import CONFORMITY, FALSE_ACCEPT, Rule
@@ -181,6 +182,35 @@ class DecisionPane(AskPane):
             "population": self.devices.value.strip() or None,
         }
         return lambda: self.session.decide(limits, **asked)
+
+
+class ExperimentPane(AskPane):
+    """Next experiment: which test would tell apart what these readings cannot."""
+
+    LABEL = "Rank the experiments"
+    TOLD = "Feasible experiments, the most telling first: what each could say of effects that are confounded here."
+
+    def __init__(self, bench: Any) -> None:
+        self.rivals = words("", "small")
+        super().__init__(bench, self.rivals)
+
+    def show(self, state: Any) -> None:
+        self._calibration, found = state.calibration, state.discovery
+        self._rivals = () if found is None else found.rivals
+        self.begin.disabled = len(self._rivals) < 2
+        if found is None:
+            self.rivals.object = "What is missing has not been looked for yet."
+        elif self.begin.disabled:
+            self.rivals.object = (
+                "Nothing is confounded here: there are no two effects to tell apart."
+            )
+        else:
+            self.rivals.object = f"To tell apart: {', '.join(e.name for e in self._rivals)}"
+        super().show(state)
+
+    def question(self) -> Callable[[], Any]:
+        calibration, rivals = self._calibration, self._rivals
+        return lambda: next_experiment(calibration, rivals)
 
 
 class PlanPane(AskPane):

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from bokeh.events import Reset, SelectionGeometry
 from bokeh.models import ColumnDataSource
 
 from bayescal._workbench.panes.fails_data import ResidualsOfState
@@ -196,9 +197,12 @@ class Fails(Pane):
     def _panel(self, name: str) -> ColumnPanel:
         made = ColumnPanel(self.shown, name, self.source, self._curves, self._y)
         made.wear(self.bench.palette)
-        made.on_moved(lambda: self._moved(name, made.x_range))
-        brushed = lambda what, event: self._brushed_in_panel(name, what, event)  # noqa: E731
-        made.on_brushed(brushed, lambda: self.select(np.array([], int)))
+        for end in ("start", "end"):
+            made.x_range.on_change(end, lambda attr, old, new: self._moved(name, made.x_range))
+        for what, figure in made.figures.items():
+            brushed = lambda event, what=what: self._brushed_in_panel(name, what, event)  # noqa: E731
+            figure.on_event(SelectionGeometry, brushed)
+            figure.on_event(Reset, lambda _: self.select(np.array([], int)))
         return made
 
     @property

@@ -4,10 +4,8 @@ the curve of a preview.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
-from bokeh.events import Reset, SelectionGeometry
 from bokeh.models import (
     BoxAnnotation,
     ColumnDataSource,
@@ -101,17 +99,6 @@ class ColumnPanel:
             for renderer in made.renderers:
                 if renderer.name in (CURVE, FIT):
                     renderer.glyph.fill_color = renderer.nonselection_glyph.fill_color = palette.ink
-
-    def on_moved(self, moved: Callable[[], None]) -> None:
-        """Have something called when the view changes."""
-        for end in ("start", "end"):
-            self.x_range.on_change(end, lambda attr, old, new: moved())
-
-    def on_brushed(self, brushed: Callable[[str, Any], None], reset: Callable[[], None]) -> None:
-        """Have `brushed(output or residuals, event)` called when a region is drawn, `reset()` when all is undone."""
-        for what, made in self.figures.items():
-            made.on_event(SelectionGeometry, lambda event, what=what: brushed(what, event))
-            made.on_event(Reset, lambda _: reset())
 
 
 def _figure(

@@ -11,11 +11,11 @@ from bayescal._workbench.panes.ask_pane import (
     BudgetPane,
     ComparePane,
     DecisionPane,
+    ExperimentPane,
     PlanPane,
     VerdictPane,
 )
 from bayescal._workbench.panes.describe_pane import DescribePane
-from bayescal._workbench.panes.experiment import ExperimentPane
 from bayescal._workbench.panes.file import FilePane
 from bayescal._workbench.panes.pane import Pane
 from bayescal._workbench.panes.take_away_pane import ExportPane, PythonPane, ReportPane
