@@ -159,6 +159,7 @@ def _stacks_of_numbers(
                 order=np.broadcast_to(np.arange(rung), shape),
                 step=-np.ones(shape),
                 record=dict(columns),
+                silence=np.full(len(some), np.inf),
             )
             own = [levels] * len(some)
             if DEVICE in block.values:

@@ -58,6 +58,7 @@ def padded(frame: Frame) -> Frame:
         order=np.append(np.asarray(frame.order), np.arange(size, size + more, dtype=np.int32)),
         step=np.append(np.asarray(frame.step), -np.ones(more)),
         record=all_of(frame.record),
+        silence=np.asarray(frame.silence),
     )
 
 

@@ -20,7 +20,14 @@ from bayescal._core.errors import ModelError
 from bayescal._core.jax_setup import configure_jax
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
-from bayescal._data.time_in_runs import causal_slope, first_times, run_codes, sequence
+from bayescal._data.record_settings import recording
+from bayescal._data.time_in_runs import (
+    causal_slope,
+    first_times,
+    rate_window,
+    run_codes,
+    sequence,
+)
 
 configure_jax()
 
@@ -45,6 +52,7 @@ class Frame(eqx.Module):
         order: permutation that sorts the readings by run and time.
         step: time since the previous reading of the same run, in sorted order, −1 at a run's first, s.
         record: the columns as they were measured, whatever has been corrected since.
+        silence: time without a reading, beyond which it is not known how a temperature went from one to the next, s.
     """
 
     columns: dict[str, Float[Any, "n"]]
@@ -55,6 +63,7 @@ class Frame(eqx.Module):
     order: Int[Any, "n"]
     step: Float[Any, "n"]
     record: dict[str, Float[Any, "n"]]
+    silence: Float[Any, ""]
 
     @property
     def size(self) -> int:
@@ -114,7 +123,9 @@ class Frame(eqx.Module):
     def lag(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
         """T̃ − T, where τ·dT̃/dt = T − T̃ and T̃ starts each run at the run's first reading, °C.
 
-        T is taken as linear between readings, for which the recursion below is exact. T̃ follows the record: a
+        T is taken as linear between readings, for which the recursion below is exact. Over a silence (as of a rate,
+        such as the soak before a tumble) it is taken to have gone at once, and to have stood since: a ramp as long as
+        the silence would leave the body behind T by its rate times τ, which a soak does not. T̃ follows the record: a
         correction of the column (an error of the thermometer) moves T at its own reading, not the body's past.
         """
         values = self.record[name][self.order]
@@ -122,7 +133,9 @@ class Frame(eqx.Module):
         h = jnp.where(first | still, 1.0, self.step / tau)
         decay = jnp.where(first, 0.0, jnp.where(still, 1.0, jnp.exp(-h)))
         change = jnp.diff(values, prepend=values[:1])
-        drive = jnp.where(first, 0.0, change * jnp.where(still, -1.0, jnp.expm1(-h) / h))
+        linear = jnp.where(still, -1.0, jnp.expm1(-h) / h)
+        share = jnp.where(self.step > self.silence, -decay, linear)
+        drive = jnp.where(first, 0.0, change * share)
 
         return self._followed(decay, drive) + (self.record[name] - self.columns[name])
 
@@ -296,6 +309,7 @@ def build_frame(
         order=np.asarray(order, dtype=np.int32),
         step=np.asarray(step),
         record=dict(columns),
+        silence=np.asarray(recording().silence * rate_window(step)),
     )
 
 

@@ -52,7 +52,12 @@ SHAPE = {
     "inputs": [
         {
             **dict.fromkeys(("name", "unit", "meaning", "kind", "column"), str),
-            **{"low": float, "high": float, "tau?": OneOf(None, float)},
+            **{
+                "low": float,
+                "high": float,
+                "tau?": OneOf(None, float),
+                "silence?": OneOf(None, float),
+            },
         }
     ],
     "stimulus_range": OneOf(None, (float, float)),

@@ -37,6 +37,8 @@ class Input:
             which carries the uncertainty of that; 0 leaves it out), "elapsed".
         column: the column that it is, or is made of.
         tau: time constant of a lag, s; of a rate, the time whose slope it is.
+        silence: of a lag, the time without a reading beyond which the column counts as having changed at its beginning,
+            s; None where it counts as linear always, as exports before 0.3.0 have it.
         low, high: range in the calibration, in `unit`.
     """
 
@@ -48,6 +50,7 @@ class Input:
     low: float
     high: float
     tau: float | None = None
+    silence: float | None = None
 
     @property
     def middle(self) -> float:
@@ -60,20 +63,28 @@ def input_of(
 ) -> Input:
     """One input of the equation, as people and firmware are told of it; `values` are those of the fit."""
     described = partial(Input, name, low=float(values.min()), high=float(values.max()))
+    silence = float(calibration.frame.silence)
     for lag in equation.lags:
         if lag.name == name:
             meaning = (
                 f"lag of {lag.column} behind the thermometer, L, 0 at the start; dt after the last "
-                f"reading, x = dt/{lag.tau!r} s: L = exp(-x)*L + expm1(-x)/x*(change of {lag.column})"
+                f"reading, x = dt/{lag.tau!r} s: L = exp(-x)*L + expm1(-x)/x*(change of {lag.column}), "
+                f"or exp(-x)*(L - change) where dt is longer than {silence:g} s"
             )
             return described(
-                unit="delta_degC", meaning=meaning, kind="lag", column=lag.column, tau=lag.tau
+                unit="delta_degC",
+                meaning=meaning,
+                kind="lag",
+                column=lag.column,
+                tau=lag.tau,
+                silence=silence,
             )
         if name == lag.slope:
             meaning = (
                 f"change of {lag.name} by its time {lag.tau!r} s, which carries the uncertainty of that (0 leaves it "
                 f"out): M, 0 at the start; with L before the reading and x as for {lag.name}, "
-                f"M = exp(-x)*(M + x*L/{lag.tau!r}) + (exp(-x) + expm1(-x)/x)*(change of {lag.column})/{lag.tau!r}"
+                f"M = exp(-x)*(M + x*L/{lag.tau!r}) + (exp(-x) + expm1(-x)/x)*(change of {lag.column})/{lag.tau!r}, "
+                f"or exp(-x)*(M + x*(L - change)/{lag.tau!r}) where dt is longer than {silence:g} s"
             )
             return described(
                 unit="delta_degC/s",
@@ -81,6 +92,7 @@ def input_of(
                 kind="lag slope",
                 column=lag.column,
                 tau=lag.tau,
+                silence=silence,
             )
     if name not in equation.known:
         column = name.removesuffix("_rate")

@@ -283,4 +283,5 @@ def _seen_by_noise(calibration: Calibration) -> Frame:
         order=one.astype(int),
         step=one,
         record={},
+        silence=whole.silence,
     )

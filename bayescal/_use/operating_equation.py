@@ -192,6 +192,7 @@ class OperatingEquation(eqx.Module):
             order=jnp.zeros(1, int),
             step=-jnp.ones(1),
             record=dict(columns),
+            silence=jnp.asarray(jnp.inf),
             lags=tuple(one[lag.name] for lag in self.lags),
         )
 

@@ -35,6 +35,23 @@ def test_lag_of_a_ramp_and_a_hold_is_the_analytic_one() -> None:
     np.testing.assert_allclose(lag, exact, atol=1e-10)
 
 
+def test_over_a_silence_a_body_settles_at_the_temperature_found_after_it() -> None:
+    """Soaks of a tumble: four readings three minutes apart, then two hours to the next temperature."""
+    soak, tau = np.arange(4) * 180.0, 900.0
+    time = np.concatenate([soak, soak + 7200.0])
+    temperature = np.repeat([25.0, -40.0], 4)
+    lag = np.asarray(framed(thermal(time, temperature)).lag(jnp.asarray(tau)))
+    assert np.all(lag[:4] == 0)  # left at 25 °C, 6,660 s to settle
+    np.testing.assert_allclose(lag[4:], 65.0 * np.exp(-(6660.0 + soak) / tau), rtol=1e-12)
+    ramp = np.linspace(25.0, -40.0, 8)  # one reading left out of a ramp is no silence
+    kept = [0, 1, 2, 4, 5, 6, 7]
+    steady = np.arange(8) * 180.0
+    whole, gap = (
+        framed(thermal(steady[i], ramp[i])).lag(jnp.asarray(tau)) for i in ([*range(8)], kept)
+    )
+    np.testing.assert_allclose(gap, np.asarray(whole)[kept], rtol=1e-12)
+
+
 def test_lag_of_a_sine_follows_its_phase_and_gain() -> None:
     time = np.arange(0.0, 20000.0, 2.0)
     omega, tau = 2 * np.pi / 2000.0, 300.0
