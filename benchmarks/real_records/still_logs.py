@@ -48,6 +48,20 @@ class StillLog:
     channels: tuple[str, ...]
 
 
+def _ocxo(title: str, file: str, which: str) -> StillLog:
+    return StillLog(
+        title=title,
+        file=file,
+        source="https://github.com/aewallin/allantools",
+        commit="599dc9ea133ea4852f97e5ed88e51dc11bbdae1f",
+        path="tests/ocxo/ocxo_frequency.txt",
+        licence="LGPL 3",
+        made=f"{which}: times of 1 Hz before the departures of the frequency from 10 MHz, in parts of 10¹², and the "
+        "header `time [s],frequency [1]`",
+        channels=("frequency",),
+    )
+
+
 LOGS = (
     StillLog(
         title="ADIS16405, three gyroscopes and three accelerometers",
@@ -60,16 +74,15 @@ LOGS = (
         "`time [s],gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],acc_x [g],acc_y [g],acc_z [g]`",
         channels=("gyro_x", "gyro_y", "gyro_z", "acc_x", "acc_y", "acc_z"),
     ),
-    StillLog(
-        title="Oven-controlled crystal oscillator against a hydrogen maser",
-        file="ocxo_frequency.csv",
-        source="https://github.com/aewallin/allantools",
-        commit="599dc9ea133ea4852f97e5ed88e51dc11bbdae1f",
-        path="tests/ocxo/ocxo_frequency.txt",
-        licence="LGPL 3",
-        made="Times of 1 Hz before the departures of the frequency from 10 MHz, in parts of 10¹², and the header "
-        "`time [s],frequency [1]`",
-        channels=("frequency",),
+    _ocxo(
+        "Oven-controlled crystal oscillator against a hydrogen maser",
+        "ocxo_whole.csv",
+        "All readings",
+    ),
+    _ocxo(
+        "The same oscillator after its events",
+        "ocxo_calm.csv",
+        "From 7700 s on: of what is before, `bayescal noise` says that there are events",
     ),
 )
 

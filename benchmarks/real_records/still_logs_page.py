@@ -67,5 +67,5 @@ def _whole(log: StillLog, channel: str, one: Mapping[str, Any]) -> str:
     """What the command prints of a whole channel, and the file for a filter."""
     command = f"bayescal noise {log.file} --columns output={channel}"
     command += " --yaml imu.yaml" if one["yaml"] else ""
-    said = f"\n## {log.title}\n\n```sh\n{command}\n```\n\n```text\n{one['printed']}\n```\n"
+    said = f"\n## {log.title}\n\n```console\n$ {command}\n{one['printed']}\n```\n"
     return said + (f"\n```yaml\n{one['yaml']}```\n" if one["yaml"] else "")
