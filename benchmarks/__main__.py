@@ -12,6 +12,7 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "thermal_ramp": "real_records.thermal_ramp",
     "records_of_others": "real_records.records_of_others",
     "triads_of_others": "real_records.triads_of_others",
+    "still_logs": "real_records.still_logs",
     "false_discoveries": "hidden_effects.false_discoveries",
     "coverage": "accuracy.coverage",
     "compensation": "instruments.compensation",

@@ -15,18 +15,21 @@ from bayescal._core.formatting import Printed, number, probability, table
 from bayescal._data.allan_deviation import (
     CONFIDENCE,
     AllanDeviation,
+    EvenRuns,
     degrees_of_freedom,
     habit,
     noise_types,
     of_runs,
 )
 from bayescal._data.measurements import Measurements
+from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import unit_label
 from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse
 from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_terms import FLAT
 from bayescal._model.summed_noise import SummedNoise
 
+NORMAL_MEDIAN = 0.6745  # standard deviations: the median absolute value of a normal number
 SHOWN = 4  # sums that are printed with their probabilities
 
 
@@ -200,10 +203,33 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
         high=high,
         estimate_low=estimate_low,
         estimate_high=estimate_high,
-        notes=found.notes,
+        notes=(*found.notes, *_events(readings, runs)),
         densities=_for_filter(found),
         horizon=float(runs.factors[-1] * runs.step),
     )
+
+
+def _events(readings: Measurements, runs: EvenRuns) -> tuple[str, ...]:
+    """The largest change between neighbouring averages, if stationary Gaussian noise has none such; in words."""
+    output, time = (np.asarray(readings[name], float) for name in ("output", "time"))
+    worst, said = guarding().event, ()
+    for rows in runs.rows:
+        for m in runs.factors.astype(int):
+            count = len(rows) // m
+            if count <= recording().allan_readings:
+                break
+            jumps = np.abs(np.diff(output[rows[: count * m]].reshape(count, m).mean(axis=1)))
+            usual = float(np.median(jumps)) / NORMAL_MEDIAN
+            at = int(np.argmax(jumps))
+            if jumps[at] > worst * usual > 0:
+                worst, when = float(jumps[at]) / usual, float(time[rows[(at + 1) * m]])
+                change = f"{number(float(jumps[at]))} {unit_label(readings.unit('output') or '')}".strip()
+                said = (
+                    f"at {number(when)} s the average over {number(m * runs.step)} s changes by {change}, "
+                    f"{number(worst)} times what is usual: that is an event, such as a warm-up, a knock or a step, and "
+                    "the law takes it for noise. Leave it out",
+                )
+    return said
 
 
 def _words(terms: tuple[str, ...]) -> str:

@@ -140,6 +140,8 @@ class GuardSettings(OutcomeSettings):
         filter_quantile: of the posterior of N and K, that a filter is given: noise taken as too small makes it
             overconfident.
         filter_reaches: of the law's Allan deviation, that a filter's two terms must reach at every averaging time.
+        event: times the usual change between neighbouring averages at rest, beyond which one is an event and no noise:
+            of thirty that are normal, the largest reaches it once in ten thousand records.
         bent: of the noise, by which a response may depart from its linearisation at plausible sizes.
         back: standard deviations from what was simulated, beyond which a coefficient has not come back.
         identifiable: contraction below which a coefficient is not; two that are one have a half each.
@@ -180,6 +182,7 @@ class GuardSettings(OutcomeSettings):
     of_a_law: int = 2
     filter_quantile: float = 0.95
     filter_reaches: float = 0.95
+    event: float = 7.0
     bent: float = 0.1
     back: float = 4.0
     identifiable: float = 0.6

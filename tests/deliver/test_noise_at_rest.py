@@ -10,7 +10,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration import noise_at_rest
-from bayescal._calibration.sensor_noise import NoiseFigure
+from bayescal._calibration.sensor_noise import NoiseFigure, _events
 from bayescal._data.allan_deviation import even_runs
 from bayescal_models import still_sensor
 from tests.support.command_line import run
@@ -127,6 +127,14 @@ def test_what_cannot_be_told_is_refused() -> None:
     uneven = data.select(np.flatnonzero(np.arange(len(data)) % 7 != 3))
     with pytest.raises(bc.InputError, match="evenly spaced"):
         bc.noise(uneven)
+
+
+def test_an_event_is_told_from_noise() -> None:
+    calm = still(6)
+    knocked = np.where(np.arange(len(calm)) < 40, 0.1, 0.0) + calm["output"]
+    (said,) = _events(calm.with_column("output", knocked), even_runs(calm))
+    assert said.startswith("at 3.2 s the average over 3.2 s changes by 0.") and "warm-up" in said
+    assert not any(_events(still(seed), even_runs(calm)) for seed in range(20))
 
 
 # The file for a filter.
