@@ -31,6 +31,7 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "wrong_model": "wrong_model.coverage",
     "gauntlet": "spoilt_records.measurement",
     "start_up": "speed.start_up",
+    "triad_speed": "speed.triads",
     "scaling": "speed.scaling.rows",
     "fleet": "fleet.measurement",
     "workbench": "speed.workbench",

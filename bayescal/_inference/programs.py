@@ -159,15 +159,26 @@ def responses(
     return jax.vmap(partial(_respond, response, frame))((slots, moves))
 
 
+class Responding(NamedTuple):
+    """An instrument's response, and whether its slopes by all slots are taken backward, in one pass."""
+
+    response: Callable[..., Any]
+    backward: bool
+
+
 @program
 def response_slopes(
-    response: Callable[..., Any], frame: Frame, slots: ByName, moves: ByName
+    what: Responding, frame: Frame, slots: ByName, moves: ByName
 ) -> tuple[Array, dict[str, Array]]:
     """Expected output, and its derivatives by each slot and by each moved column, reading by reading."""
+    if what.backward and not moves:
+        # Of dozens of slots and one output: one pass back costs as much as a few forward.
+        mean, pull = jax.vjp(lambda own: _respond(what.response, frame, (own, {})), slots)
+        return mean, pull(jnp.ones(frame.size))[0]
     # The output of a reading hangs on its own slots alone: a vector of ones pushed forward holds each one's own
     # slope.
     both = (slots, moves)
-    mean, push = jax.linearize(partial(_respond, response, frame), both)
+    mean, push = jax.linearize(partial(_respond, what.response, frame), both)
     zero = jax.tree.map(jnp.zeros_like, both)
     slopes = {}
     for part in (0, 1):
@@ -180,10 +191,10 @@ def response_slopes(
 
 @program
 def slopes_of_draws(
-    response: Callable[..., Any], frame: Frame, slots: ByName, moves: ByName
+    what: Responding, frame: Frame, slots: ByName, moves: ByName
 ) -> tuple[Array, dict[str, Array]]:
     """Expected outputs of several sets of slots and moved columns, and their derivatives by each of these."""
-    return jax.vmap(partial(response_slopes.__wrapped__, response, frame))(slots, moves)
+    return jax.vmap(partial(response_slopes.__wrapped__, what, frame))(slots, moves)
 
 
 def _respond(response: Callable[..., Any], frame: Frame, both: tuple[ByName, ByName]) -> Array:

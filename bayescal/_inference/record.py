@@ -119,6 +119,10 @@ class Record:
     def slots(self) -> tuple[str, ...]:
         return tuple(s.name for s in self.instrument.slots)
 
+    @property
+    def _what(self) -> programs.Responding:
+        return programs.Responding(self.instrument.response, self.instrument.vector is not None)
+
     def columns(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
         """Columns of an effect at values of its shapes, on the readings as measured; not to be written to.
 
@@ -214,7 +218,7 @@ class Record:
         if last is None or last[0] != key:
             full = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
             made = programs.response_slopes(
-                self.instrument.response, self.padded, self._longer(full), self._longer(moves)
+                self._what, self.padded, self._longer(full), self._longer(moves)
             )
             self._last = last = key, jax.tree.map(lambda a: np.asarray(a)[: self.size], made)
         return last[1]
@@ -306,9 +310,7 @@ class Record:
         if self.affine is not None and not moves:
             return self.several(slots, {}), self.affine[1]
         count = len(next(iter(slots.values())))
-        return self._together(
-            programs.slopes_of_draws, self.instrument.response, count, slots, moves
-        )
+        return self._together(programs.slopes_of_draws, self._what, count, slots, moves)
 
     def _stretches(
         self, count: int, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]

@@ -51,7 +51,8 @@ class Vector:
 
     Attributes:
         outputs: the three columns that files hold, in the output's unit; `output` is made of them.
-        equation: h of slots and frame: a function of what acts (n, 3), output unit, to the three outputs expected.
+        equation: h of slots and frame: a function of what acts (n, 3), output unit, to the three outputs expected,
+            that JAX can differentiate backward too (no loop of unknown length), finite wherever it is evaluated.
         acting: what acts (n, 3), output unit, of a frame, where it is known; None where its magnitude is.
         rig: slots of the rig's own errors, which do not act in use and which the equation does not hold.
         beside: three columns of what else acts, linearly, in use too: gravity on gyroscopes.
