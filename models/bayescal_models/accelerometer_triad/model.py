@@ -39,12 +39,10 @@ Noise: white, one standard deviation for all three axes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import bayescal as bc
 from bayescal_models.accelerometer_triad import COLUMNS, OUTPUTS, effects
-from bayescal_models.accelerometer_triad.campaign import Campaign
 from bayescal_models.accelerometer_triad.simulator import simulated_columns
+from bayescal_models.simulated import readings_of
 from bayescal_models.triad.equation import equation, higher_order, slots
 from bayescal_models.triad.experiments import experiments
 
@@ -81,20 +79,4 @@ INSTRUMENT = bc.Instrument(
     vector=VECTOR,
     source="IEEE Std 1293-2018; D. Tedaldi, A. Pretto and E. Menegatti, ICRA 2014 (poses at rest)",
 )
-
-
-def simulate(
-    effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
-) -> bc.Measurements:
-    """Poses of a campaign with these effects hidden in it.
-
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficients, whose members come at their own
-            `SHARES` of it; bias, scale and misalignment are there unless given otherwise.
-        seed: of every random number.
-        campaign: the poses; 24 random ones if not given.
-
-    Raises:
-        ValueError: an unknown effect, or a size that is no number.
-    """
-    return INSTRUMENT.simulate(effects, seed=seed, campaign=campaign)
+simulate = readings_of(INSTRUMENT, simulated_columns)

@@ -51,14 +51,12 @@ Noise: white, one standard deviation for all three axes; of moves beside the kno
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import jax.numpy as jnp
 
 import bayescal as bc
 from bayescal_models.gyro_triad import COLUMNS, OUTPUTS, effects
-from bayescal_models.gyro_triad.campaign import Campaign
 from bayescal_models.gyro_triad.simulator import simulated_columns
+from bayescal_models.simulated import readings_of
 from bayescal_models.triad.columns import AROUND, PULLED, SQUARED, TURNED
 from bayescal_models.triad.equation import BIAS, FIRST, SQUARE, equation, slots
 from bayescal_models.triad.experiments import RATES
@@ -160,20 +158,4 @@ INSTRUMENT = bc.Instrument(
     vector=VECTOR,
     source="IEEE Std 1431-2004, model equation; rates about the axes of a table",
 )
-
-
-def simulate(
-    effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
-) -> bc.Measurements:
-    """Readings of a campaign with these effects hidden in it.
-
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficients, whose members come at their own
-            `SHARES` of it; bias, scale and misalignment are there unless given otherwise.
-        seed: of every random number.
-        campaign: the readings; six mountings at five rates if not given.
-
-    Raises:
-        ValueError: an unknown effect, or a size that is no number.
-    """
-    return INSTRUMENT.simulate(effects, seed=seed, campaign=campaign)
+simulate = readings_of(INSTRUMENT, simulated_columns)

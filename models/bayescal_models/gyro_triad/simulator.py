@@ -43,7 +43,12 @@ def simulated_columns(
 ) -> dict[str, Any]:
     """Columns of readings with these effects hidden in them, by name.
 
-    Args: as of `simulate` in `model.py`; an effect may also have a size for each of its members.
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficients, whose members come at their own
+            `SHARES` of it; or a size for each member; bias, scale and misalignment are there unless
+            given otherwise.
+        seed: of every random number.
+        campaign: the readings; six mountings at five rates if not given.
 
     Raises:
         ValueError: an unknown effect, or a size that is no number.

@@ -25,6 +25,13 @@ def simulated_columns(
 ) -> dict[str, Any]:
     """Columns of poses with these effects hidden in them, by name.
 
-    Args and Raises: as of `simulate` in `model.py`.
+    Args:
+        effects: canonical name → true size, in the unit of the effect's coefficients, whose members come at their own
+            `SHARES` of it; bias, scale and misalignment are there unless given otherwise.
+        seed: of every random number.
+        campaign: the poses; 100 random ones if not given.
+
+    Raises:
+        ValueError: an unknown effect, or a size that is no number.
     """
     return poses_of(BASELINE, KNOWN, 1.0, effects, seed, campaign or Campaign())
