@@ -131,9 +131,9 @@ class SensorNoise(Printed):
     def for_filter(self, quantile: float | None = None) -> tuple[float, float]:
         """N and K that a filter of white noise and a random walk is given, output unit times √s and per √s.
 
-        Of correlated noise both together reach 95 % of the law's Allan deviation at every averaging time up to `horizon`,
-        and of those that do they exceed it least: density takes the place of what lasts a few steps, a random walk of
-        what lasts longer.
+        Where noise is correlated both together reach 95 % of the law's Allan deviation at every averaging time up to
+        `horizon`, and of those that do they exceed it least: density takes the place of what lasts a few steps, a random
+        walk of what lasts longer.
 
         Args:
             quantile: of the posterior; that of the settings if None.
