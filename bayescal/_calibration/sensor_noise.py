@@ -132,8 +132,8 @@ class SensorNoise(Printed):
         """N and K that a filter of white noise and a random walk is given, output unit times √s and per √s.
 
         Where noise is correlated both together reach 95 % of the law's Allan deviation at every averaging time up to
-        `horizon`, and of those that do they exceed it least: density takes the place of what lasts a few steps, a random
-        walk of what lasts longer.
+        `horizon`, and of those that do they exceed it least: density takes the place of what lasts a few steps, a
+        random walk of what lasts longer.
 
         Args:
             quantile: of the posterior; that of the settings if None.
