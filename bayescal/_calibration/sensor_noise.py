@@ -82,7 +82,7 @@ class SensorNoise(Printed):
         low, high: 95 % posterior band of that (k,).
         estimate_low, estimate_high: between which 95 % of Allan deviations of such a record lie under the law (k,).
         notes: what was done to the record, in words.
-        densities: posterior draws of N and of the K that a filter is given, output unit times and per √s.
+        densities: posterior draws of the N and the K that a filter is given, output unit times and per √s.
         horizon: the longest averaging time that this K holds for, s.
     """
 
@@ -131,8 +131,9 @@ class SensorNoise(Printed):
     def for_filter(self, quantile: float | None = None) -> tuple[float, float]:
         """N and K that a filter of white noise and a random walk is given, output unit times √s and per √s.
 
-        K is so large that both together reach 95 % of the law's Allan deviation at every averaging time up to
-        `horizon`: of flicker and Ornstein–Uhlenbeck noise a random walk takes the place that long.
+        Where noise is correlated both together reach 95 % of the law's Allan deviation at every averaging time up to
+        `horizon`, and of those that do they exceed it least: density takes the place of what lasts a few steps, a
+        random walk of what lasts longer.
 
         Args:
             quantile: of the posterior; that of the settings if None.
@@ -245,14 +246,23 @@ def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
         own = one.draws[WHITE]
         rounded = one.draws.get("noise.quantisation", 0.0) / step
         own = np.sqrt(own**2 + 3 * rounded**2)  # falls more slowly than Q, and is as much at first
-        densities.append(own * step**0.5)
         if not {*one.terms} - {"quantisation"}:
+            densities.append(own * step**0.5)
             walks.append(np.resize(found.walk.draws["noise.walk"], len(own)))
             continue
-        reached = guarding().filter_reaches ** 2 * one.allan_variance(factors, step)
-        lacking = (reached - (own**2)[:, None] / factors) / of_walk
-        needed = np.sqrt(np.maximum(np.max(lacking, axis=1), 0.0))
-        walks.append(np.maximum(needed, one.draws.get("noise.walk", 0.0)))
+        whole = one.allan_variance(factors, step)
+        reached = guarding().filter_reaches ** 2 * whole
+        # Correlated noise of a few steps is density to a filter, and of many a random walk: of the densities that
+        # reach the law at one averaging time, that with whose walk the sum exceeds it least (d, densities, times).
+        white = np.maximum(np.column_stack([0 * own, reached * factors]), own[:, None] ** 2)
+        lacking = (reached[:, None] - white[..., None] / factors) / of_walk
+        walk = np.maximum(
+            lacking.max(axis=2), np.square(one.draws.get("noise.walk", 0.0))[..., None]
+        )
+        both = white[..., None] / factors + walk[..., None] * of_walk
+        least = np.argmin(np.log(both / whole[:, None]).sum(axis=2), axis=1)[:, None]
+        densities.append(np.sqrt(np.take_along_axis(white, least, 1)[:, 0] * step))
+        walks.append(np.sqrt(np.take_along_axis(walk, least, 1)[:, 0]))
     return np.concatenate(densities), np.concatenate(walks)
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import bayescal as bc
 from bayescal._calibration import noise_at_rest
-from bayescal._calibration.sensor_noise import NoiseFigure, _events
+from bayescal._calibration.sensor_noise import NoiseFigure, _events, _for_filter
 from bayescal._data.allan_deviation import even_runs
 from bayescal_models import still_sensor
 from tests.support.command_line import run
@@ -138,6 +140,26 @@ def test_an_event_is_told_from_noise() -> None:
 
 
 # The file for a filter.
+
+
+def test_noise_that_is_correlated_over_a_few_steps_is_density_to_a_filter() -> None:
+    """As a walk it would have the variance of thousands of times its own after a second."""
+    step, factors, size, time = 0.01, 2.0 ** np.arange(16), 0.2, 0.012
+    law = bc.SummedNoise(step, 2.0**18 * step, ("correlated",))
+    drawn = {
+        "noise.white": np.full(2, 0.3),
+        "noise.correlated1.diffusion": np.full(2, size * math.sqrt(2 / time)),
+        "noise.correlated1.time": np.full(2, time),
+    }
+    one = noise_at_rest.RestNoise(law.terms, drawn, law)
+    runs: Any = SimpleNamespace(factors=factors, step=step)
+    found = noise_at_rest.WeighedNoise((one,), one, {}, (), runs)
+    (density, _), (walk, _) = _for_filter(found)
+    deviation = np.sqrt(
+        density**2 / (step * factors) + walk**2 * step * (2 * factors**2 + 1) / (6 * factors)
+    )
+    ratio = deviation / np.sqrt(one.allan_variance(factors, step)[0])
+    assert ratio.min() > 0.949 and ratio.max() < 1.4
 
 
 def told(unit: str, law: str = "white + random walk", **more) -> bc.SensorNoise:
