@@ -68,6 +68,8 @@ def life(
         work(server, todo)
         killed = False
     except (Gone, OSError, HTTPException):
+        if not killer.finished.is_set():  # it is none of our doing
+            raise
         killed = True
     finally:
         killer.cancel()
