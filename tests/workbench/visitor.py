@@ -47,7 +47,11 @@ class Visitor:
         return await websocket_connect(request, subprotocols=["bokeh", token])
 
     def close(self) -> None:
-        self._socket.close()
+        async def end() -> None:
+            self._socket.close()
+            await asyncio.sleep(0.1)  # in which it says so to the server
+
+        self._runner.run(end())
         self._runner.close()
 
     def _send(self, kind: str, content: Mapping[str, Any]) -> str:
