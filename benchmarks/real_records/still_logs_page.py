@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bayescal._core.formatting import number
 from benchmarks.markdown import table
+from benchmarks.real_records.still_log_sources import StillLog
 from benchmarks.record import DOCS
-
-if TYPE_CHECKING:  # that module renders this page
-    from benchmarks.real_records.still_logs import StillLog
 
 HEAD = """\
 # Still logs of others
