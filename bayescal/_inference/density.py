@@ -383,7 +383,8 @@ def _pay(products: Products, polynomials: Polynomials, proposals: int) -> bool:
     """Whether products as polynomials of a usual degree cost less than so many passes over the readings."""
     # In numbers multiplied: to compute products at the points and use them, or to whiten and multiply each time.
     assembly, n, width = products.assembly, products.size, products.width
-    if assembly.corrected or len(assembly.row_sd):  # each is computed by itself
+    # Each is then computed by itself, or the output linearised anew for it.
+    if assembly.corrected or len(assembly.row_sd) or not assembly.affine:
         return True
     points, terms = len(polynomials.points), polynomials.count
     fitting = points * (A_CALL + PASS * n * width)

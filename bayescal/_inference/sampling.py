@@ -27,6 +27,7 @@ from bayescal._inference.gaussian import Drawn, Gram, draw
 from bayescal._inference.joint import FREEDOM, draw_joint, linearise_draws, normal_numbers
 from bayescal._inference.mode import Mode, find_mode
 from bayescal._inference.noise_on_record import grams
+from bayescal._inference.products import Products
 from bayescal._inference.trust import sampling
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 
@@ -148,8 +149,17 @@ class ManyPhi:
         prior = self.assembly.log_priors(v)
         if self.products is None:
             found = self._by_readings(v, normal)
-            return _sum(found.log_marginal, prior), found
-        products, held = self.products, len(self.products.at) - self.assembly.size
+            total = _sum(found.log_marginal, prior)
+        else:
+            total, found = self._by_products(self.products, v, normal, prior)
+        if total[best := int(np.argmax(total))] > self.highest:
+            self.highest, self.top = float(total[best]), v[best]
+        return total, found
+
+    def _by_products(
+        self, products: Products, v: Float[np.ndarray, "b d"], normal: np.ndarray, prior: np.ndarray
+    ) -> tuple[np.ndarray, Drawn]:
+        held = len(products.at) - self.assembly.size
         hyper = self.assembly.hyper(v.T)
         with_held = np.pad(normal, [(0, 0), (0, held)])
         own = products.prior(self.assembly.prior(hyper, self.mode.flat, (len(v),)))
@@ -165,8 +175,6 @@ class ManyPhi:
             for all_of_it, new in zip(found, exact, strict=True):
                 all_of_it[beyond] = new
             total = _sum(found.log_marginal, prior)
-        if total[best := int(np.argmax(total))] > self.highest:
-            self.highest, self.top = float(total[best]), v[best]
         return total, found
 
     def inside(self, v: Float[np.ndarray, "b d"]) -> np.ndarray:

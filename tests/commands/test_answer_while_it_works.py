@@ -20,14 +20,14 @@ def interrupted(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """The walk as if Ctrl-C were pressed after its first look around; the seeds that each walk was given."""
     real, given = search_module.walk, []
 
-    def walk(library, max_effects, follow, seeds):
+    def walk(library, max_effects, follow, seeds, last):
         given.append(list(seeds))
 
         def once(structures):
             follow(structures)
             raise KeyboardInterrupt
 
-        return real(library, max_effects, once, seeds)
+        return real(library, max_effects, once, seeds, last)
 
     monkeypatch.setattr(search_module, "walk", walk)
     return given
