@@ -317,8 +317,8 @@ class Loop:
         left = [e.name for e in self.given if e.name not in c.model.names]
         if not left:
             return step
-        each = ", ".join(f"{n} ({probability(known.get(n))})" for n in left)
-        note = f"Of the model given, not in the one to use, with the probability to be missing: {each}."
+        each = ", ".join(f"{n} (probability {probability(known.get(n))})" for n in left)
+        note = f"Weighed anew and left out of the model given: {each}."
         return replace(step, calibration=c.with_verdict(notes=(*c.verdict.notes, note)))
 
     def sampled(self, step: Step, start: Mapping[str, float] = NOTHING_KNOWN) -> Step:
