@@ -88,6 +88,11 @@ def rate_window(step: np.ndarray) -> float:
     return max(RATE_WINDOW, float(np.median(steps)) if steps.size else 0.0)
 
 
+def silence(step: np.ndarray) -> float:
+    """Time without a reading, s, beyond which it is not known how a quantity went from one to the next."""
+    return recording().silence * rate_window(step)
+
+
 def causal_slope(
     time: np.ndarray, values: np.ndarray, order: np.ndarray, step: np.ndarray
 ) -> np.ndarray:
@@ -107,7 +112,7 @@ def causal_slope(
     of_t, of_y, of_tt, of_ty = _window_sums(t, y, first)
     count = here - first + 1
     scatter = of_tt - of_t**2 / count
-    known = (first < here) & (scatter > 0) & (t - t[first] <= recording().silence * window)
+    known = (first < here) & (scatter > 0) & (t - t[first] <= silence(step) * (1 + 1e-9))
     slopes = np.zeros_like(y)
     slopes[order[known]] = (of_ty - of_t * of_y / count)[known] / scatter[known]
     return slopes

@@ -366,11 +366,8 @@ def weighted_draws(
     """
     # Further draws have random numbers of their own: the same ones again would tell nothing.
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
-    density, share, above = (
-        ManyPhi(assembly, mode, proposals),
-        _prior_share(assembly),
-        sampling().higher,
-    )
+    density = ManyPhi(assembly, mode, proposals)
+    share, above = _prior_share(assembly), sampling().higher
     heavy = heavy or not assembly.noise.gaussian
     known = None if earlier is None else earlier.rounds
     while True:

@@ -20,13 +20,12 @@ from bayescal._core.errors import ModelError
 from bayescal._core.jax_setup import configure_jax
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
-from bayescal._data.record_settings import recording
 from bayescal._data.time_in_runs import (
     causal_slope,
     first_times,
-    rate_window,
     run_codes,
     sequence,
+    silence,
 )
 
 configure_jax()
@@ -309,7 +308,7 @@ def build_frame(
         order=np.asarray(order, dtype=np.int32),
         step=np.asarray(step),
         record=dict(columns),
-        silence=np.asarray(recording().silence * rate_window(step)),
+        silence=np.asarray(silence(step)),
     )
 
 

@@ -93,8 +93,8 @@ def calibrate(
     Args:
         model: to begin with. What it has beside the instrument's baseline is where the search begins, and weighed anew
             with all else, so that every model on the way leads to one end. What stays: effects that are no candidates
-            of the instrument, that these readings cannot test, or of which an unknown is fixed; and all named ones
-            of a model that lacks a part of the baseline, or where `max_effects` is 0.
+            of the instrument, that these readings cannot test, or of which an unknown is fixed; all named ones of a
+            model that lacks a part of the baseline; and all where `max_effects` is 0.
         readings: to fit.
         holdout: hold-out data: read after the last step, and never used to choose an effect.
         effects: further candidates of the user's own.
@@ -167,8 +167,10 @@ class Loop:
         hide rivals that the same search finds from the baseline.
         """
         before = time.monotonic()
-        departed = [e.name for e in model.effects if isinstance(e, Departure)]
-        given = [e for e in model.effects if self._weighed_anew(e, model)]
+        # Where nothing is looked for, nothing is weighed.
+        looked_at = model.effects if self.max_effects > 0 else ()
+        departed = [e.name for e in looked_at if isinstance(e, Departure)]
+        given = [e for e in looked_at if self._weighed_anew(e, model)]
         model = reduce(sub, [*departed, *given], model)
         first = self.step(model, method=self.quick(model))
         now = time.monotonic()
@@ -180,7 +182,7 @@ class Loop:
         instrument, readings = model.instrument, self.readings
         if effect.is_placeholder:
             return effect.name in {e.name for e in placeholders(model, readings)}
-        on_the_way = self.max_effects > 0 and {e.name for e in instrument.effects} <= {*model.names}
+        on_the_way = {e.name for e in instrument.effects} <= {*model.names}
         catalogued = {e.name for e in instrument.candidates} - {e.name for e in instrument.effects}
         free = (model - effect).fixed == model.fixed
         testable_here = testable(effect, readings) is None

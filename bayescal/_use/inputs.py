@@ -65,20 +65,14 @@ def input_of(
     described = partial(Input, name, low=float(values.min()), high=float(values.max()))
     silence = float(calibration.frame.silence)
     for lag in equation.lags:
+        of_lag = partial(described, column=lag.column, tau=lag.tau, silence=silence)
         if lag.name == name:
             meaning = (
                 f"lag of {lag.column} behind the thermometer, L, 0 at the start; dt after the last "
                 f"reading, x = dt/{lag.tau!r} s: L = exp(-x)*L + expm1(-x)/x*(change of {lag.column}), "
                 f"or exp(-x)*(L - change) where dt is longer than {silence:g} s"
             )
-            return described(
-                unit="delta_degC",
-                meaning=meaning,
-                kind="lag",
-                column=lag.column,
-                tau=lag.tau,
-                silence=silence,
-            )
+            return of_lag(unit="delta_degC", meaning=meaning, kind="lag")
         if name == lag.slope:
             meaning = (
                 f"change of {lag.name} by its time {lag.tau!r} s, which carries the uncertainty of that (0 leaves it "
@@ -86,14 +80,7 @@ def input_of(
                 f"M = exp(-x)*(M + x*L/{lag.tau!r}) + (exp(-x) + expm1(-x)/x)*(change of {lag.column})/{lag.tau!r}, "
                 f"or exp(-x)*(M + x*(L - change)/{lag.tau!r}) where dt is longer than {silence:g} s"
             )
-            return described(
-                unit="delta_degC/s",
-                meaning=meaning,
-                kind="lag slope",
-                column=lag.column,
-                tau=lag.tau,
-                silence=silence,
-            )
+            return of_lag(unit="delta_degC/s", meaning=meaning, kind="lag slope")
     if name not in equation.known:
         column = name.removesuffix("_rate")
         meaning = (

@@ -60,6 +60,12 @@ def test_what_a_user_states_of_a_model_stays(stated: str) -> None:
     assert "bias.temperature_cubic" in found.steps[0].calibration.model.names
 
 
+def test_where_nothing_is_sought_what_has_no_name_stays_too() -> None:
+    readings, model = mems_gyro.simulate(seed=33), INSTRUMENT.baseline() + "unknown(time)"
+    found = bc.calibrate(model, readings, method=bc.LeastSquares(), max_effects=0)
+    assert [s.calibration.model.names for s in found.steps] == [model.names]
+
+
 def test_its_amplitude_is_the_size_that_is_reported(trail: bc.SearchPath) -> None:
     first = trail.steps[0].discovery
     assert first is not None
