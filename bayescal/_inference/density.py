@@ -334,7 +334,7 @@ def noise_slopes(
 
 
 def about(
-    density: Density, v: np.ndarray, covariance: np.ndarray, close: float, proposals: int
+    density: Density, v: np.ndarray, covariance: np.ndarray, close: float, proposals: float
 ) -> Products | None:
     """Products as polynomials along the outer axes, good where a Gaussian fit of φ has its draws; None where none are.
 
@@ -362,16 +362,17 @@ def about(
     if not _pay(products, Polynomials(coordinates, DEGREES[dim][-2]), proposals):
         return None
     there = np.array([density.at(one)[0] for one in tried])
-    best, found, rows = ENOUGH, None, list[np.ndarray]()
+    best, apart, found, rows = ENOUGH, math.inf, None, list[np.ndarray]()
     for degree in DEGREES[dim]:
         polynomials = Polynomials(coordinates, degree)
         rows += [products.row(c) for c in polynomials.points[len(rows) :]]
         products.refit(polynomials, np.array(rows))
         here = [_log_density(products, density.flat, one) for one in tried]
-        apart = float(np.max(np.abs(here - there)))
+        before, apart = apart, float(np.max(np.abs(here - there)))
         if apart < best:
             best, found = apart, (polynomials, len(rows))
-        if best < close:
+        # What a higher degree does not describe better is no polynomial there.
+        if best < close or apart >= before:
             break
     if found is None:
         return None
@@ -379,7 +380,7 @@ def about(
     return products
 
 
-def _pay(products: Products, polynomials: Polynomials, proposals: int) -> bool:
+def _pay(products: Products, polynomials: Polynomials, proposals: float) -> bool:
     """Whether products as polynomials of a usual degree cost less than so many passes over the readings."""
     # In numbers multiplied: to compute products at the points and use them, or to whiten and multiply each time.
     assembly, n, width = products.assembly, products.size, products.width

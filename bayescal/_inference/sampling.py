@@ -51,7 +51,8 @@ TABLES = 2_000_000  # numbers in tables of the readings that are computed at onc
 LONG = 1000  # readings, from which on a pass over them costs
 CLOSE = 0.03  # log density, within which polynomials are good,
 CLOSER = 0.001  # and of a long record, where a draw's own correction costs more than many products
-PROPOSALS, FEWER, FEWEST = 8192, 4096, 2048  # by what each costs
+PROPOSALS, FEWER, FEWEST = 8192, 4096, 2048  # by what each costs,
+OF_A_PART = 128  # and at least where a structure is part of an average
 
 
 class WeightedDraws(NamedTuple):
@@ -129,14 +130,14 @@ class ManyPhi:
         exact: whether the closed form is that of φ itself.
     """
 
-    def __init__(self, assembly: Assembly, mode: Mode, proposals: int | None = None) -> None:
+    def __init__(self, assembly: Assembly, mode: Mode, proposals: float | None = None) -> None:
         self.assembly, self.mode, self.size = assembly, mode, assembly.record.size
         self.density = Density(assembly, mode.point, mode.flat, mode.v)
         self.products = self.density.products
         if self.products is None and assembly.noise.gaussian:
             close = CLOSE if self.size <= LONG else CLOSER
-            count = FEWER if proposals is None else proposals
-            self.products = about(self.density, mode.v, mode.covariance, close, count)
+            expected = FEWER if proposals is None else proposals
+            self.products = about(self.density, mode.v, mode.covariance, close, expected)
         self.polynomial = self.products is not None and self.products.outer is not None
         self.exact = assembly.noise.gaussian and not self.polynomial
         self.together = max(16, NUMBERS // (assembly.size + 1) ** 2)
@@ -348,6 +349,7 @@ def weighted_draws(
     rounds: int,
     heavy: bool = False,
     earlier: WeightedDraws | None = None,
+    part: float = 1.0,
 ) -> WeightedDraws:
     """Adapt, then sample. The same numbers for the same seed.
 
@@ -360,18 +362,21 @@ def weighted_draws(
         rounds: of adaptation at most.
         heavy: whether coefficients are proposed with the tails of Student-t; always where the noise is not Gaussian.
         earlier: draws that were too few: those made now join them.
+        part: of an average that the structure is: its proposals are that part of what they would be, so that the
+            average has as many as one structure alone.
 
     Raises:
         TimeIsUp: the deadline came first.
     """
     # Further draws have random numbers of their own: the same ones again would tell nothing.
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
-    density = ManyPhi(assembly, mode, proposals)
+    expected = part * FEWER if proposals is None else proposals
+    density = ManyPhi(assembly, mode, expected)
     share, above = _prior_share(assembly), sampling().higher
     heavy = heavy or not assembly.noise.gaussian
     known = None if earlier is None else earlier.rounds
     while True:
-        count = proposals_of(density) if proposals is None else proposals
+        count = proposals or max(OF_A_PART, round(part * proposals_of(density)))
         higher = float(density.mode.log_density) + above
         pool = Rounds(share) if known is None else known
         _fill(pool, density, random, count, rounds, heavy, higher)
@@ -385,7 +390,7 @@ def weighted_draws(
         # proposed: the climb may have ended on a lower one, and begins anew there.
         mode = find_mode(assembly, [start], point=density.mode.point)
         if mode.log_density > higher:
-            density, known = ManyPhi(assembly, mode, proposals), None
+            density, known = ManyPhi(assembly, mode, expected), None
         elif found is not None:
             return found
         else:  # higher in the linear form about the old mode alone

@@ -33,8 +33,7 @@ from bayescal._search.posterior import Posterior
 from bayescal._search.structures import Structure, Structures, Weighed
 
 COUNT = 4000  # draws in all
-PROPOSALS = 128, 4096  # for each structure's, at least and at most
-ROUNDS = 12  # of adaptation at most
+ROUNDS = 6  # of adaptation at most
 ABSENT = (
     -30.0
 )  # coordinate of a between-group standard deviation that is not there: 1e-13 of its scale
@@ -81,7 +80,7 @@ def averaged(
                 models.append(last.model)
                 continue
             weighed = structures.weigh(Structure(frozenset(share.effects), noise))
-            parts.append(_drawn(weighed, count, seed))
+            parts.append(_drawn(weighed, count, share.probability, seed))
             models.append(weighed.sized_model)
     model = _union(structures, models)
     return _together(last, model, parts, shares), shares
@@ -102,11 +101,12 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
     return tuple(StructureShare(tuple(sorted(e)), kept[e] / total) for e in order)
 
 
-def _drawn(weighed: Weighed, count: int, seed: int) -> _Values:
+def _drawn(weighed: Weighed, count: int, probability: float, seed: int) -> _Values:
     """Draws of a structure about its mode, by importance sampling."""
-    # Four proposals for each draw that is kept: resampling then repeats few of them.
-    proposals = int(np.clip(4 * count, *PROPOSALS))
-    found = weighted_draws(weighed.assembly, weighed.mode, seed, proposals, ROUNDS)
+    # All structures together have as many proposals as one alone: the average is as well known as that would be.
+    found = weighted_draws(
+        weighed.assembly, weighed.mode, seed, None, ROUNDS, part=probability
+    )
     weights, _ = smoothed(found.log_weight)
     pick = resample(weights, count, seed)
     return _by_name(weighed.assembly.layout, found.x[pick], found.rows[pick], found.v[pick])
