@@ -53,6 +53,7 @@ CLOSE = 0.03  # log density, within which polynomials are good,
 CLOSER = 0.001  # and of a long record, where a draw's own correction costs more than many products
 PROPOSALS, FEWER, FEWEST = 8192, 4096, 2048  # by what each costs,
 OF_A_PART = 128  # and at least where a structure is part of an average
+LARGE = 0.1  # of an average, from which on uneven weights of a structure are worth another climb
 
 
 class WeightedDraws(NamedTuple):
@@ -383,7 +384,8 @@ def weighted_draws(
         found, start = None, density.top
         if density.highest <= higher:
             found = pool.drawn(density.mode)
-            if not smoothed(found.log_weight)[1] > sampling().k_hat:
+            # A climb costs what all draws of a small part cost.
+            if part < LARGE or not smoothed(found.log_weight)[1] > sampling().k_hat:
                 return found
             start = found.v[int(np.argmax(found.log_weight_phi))]
         # No draw of a posterior lies above its mode, and one that counts for many more is on a hill that is not

@@ -60,12 +60,14 @@ def walk(
                 # Effect by effect, as the walk would: from the root at once its shapes may end at a lower maximum.
                 path(library, later)
             # A structure that overtakes the others joins the beam when its turn comes: `_next` sorts anew each time.
-            while fresh := _next(structures, looked):
+            # Finer laws come last: on what a missing effect leaves, each would be fitted for nothing.
+            while (fresh := _next(structures, looked)) or _refine(structures, end):
                 if end.over:
                     return ended_early(end, begun)
-                looked.add(fresh.structure)
-                _look_around(library, fresh, max_effects, end)
-                follow(structures)
+                if fresh:
+                    looked.add(fresh.structure)
+                    _look_around(library, fresh, max_effects, end)
+                    follow(structures)
     except KeyboardInterrupt:
         if not structures.visited:
             raise
@@ -145,7 +147,7 @@ def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline)
             structures.expect(other, rough)
     if not math.isfinite(at.total):
         return
-    changes = [*_changes_of_noise(structures, at), *_finer_laws(structures, at)]
+    changes = [*_changes_of_noise(structures, at)]
     moves = [*_moves(View(library, at), max_effects)]
     for move in (*moves, *changes):
         structures.expect(move.to, move.total)
@@ -158,6 +160,10 @@ def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline)
         near = move.total > structures.best.total - searching().near
         if (i < searching().refitted[0] or near) and not end.over:
             structures.weigh(move.to, at, move.hints)
+    # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
+    for name in () if structures.noise(here).independent else sorted(here.effects):
+        if not end.over:
+            structures.weigh(here.minus(name), at)
 
 
 def correlated_laws(structures: Structures) -> list[str]:
@@ -165,17 +171,29 @@ def correlated_laws(structures: Structures) -> list[str]:
     return [n for n, law in structures.laws.items() if not law.independent and not law.refines]
 
 
+def _refine(structures: Structures, end: Deadline) -> bool:
+    """Weigh finer noise laws beside the effects of the best structure; whether any was left to weigh."""
+    at = structures.best
+    moves = [*_finer_laws(structures, at)]
+    for move in moves:
+        structures.expect(move.to, move.total)
+    moves = [m for m in moves if m.total > at.total and m.to not in structures.visited]
+    for move in sorted(moves, key=lambda m: -m.total)[: searching().refitted[1]]:
+        if not end.over:
+            structures.weigh(move.to, at, move.hints)
+    return bool(moves)
+
+
 def _finer_laws(structures: Structures, at: Weighed) -> Iterator[Move]:
     """Finer forms of the correlated law that a structure is under, by what they gain on the residuals under it.
 
-    None where the noise is as probably not correlated at all, or another structure is the best so far: what is left
-    under that one is looked at.
+    None where the noise is as probably not correlated at all.
     """
     here, plain = structures.noise(at.structure), structures.visited.get(at.structure.under(""))
     family = here.refines or here.name
     finer = [n for n, law in structures.laws.items() if law.refines == family and n != here.name]
     correlated = not here.independent and (plain is None or at.total > plain.total)
-    if not (correlated and finer and at is structures.best):
+    if not (correlated and finer and math.isfinite(at.total)):
         return
     # Evidence of either law on the residuals alone: what both leave out, the coefficients' volume, is nearly the
     # same.
