@@ -104,9 +104,7 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
 def _drawn(weighed: Weighed, count: int, probability: float, seed: int) -> _Values:
     """Draws of a structure about its mode, by importance sampling."""
     # All structures together have as many proposals as one alone: the average is as well known as that would be.
-    found = weighted_draws(
-        weighed.assembly, weighed.mode, seed, None, ROUNDS, part=probability
-    )
+    found = weighted_draws(weighed.assembly, weighed.mode, seed, None, ROUNDS, part=probability)
     weights, _ = smoothed(found.log_weight)
     pick = resample(weights, count, seed)
     return _by_name(weighed.assembly.layout, found.x[pick], found.rows[pick], found.v[pick])

@@ -161,9 +161,10 @@ def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline)
         if (i < searching().refitted[0] or near) and not end.over:
             structures.weigh(move.to, at, move.hints)
     # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
-    for name in () if structures.noise(here).independent else sorted(here.effects):
-        if not end.over:
-            structures.weigh(here.minus(name), at)
+    if at is structures.best and not structures.noise(here).independent:
+        for name in sorted(here.effects):
+            if not end.over:
+                structures.weigh(here.minus(name), at)
 
 
 def correlated_laws(structures: Structures) -> list[str]:
