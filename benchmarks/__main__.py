@@ -24,6 +24,7 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "samplers": "speed.samplers.rows",
     "hidden_effects": "hidden_effects.measurement",
     "triads": "hidden_effects.triads",
+    "under_noise": "hidden_effects.under_noise",
     "units": "hidden_effects.units",
     "holdout": "wrong_model.holdout",
     "one_profile": "wrong_model.one_profile",
