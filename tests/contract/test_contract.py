@@ -143,7 +143,7 @@ def test_every_slot_is_linear_in_its_coefficients(case: Case) -> None:
 
     def eavesdrop(slots, frame):
         responded.update({name: np.asarray(value) for name, value in slots.items()})
-        return case.instrument.response(slots, frame)
+        return jnp.zeros(frame.size)
 
     fields = {n: getattr(case.instrument, n) for n in case.instrument.__dataclass_fields__}
     heard = bc.Instrument(**{**fields, "response": eavesdrop})
