@@ -80,12 +80,10 @@ def test_the_report_states_device_place_people_conditions_standards_and_dates(
     for said in (
         *("2026-0117", "2026-11-24", "2026-11-20", "six-axis unit &lt;IMU&gt;", "A &amp; B"),
         *("4711", "chamber 3", "R. Weiss", "M. Kern", "C. Ltd", "(23.0 ± 0.5) °C"),
-        *("platinum thermometer", "PTB-2025-33", "levelled table"),
+        *("platinum thermometer", "PTB-2025-33", "levelled table", "Certificate data"),
     ):
         assert said in text, said
-    plain = tmp_path / "plain.html"
-    run("report", saved, "--out", plain)
-    assert "certificate of" not in plain.read_text("utf-8")
+    assert "certificate of" in text
 
 
 @pytest.mark.parametrize(
@@ -134,7 +132,7 @@ def test_one_identity_and_one_hash_of_the_readings_in_every_artefact(
     assert identity != readings
     assert exported["about"]["calibration"] == identity
     assert exported["about"]["sources"] == [["arrays (hash of their values)", readings]]
-    assert identity in page and readings in page
+    assert identity in page and readings in page and "Certificate data" not in page
     assert set(re.findall(r"\b[0-9a-f]{64}\b", page)) == {identity, readings}
     loaded = bc.load(saved)
     again = bc.compensator(loaded).export(tmp_path / "again.h").read_text()
