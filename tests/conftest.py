@@ -45,6 +45,14 @@ def compiled_programs_go() -> Iterator[None]:
 
 
 @pytest.fixture
+def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures of reports are made and not painted, a third of their time: for what `deliver/test_report.py` is not."""
+    from bayescal._report import figures
+
+    monkeypatch.setattr(figures, "as_svg", lambda _: '<svg viewBox="0 0 1 1"></svg>')
+
+
+@pytest.fixture
 def key() -> jax.Array:
     """A JAX random key, the same in every test and every run."""
     import jax

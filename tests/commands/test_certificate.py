@@ -68,6 +68,7 @@ def saved(calibration, tmp_path):
     return path
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_report_states_device_place_people_conditions_standards_and_dates(
     saved, tmp_path
 ) -> None:
@@ -121,6 +122,7 @@ def test_what_a_certificate_cannot_state_is_refused_before_anything_is_loaded(
         read_certificate(stated)
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_one_identity_and_one_hash_of_the_readings_in_every_artefact(
     calibration, saved, tmp_path
 ) -> None:

@@ -65,6 +65,7 @@ def test_a_curve_is_one_line(found) -> None:
 
 
 @needs_installation
+@pytest.mark.usefixtures("unpainted")
 def test_what_was_left_out_is_said_at_the_end(tmp_path) -> None:
     readings = mems_gyro.INSTRUMENT.simulate({}, seed=3)
     table = readings.to_pandas()
