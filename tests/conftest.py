@@ -47,9 +47,9 @@ def compiled_programs_go() -> Iterator[None]:
 @pytest.fixture
 def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures of reports are made and not painted, a third of their time: for what `deliver/test_report.py` is not."""
-    from bayescal._report import figures
+    from tests.support.reported import unpaint
 
-    monkeypatch.setattr(figures, "as_svg", lambda _: '<svg viewBox="0 0 1 1"></svg>')
+    unpaint(monkeypatch)
 
 
 @pytest.fixture

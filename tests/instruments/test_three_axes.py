@@ -319,8 +319,9 @@ def test_a_corrected_vector_is_what_acts_within_its_uncertainty() -> None:
     assert np.max(np.abs(np.sin(roll - np.arctan2(force[:, 1], force[:, 2]))) / sd) < 5
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_result_holds_the_matrix_and_the_report_the_sphere(tmp_path: Path) -> None:
-    from bayescal._report.plot_sphere import residuals_on_sphere
+    from bayescal._report.plot_sphere import residuals_on_sphere, sphere
     from bayescal._report.result_json import vector_data
 
     calibration = thermal()
@@ -333,6 +334,7 @@ def test_the_result_holds_the_matrix_and_the_report_the_sphere(tmp_path: Path) -
     direction, residual = residuals_on_sphere(calibration)
     assert np.allclose(np.linalg.norm(direction, axis=1), 1.0)
     assert 0.7 < residual.std() < 1.1
+    sphere(calibration).canvas.draw()
     text = bc.report(calibration, tmp_path / "report.html").read_text("utf-8")
     assert "matrix xy" in text
     assert "Residuals of the magnitude along the sphere of poses" in text
