@@ -250,7 +250,7 @@ def test_compiled_programs_are_dropped_before_the_memory_maps_run_out(monkeypatc
     def maps() -> int:
         return len(Path("/proc/self/maps").read_text("ascii").splitlines())
 
-    for i in range(12):
+    for i in range(24):
         jax.jit(lambda x, i=i: jnp.sin(x + i) @ x)(jnp.ones(3 + i))
     held = maps()
     jax_setup.spare_memory_maps()
