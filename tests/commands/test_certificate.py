@@ -125,8 +125,9 @@ def test_what_a_certificate_cannot_state_is_refused_before_anything_is_loaded(
 def test_one_identity_and_one_hash_of_the_readings_in_every_artefact(
     calibration, saved, tmp_path
 ) -> None:
-    header = bc.compensator(calibration).export(tmp_path / "c.h").read_text()
-    exported = json.loads(bc.compensator(calibration).export(tmp_path / "c.json").read_text())
+    compensator = bc.compensator(calibration)
+    header = compensator.export(tmp_path / "c.h").read_text()
+    exported = json.loads(compensator.export(tmp_path / "c.json").read_text())
     page = bc.report(calibration, tmp_path / "r.html").read_text("utf-8")
     (identity,) = re.findall(r"Of the calibration (\w{64})", header)
     (readings,) = re.findall(r"Calibrated on .*SHA-256 (\w{64})", header)
