@@ -47,12 +47,18 @@ from bayescal_models.triad.equation import equation, higher_order, slots
 from bayescal_models.triad.experiments import experiments
 
 VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation)
+
+
+def _response(slots, r):
+    return VECTOR.response(slots, r)
+
+
 INSTRUMENT = bc.Instrument(
     name="accelerometer_triad",
     title="three accelerometers in poses at rest: bias, scale, misalignment",
     columns=COLUMNS,
     slots=(*slots("g", "force"), *higher_order("g")),
-    response=VECTOR.response,
+    response=_response,
     effects=(effects.CONSTANT, effects.FACTOR, effects.SHEAR),
     candidates=(
         effects.BIAS_TEMPERATURE,

@@ -36,12 +36,18 @@ from bayescal_models.triad.equation import equation, slots
 from bayescal_models.triad.experiments import experiments
 
 VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation)
+
+
+def _response(slots, r):
+    return VECTOR.response(slots, r)
+
+
 INSTRUMENT = bc.Instrument(
     name="magnetometer_triad",
     title="three magnetometers in a constant field: hard iron, soft iron",
     columns=COLUMNS,
     slots=slots("uT", "field"),
-    response=VECTOR.response,
+    response=_response,
     effects=(effects.CONSTANT, effects.FACTOR, effects.SHEAR),
     candidates=(
         effects.BIAS_TEMPERATURE,
