@@ -57,6 +57,12 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in text.splitlines()]
 
 
+def lines_of(kind: str) -> dict[str, list[dict[str, Any]]]:
+    """Rows of every `benchmarks/results/KIND_NAME.jsonl`, by that name."""
+    files = sorted(RESULTS.glob(f"{kind}_*.jsonl"))
+    return {path.stem.removeprefix(f"{kind}_"): read_lines(path) for path in files}
+
+
 def add_line(path: Path, row: dict[str, Any]) -> None:
     """Add a row to a file, so that a benchmark that is stopped goes on where it was."""
     path.parent.mkdir(exist_ok=True)

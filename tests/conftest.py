@@ -45,6 +45,14 @@ def compiled_programs_go() -> Iterator[None]:
 
 
 @pytest.fixture
+def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures of reports are made and not painted, a third of their time: for what `deliver/test_report.py` is not."""
+    from tests.support.reported import unpaint
+
+    unpaint(monkeypatch)
+
+
+@pytest.fixture
 def key() -> jax.Array:
     """A JAX random key, the same in every test and every run."""
     import jax

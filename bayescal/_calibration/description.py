@@ -17,7 +17,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._model.departure import Departure, departure
 from bayescal._model.effect import Effect
 from bayescal._model.formula import Formula, effect
-from bayescal._model.installed import installed_instruments
+from bayescal._model.installed import installed_instrument, installed_names
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
@@ -197,14 +197,14 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
     Raises:
         InputError: an instrument or effect is not there, or is another one than then; names it.
     """
-    known = {**installed_instruments(), **{i.name: i for i in instruments}}
-    name = described["instrument"]
-    if name not in known:
+    given, name = {i.name: i for i in instruments}, described["instrument"]
+    if name not in (known := list(dict.fromkeys([*installed_names(), *given]))):
         raise InputError(
             f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
             f"{', '.join(known)}). Install the package that offers it"
         )
-    instrument = _tailored(path, known[name], described["settings"], readings)
+    named = given[name] if name in given else installed_instrument(name)
+    instrument = _tailored(path, named, described["settings"], readings)
     typed = described.get("typed", {})
     made = {n: effect(text, readings=readings, instrument=instrument) for n, text in typed.items()}
     catalogue = {**_catalogue(instrument), **{e.name: e for e in effects}, **made}

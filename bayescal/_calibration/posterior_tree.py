@@ -16,6 +16,7 @@ from bayescal._model.prior import HalfCauchy, HalfNormal
 
 PRIOR_DRAWS = 1000
 STEP = 1e-3  # of a coordinate, for the slope of a prior's value
+TINY = float(np.finfo(float).tiny)
 
 
 def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTree:
@@ -106,6 +107,7 @@ def _weighted(
     def sd(*values: np.ndarray) -> np.ndarray:
         named = dict(zip(names, (v[..., None] for v in values), strict=True))
         made = effect.weights(**named)  # pyright: ignore[reportOptionalCall]
+        made = np.maximum(made, TINY)  # the last ones of a curve that hardly bends underflow
         return np.broadcast_to(made, (*np.shape(made)[:-1], len(effect.coefficients)))[
             ..., block.index
         ]

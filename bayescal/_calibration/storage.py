@@ -34,7 +34,7 @@ from bayescal._core.atomic_file import (
 )
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.json_shape import parsed_json
-from bayescal._core.netcdf_bytes import netcdf_bytes
+from bayescal._core.netcdf_bytes import netcdf_bytes, netcdf_tree
 from bayescal._data.column import NominalScale, Source
 from bayescal._data.measurements import Measurements
 from bayescal._inference.assembly import Point
@@ -103,11 +103,7 @@ def load_calibration(
 
         with h5py.File(content) as hdf5:
             refuse_hdf5(hdf5, path.name, content.getbuffer().nbytes)
-        with xr.open_datatree(content, engine="h5netcdf") as opened:
-            tree = opened.load()
-            for node in tree.subtree:  # `load` passes over a variable that is called as a group is
-                for variable in node.variables.values():
-                    variable.load()
+            tree = netcdf_tree(hdf5)
         if "posterior" in tree.children:
             posterior = renamed(tree["posterior"].to_dataset(), name_of_today)
             tree["posterior"] = xr.DataTree(posterior)
@@ -133,7 +129,15 @@ def _damage_in_words(path: Path) -> Iterator[None]:
     """A part that is not there or not as it should be: the file was changed after it was written."""
     try:
         yield
-    except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, OSError) as error:
+    except (
+        LookupError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        ArithmeticError,
+        OSError,
+        RuntimeError,
+    ) as error:
         said = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(
             f"{path.name} is damaged, or was changed after it was saved: {said}. {AGAIN}"

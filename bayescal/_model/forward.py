@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._model.frame import Frame
@@ -185,15 +186,25 @@ def mean(
 def slot_derivatives(
     layout: Layout, frame: Frame, values: Values, hyper: Values, slots: tuple[str, ...]
 ) -> dict[str, Float[Array, "n"]]:
-    """Derivative of the expected output by each of these slots, reading by reading."""
-    zero, one = jnp.zeros(frame.size), jnp.ones(frame.size)
+    """Derivative of the expected output by each of these slots, or columns, reading by reading."""
+    instrument, (zero, one) = layout.model.instrument, (jnp.zeros(frame.size), jnp.ones(frame.size))
+    filled, corrected, _ = compose(layout, frame, values, hyper, {})
 
-    def respond(push):
-        filled, corrected, _ = compose(layout, frame, values, hyper, push)
-        return layout.model.instrument.response(filled, corrected)
+    def by_column(name):
+        def respond(push):  # a column changes what the effects make of it too
+            return instrument.response(*compose(layout, frame, values, hyper, {name: push})[:2])
 
-    start = dict.fromkeys(slots, zero)
-    return {s: jax.jvp(respond, (start,), ({**start, s: one},))[1] for s in slots}
+        return jax.jvp(respond, (zero,), (one,))[1]
+
+    def respond(given):
+        return instrument.response(given, corrected)
+
+    if instrument.vector is not None:  # of thirty slots: back once, as in the fits
+        by_slot = jax.vjp(respond, filled)[1](one)[0]
+        return {s: by_slot[s] if s in filled else by_column(s) for s in slots}
+    _, forth = jax.linearize(respond, filled)  # traced once, not with each slot
+    still = dict.fromkeys(filled, zero)
+    return {s: forth({**still, s: one}) if s in filled else by_column(s) for s in slots}
 
 
 def linearise(
@@ -205,13 +216,20 @@ def linearise(
     output = layout.model.instrument.response(filled, corrected)
     terms = {b.name: column for b, column in columns}
     free = [b for b in layout.blocks if b.place in ("x", "row")]
-    slopes = slot_derivatives(layout, frame, values, hyper, tuple(sorted({b.slot for b in free})))
-    jacobian = {"x": [jnp.zeros((frame.size, 0))], "row": [jnp.zeros((frame.size, 0))]}
-    for b in free:
-        column = (slopes[b.slot] * terms[b.name])[:, None]
-        alone = b.coefficient.per in (None, "reading")
-        jacobian[b.place].append(column if alone else column * _members(b, frame))
-    return Linearised(output, *(jnp.concatenate(parts, 1) for parts in jacobian.values()))
+    slots = sorted({b.slot for b in free})
+    slopes = slot_derivatives(layout, frame, values, hyper, tuple(slots))
+    stacked = jnp.stack([slopes[s] for s in slots], 1) if slots else jnp.zeros((frame.size, 0))
+    jacobian = []
+    for place in ("x", "row"):
+        # Slopes are multiplied in all columns at once: in one after the other XLA compiles them into each.
+        parts, of = [jnp.zeros((frame.size, 0))], []
+        for b in (b for b in free if b.place == place):
+            column = terms[b.name][:, None]
+            alone = b.coefficient.per in (None, "reading")
+            parts.append(column if alone else column * _members(b, frame))
+            of += [slots.index(b.slot)] * parts[-1].shape[1]
+        jacobian.append(jnp.concatenate(parts, 1) * stacked[:, np.array(of, int)])
+    return Linearised(output, *jacobian)
 
 
 def log_likelihood(

@@ -65,4 +65,4 @@ def file_columns(name: str) -> FileColumns | None:
 
 def installed_instruments() -> dict[str, Instrument]:
     """Every installed instrument, by name."""
-    return {name: installed_instrument(name) for name in installed_names()}
+    return {e.name: e.load() for e in sorted(entry_points(group=GROUP), key=lambda e: e.name)}

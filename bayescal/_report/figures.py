@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 from markupsafe import Markup, escape
 from matplotlib import rc_context
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from bayescal._calibration.calibration import Calibration
@@ -166,7 +167,7 @@ def as_svg(figure: Figure) -> str:
         ax.patch.set_visible(False)
     out = io.StringIO()
     nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
-    figure.savefig(out, format="svg", metadata=nothing)
+    FigureCanvasSVG(figure).print_svg(out, metadata=nothing)  # `savefig` would draw it twice
     return out.getvalue()
 
 

@@ -26,7 +26,7 @@ from benchmarks.hidden_effects.bank import instrument_named
 from benchmarks.hidden_effects.resume import chosen, go_on
 from benchmarks.hidden_effects.searched import Searched, noise_of
 from benchmarks.intervals import proportion
-from benchmarks.record import RESULTS, read_lines, write
+from benchmarks.record import RESULTS, lines_of, read_lines, write
 
 CAMPAIGNS = 40  # of each kind for each instrument
 FIRST_SEED = 7000
@@ -41,8 +41,7 @@ def main() -> None:
 
 def summarise() -> None:
     """Write and print the table of the results that stand."""
-    files = sorted(RESULTS.glob("false_discoveries_*.jsonl"))
-    lines = {path.stem.removeprefix("false_discoveries_"): read_lines(path) for path in files}
+    lines = lines_of("false_discoveries")
     lines["all"] = [line for own in lines.values() for line in own]
     summary = {name: _summary(own) for name, own in lines.items()}
     write("false_discoveries", summary)

@@ -41,7 +41,7 @@ from benchmarks.hidden_effects.bank import (
 from benchmarks.hidden_effects.customary import SELECTIONS, select
 from benchmarks.hidden_effects.resume import chosen, go_on
 from benchmarks.hidden_effects.searched import Later, Searched
-from benchmarks.record import DOCS, RESULTS, ROOT, read, read_lines
+from benchmarks.record import DOCS, RESULTS, ROOT, lines_of, read, read_lines
 
 ENUMERATED = 8.0  # oracle from which the exact set is computed, by the evidence of every candidate,
 EVERY = 4  # in one of so many campaigns, for it takes as long as the search
@@ -58,8 +58,7 @@ def main() -> None:
 
 def render() -> None:
     """Render the page, and the bank in short in README.md, from the results that stand."""
-    files = sorted(RESULTS.glob("hidden_effects_*.jsonl"))
-    banks = {path.stem.removeprefix("hidden_effects_"): read_lines(path) for path in files}
+    banks = lines_of("hidden_effects")
     page.write(banks, read("false_discoveries"), DOCS / "hidden_effects.md")
     page.in_readme(banks, ROOT / "README.md")
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.hidden_effects.resume import chosen, go_on
-from benchmarks.record import DOCS, RESULTS, read_lines
+from benchmarks.record import DOCS, RESULTS, lines_of, read_lines
 from benchmarks.spoilt_records import page
 from benchmarks.spoilt_records.judge import judged
 from benchmarks.spoilt_records.kinds import KINDS, Kind
@@ -63,8 +63,7 @@ def beyond(row: dict[str, Any]) -> bool:
 
 def render() -> None:
     """Render the page from the results that stand."""
-    files = sorted(RESULTS.glob("gauntlet_*.jsonl"))
-    results = {path.stem.removeprefix("gauntlet_"): read_lines(path) for path in files}
+    results = lines_of("gauntlet")
     page.write(results, DOCS / "gauntlet.md")
 
 

@@ -101,13 +101,6 @@ def test_a_time_limit_ends_the_search_and_json_stays_json(folder: Path) -> None:
     assert done.data["search"]["ending"].startswith(done.data["search"]["stopped"])
 
 
-@pytest.mark.parametrize("seconds", ["0", "-3", "nan", "inf", "soon"])
-def test_a_time_limit_that_is_none_is_refused(seconds: str, folder: Path) -> None:
-    done = calibrate(folder, "--time-limit", seconds)
-    assert done.status == 2
-    assert "--time-limit" in done.err
-
-
 def test_the_end_says_why(folder: Path) -> None:
     nothing = run("calibrate", TABLE, *GYRO, *QUICK, "--json").data["search"]["ending"]
     assert "below the 0.95 asked for" in nothing

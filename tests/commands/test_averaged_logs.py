@@ -59,17 +59,3 @@ def test_averaging_is_proposed_where_a_log_is_long(tmp_path: Path, log: Path) ->
     proposed = "long.csv: 25,000 readings: --average 1s would leave about 2,500 with nearly the"
     assert proposed in long.err
     assert "--average" not in run("fit", log, *STILL, *QUICK).err
-
-
-@pytest.mark.parametrize(
-    ("time", "words"),
-    [
-        ("1m", "'1m' is no time to average over: write a positive number with a unit of time"),
-        ("50ms", "no two readings with the same labels and settings lie within 0.05 s"),
-        ("1day", "a mean over 86400 s is one of all 6000 readings: give a shorter time"),
-    ],
-)
-def test_a_time_that_cannot_be_is_refused(log: Path, time: str, words: str) -> None:
-    refused = run("fit", log, *STILL, *QUICK, "--average", time)
-    assert refused.status == 2
-    assert words in refused.err

@@ -39,6 +39,7 @@ def test_a_fit_that_did_not_converge_leaves_with_1_and_its_result(
     assert (tmp_path / "calibration.nc").is_file()
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_what_a_gate_found_stays_with_the_result_wherever_it_is_taken(tmp_path: Path) -> None:
     done = run("calibrate", TABLE, *GYRO, *QUICK, *PRINTED_LINE, "--out", tmp_path, "--json")
     assert done.status == 1 and done.data["gate"]["ok"] is False

@@ -26,6 +26,7 @@ def cell(text: str, row: str) -> tuple[float, str]:
     return float(found[1].replace("−", "-")), found[2]
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_a_gyroscope_in_millivolts_reads_the_same_numbers_in_both_units(tmp_path: Path) -> None:
     readings = mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(average=300, runs=2))
     raw = readings.data.assign(output=readings.data["output"] * GAIN)

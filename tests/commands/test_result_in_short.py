@@ -9,7 +9,7 @@ import bayescal as bc
 from bayescal._cli.output import loop_text
 from bayescal._core.formatting import interval, with_error
 from bayescal_models import mems_gyro
-from tests.support.command_line import GYRO, needs_installation, run
+from tests.support.command_line import GYRO, QUICK, needs_installation, run
 
 CAMPAIGNS = {  # instrument, what is hidden, what must be said, what must not
     "a lag": (mems_gyro, {"bias.thermal_lag": 0.05}, "The output follows the temperature with a lag of", "bends"),
@@ -28,7 +28,8 @@ def found():
         if name not in made:
             instrument, hidden, _, _ = CAMPAIGNS[name]
             readings, later = (instrument.INSTRUMENT.simulate(hidden, seed=s) for s in (11, 12))
-            made[name] = bc.calibrate(instrument.INSTRUMENT.baseline(), readings, holdout=later)
+            baseline, how = instrument.INSTRUMENT.baseline(), bc.LeastSquares()
+            made[name] = bc.calibrate(baseline, readings, holdout=later, method=how)
         return made[name]
 
     return of
@@ -64,13 +65,14 @@ def test_a_curve_is_one_line(found) -> None:
 
 
 @needs_installation
+@pytest.mark.usefixtures("unpainted")
 def test_what_was_left_out_is_said_at_the_end(tmp_path) -> None:
     readings = mems_gyro.INSTRUMENT.simulate({}, seed=3)
     table = readings.to_pandas()
     table.columns = [f"{c} [{u}]" if (u := readings.unit(c)) else c for c in readings.columns]
     table["supply"] = np.arange(len(table)) % 7
     table.to_csv(tmp_path / "lab.csv", index=False)
-    done = run("calibrate", tmp_path / "lab.csv", *GYRO, "--out", tmp_path / "out")
+    done = run("calibrate", tmp_path / "lab.csv", *GYRO, *QUICK, "--out", tmp_path / "out")
     short = " ".join(done.out.partition("IN SHORT")[2].split())
     assert done.status == 0 and "Not looked at: supply." in short, done.out
     assert "needs the column rate_input" in short

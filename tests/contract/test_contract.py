@@ -14,6 +14,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -139,27 +140,26 @@ FACTORS = {
 def test_every_slot_is_linear_in_its_coefficients(case: Case) -> None:
     # The slots' sums, computed here with one basis after the other, double and add with the coefficients.
     b = case.bound
-    responded: dict[str, np.ndarray] = {}
-
-    def eavesdrop(slots, frame):
-        responded.update({name: np.asarray(value) for name, value in slots.items()})
-        return case.instrument.response(slots, frame)
-
-    fields = {n: getattr(case.instrument, n) for n in case.instrument.__dataclass_fields__}
-    heard = bc.Instrument(**{**fields, "response": eavesdrop})
-    effects = [e for e in case.wide.effects if _feeds_slots(case, e)]
-    layout = type(b.layout)(bc.Model(heard, tuple(effects), case.wide.noise), b.layout.counts)
+    effects = tuple(e for e in case.wide.effects if _feeds_slots(case, e))
+    model = bc.Model(case.instrument, effects, case.wide.noise)
+    layout = type(b.layout)(model, b.layout.counts)
     hyper = forward.hyper_values(layout, jnp.zeros(len(layout.hypers)))
     x = forward.prior_sd(layout, hyper) * jnp.linspace(-1.0, 1.0, layout.size)
     rows = jnp.zeros((b.frame.size, len(layout.row_blocks)))
-    sums = []
-    for share in (1.0, 2.0):
-        forward.mean(layout, b.frame, share * x, rows, hyper)
-        sums.append(dict(responded))
+
+    @eqx.filter_jit
+    def slots_and_bases(frame, x):
+        values = forward.coefficients(layout, x, rows, hyper)
+        bases = {
+            e.name: e.evaluate(frame, {s.name: hyper[e.shape_name(s)] for s in e.shapes})
+            for e in effects
+        }
+        return forward.compose(layout, frame, values, hyper, {})[0], bases
+
+    (once, bases), (twice, _) = (slots_and_bases(b.frame, share * x) for share in (1.0, 2.0))
     expected = {slot.name: np.zeros(b.frame.size) for slot in case.instrument.slots}
     for block in (k for k in layout.blocks if k.place == "x"):
-        shapes = {s.name: hyper[block.effect.shape_name(s)] for s in block.effect.shapes}
-        basis = np.asarray(block.effect.evaluate(b.frame, shapes))[:, block.index]
+        basis = np.asarray(bases[block.effect.name])[:, block.index]
         values = np.asarray(x[block.start : block.start + block.size])
         per = block.coefficient.per
         codes = np.zeros(b.frame.size, int) if per is None else np.asarray(b.frame.codes[per])
@@ -168,8 +168,8 @@ def test_every_slot_is_linear_in_its_coefficients(case: Case) -> None:
         expected[block.slot] += basis * share * factor
     for slot, value in expected.items():
         scale = np.abs(value).max() + 1e-300
-        np.testing.assert_allclose(sums[0][slot] / scale, value / scale, atol=1e-9)
-        np.testing.assert_allclose(sums[1][slot] / scale, 2 * value / scale, atol=1e-9)
+        np.testing.assert_allclose(once[slot] / scale, value / scale, atol=1e-9)
+        np.testing.assert_allclose(twice[slot] / scale, 2 * value / scale, atol=1e-9)
 
 
 def _feeds_slots(case: Case, effect: bc.Effect) -> bool:

@@ -14,7 +14,7 @@ from bayescal._cli.saved import of_units
 from bayescal._report.section import of_folder
 from bayescal._report.whole_folder import channel_folders, whole_folder
 from bayescal_models import mems_gyro
-from tests.support.reported import Page, trail
+from tests.support.reported import trail
 
 NASTY = "</script><script>alert(1)</script><img src=x onerror=alert(2)> $\\frac{$ \"'"
 KEPT = ("schema", "instrument", "effects", "calibration", "sha256")  # by which the folder is known
@@ -109,8 +109,3 @@ def test_channels_that_lie_elsewhere_are_refused(tmp_path) -> None:
     (tmp_path / "channels.json").write_text("[" * 100_000)
     with pytest.raises(bc.InputError, match=r"channels\.json cannot be read"):
         of_units([tmp_path])
-
-
-def test_a_right_folder_is_reported(saved) -> None:
-    chapter = of_folder(saved, instruments=[mems_gyro.INSTRUMENT])
-    assert Page(bc.report(chapter, saved / "report.html"))

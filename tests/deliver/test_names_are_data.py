@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import bayescal as bc
@@ -147,6 +147,13 @@ BY_HAND = (
 MANY = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
+def of_any_name(test: Callable[..., None]) -> Callable[..., None]:
+    """A test of each name made up by hand, and of 60 that are drawn."""
+    for name in BY_HAND:
+        test = example(name=name)(test)
+    return MANY(given(name=TEXT)(test))
+
+
 def program_data(name: Callable[[str], str]) -> dict[str, Any]:
     """A compensator as JSON, reading = bias + (1 + scale)·s + 0.1·x, every text of which is what `name` makes of it."""
     unknown = {"unit": name("deg/s"), "mean": 0.5}
@@ -201,8 +208,13 @@ def tokens_of_c(text: str) -> str:
 
 
 @cache
+def plain_export(language: str) -> str:
+    return exported(lambda _: "plain", language)
+
+
+@cache
 def plain_tokens() -> str:
-    return tokens_of_c(exported(lambda _: "plain", "c"))
+    return tokens_of_c(plain_export("c"))
 
 
 def check_c(name: str) -> None:
@@ -212,28 +224,30 @@ def check_c(name: str) -> None:
     command = [COMPILER, *FLAGS, "-fsyntax-only", "-x", "c", "-"]
     made = subprocess.run(command, input=hostile.encode("ascii"), capture_output=True, check=False)
     assert made.returncode == 0, made.stderr.decode()
-    words = identifier(name), identifier(name, ("reading", "stimulus"))
-    plain = plain_tokens()
-    found = tokens_of_c(hostile)
-    assert found.count(";") == plain.count(";") and found.count("{") == plain.count("{"), words
+    plain, found = plain_tokens(), tokens_of_c(hostile)
+    assert found.count(";") == plain.count(";") and found.count("{") == plain.count("{")
+
+
+def shape_of(code: str | ast.AST) -> list[str]:
+    """Kinds of statements and expressions of a Python module, one after the other."""
+    tree = ast.parse(code) if isinstance(code, str) else code
+    return [type(node).__name__ for node in ast.walk(tree)]
 
 
 def check_python(name: str) -> None:
     """The module parses to the same statements whatever its texts say, and its strings are the names."""
     hostile = ast.parse(exported(lambda _: name, "python"))
-    plain = ast.parse(exported(lambda _: "plain", "python"))
-    shape = [type(node).__name__ for node in ast.walk(plain)]
-    assert [type(node).__name__ for node in ast.walk(hostile)] == shape
+    assert shape_of(hostile) == shape_of(plain_export("python"))
     strings = {n.value for n in ast.walk(hostile) if isinstance(n, ast.Constant)}
     assert name in strings
     space: dict[str, Any] = {}
-    exec(compile(exported(lambda _: name, "python"), "exported.py", "exec"), space)
+    exec(compile(hostile, "exported.py", "exec"), space)
     assert space["compensate"](4.0, 10.0)[0] == pytest.approx((4.0 - 1.0) / 1.5)
 
 
 def check_page(name: str) -> None:
     """The page has the same tags and the same scripts whatever its texts say."""
-    hostile, plain = exported(lambda _: name, "html"), exported(lambda _: "plain", "html")
+    hostile, plain = exported(lambda _: name, "html"), plain_export("html")
     assert Seen(hostile).tags == Seen(plain).tags
     scripts = re.compile(r"<script.*?</script>", re.DOTALL)
     assert scripts.findall(hostile) == scripts.findall(plain)
@@ -243,15 +257,8 @@ EXPORTS = [pytest.param(check_c, marks=needs_compiler), check_python, check_page
 
 
 @pytest.mark.parametrize("check", EXPORTS)
-@pytest.mark.parametrize("name", BY_HAND)
-def test_a_name_is_no_code_in_an_export(name, check) -> None:
-    check(name)
-
-
-@pytest.mark.parametrize("check", EXPORTS)
-@MANY
-@given(TEXT)
-def test_no_hostile_name_is_code_in_an_export(check, name) -> None:
+@of_any_name
+def test_a_name_is_no_code_in_an_export(check, name) -> None:
     check(name)
 
 
@@ -348,6 +355,11 @@ CHANGES: dict[str, Callable[[dict[str, Any]], object]] = {
     "needs 'humidity'": lambda d: d["equation"]["operations"].append(["input", "humidity"]),
     "more is not known": lambda d: d.update(more=1),
     "noise is missing": lambda d: d.pop("noise"),
+    "is no compensator": lambda d: d.update(schema="other"),
+    "of version 3, this bayescal reads 1 and 2": lambda d: d.update(version=3),
+    "is not known here: ['system', 0]": lambda d: d["equation"]["operations"].append(["system", 0]),
+    "is no operation of it": lambda d: d["equation"].update(slope=10**6),
+    "covariance": lambda d: d["covariance"].pop(),
 }
 
 
@@ -356,7 +368,7 @@ def test_a_hostile_export_is_refused_before_it_is_used(said, tmp_path) -> None:
     data, path = program_data(str), tmp_path / "made.json"
     CHANGES[said](data)
     path.write_text(json.dumps(data), "utf-8")
-    with pytest.raises(bc.InputError, match=r"made\.json is damaged: ") as error:
+    with pytest.raises(bc.InputError, match=r"made\.json is (damaged: |a |no )") as error:
         load_program(path)
     assert said in str(error.value)
 

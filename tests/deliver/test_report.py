@@ -200,10 +200,6 @@ def test_the_command_writes_it_or_nothing(folder: Path, tmp_path: Path) -> None:
     ran = run("report", folder, "-o", out)
     assert (ran.status, ran.out) == (0, f"written: {out}\n")
     assert f"Finding: {HIDDEN}" in " ".join(Page(out).text.split())
-    ran = run("report", folder / "nothing.nc", "-o", tmp_path / "other.html")
-    assert ran.status == 2
-    assert "There is no file" in ran.err
-    assert list(tmp_path.iterdir()) == [out]
 
 
 def test_a_folder_of_two_different_fits_is_refused(folder: Path, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import io
 import os
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -16,7 +17,7 @@ from bayescal import effects
 from bayescal._calibration import storage
 from bayescal._calibration.description import identity
 from bayescal._core.atomic_file import write_sealed
-from bayescal._core.netcdf_bytes import netcdf_bytes
+from bayescal._core.netcdf_bytes import netcdf_bytes, netcdf_tree
 from bayescal._model.parameters import bind
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.effects import THERMOMETER
@@ -225,7 +226,7 @@ def test_what_is_no_calibration_is_refused(tmp_path) -> None:
         bc.load(foreign)
 
 
-def test_what_is_written_is_what_xarray_itself_would_write() -> None:
+def test_what_is_written_and_read_is_what_xarray_itself_would_write_and_read() -> None:
     """Numbers, text and truth values, attributes, a dimension of size 0, one without values, groups in groups."""
     x, y = ("chain", "draw"), ("draw", "none")
     some = {"a": (x, np.arange(6.0).reshape(2, 3), {"units": "°/s"}), "b": (y, np.zeros((3, 0)))}
@@ -236,14 +237,16 @@ def test_what_is_written_is_what_xarray_itself_would_write() -> None:
         "/one/two": xr.Dataset(other | {"yes": ("k", np.array([True, False, True, True]))}),
     }
     tree = xr.DataTree.from_dict(found)
-    mine, theirs = (
-        xr.open_datatree(io.BytesIO(written), engine="h5netcdf").load()
-        for written in (netcdf_bytes(tree), tree.to_netcdf(engine="h5netcdf"))
-    )
-    xr.testing.assert_identical(mine, theirs)
-    for node in mine.subtree:
-        kinds = {n: v.dtype for n, v in theirs[node.path].variables.items()}
-        assert {n: v.dtype for n, v in node.variables.items()} == kinds
+    written = [io.BytesIO(w) for w in (netcdf_bytes(tree), tree.to_netcdf(engine="h5netcdf"))]
+    theirs, *others = (xr.open_datatree(w, engine="h5netcdf").load() for w in written)
+    for content in written:
+        with h5py.File(content) as file:
+            others.append(netcdf_tree(file))
+    for mine in others:
+        xr.testing.assert_identical(mine, theirs)
+        for node in mine.subtree:
+            kinds = {n: v.dtype for n, v in theirs[node.path].variables.items()}
+            assert {n: v.dtype for n, v in node.variables.items()} == kinds
     with pytest.raises(TypeError, match="when is of type datetime64"):
         netcdf_bytes(xr.Dataset({"when": ("k", np.array(["2026-11-25"], "datetime64[ns]"))}))
 

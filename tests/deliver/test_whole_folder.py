@@ -63,6 +63,7 @@ def write(folder: Path, text: str) -> None:
             (hidden / name).write_text(text)
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_everything_of_a_calibration_names_it(folder, trail) -> None:
     assert {p.name for p in folder.iterdir()} == NAMES
     own = identity(trail.final.calibration)
@@ -73,8 +74,9 @@ def test_everything_of_a_calibration_names_it(folder, trail) -> None:
     assert json.loads((folder / "result.json").read_text("utf-8"))["calibration"] == own
     loaded = bc.load(folder / "calibration.nc")
     assert identity(loaded) == own
+    compensator = bc.compensator(loaded)
     for suffix in (".h", ".py", ".json"):
-        assert own in bc.compensator(loaded).export(folder / f"made{suffix}").read_text("utf-8")
+        assert own in compensator.export(folder / f"made{suffix}").read_text("utf-8")
     assert own in bc.report(loaded, folder / "report.html").read_text("utf-8")
 
 

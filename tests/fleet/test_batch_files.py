@@ -75,14 +75,6 @@ def test_the_command_writes_the_table(tmp_path) -> None:
     assert "1 of 4 devices have no result, or none to rely on" in ended.err
     assert "D02: device D02, column 'temperature': reads 25 °C" in ended.out
     assert bc.load_batch(out).ok.tolist() == [True, True, False, True]
-    wrong = run("batch", lot, *GYRO, "-o", tmp_path / "result.csv")
-    assert wrong.status == 2
-    assert "a batch is saved as Parquet" in wrong.err
-    other = tmp_path / "other.parquet"
-    wrong = run("batch", tmp_path / "none.csv", *GYRO, "-o", other)
-    assert wrong.status == 2
-    assert "none.csv' cannot be read" in wrong.err
-    assert not other.exists()
 
 
 def test_a_damaged_batch_is_refused_or_says_the_same(tmp_path, result) -> None:

@@ -7,6 +7,7 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from importlib import import_module
 from pathlib import Path
@@ -38,6 +39,11 @@ class Import(NamedTuple):
     line: int
 
 
+@cache
+def parsed(file: Path) -> ast.Module:
+    return ast.parse(file.read_text("utf-8"))
+
+
 def name_of(file: Path, package: Path = PACKAGE) -> str:
     """`_calibration.fit` for _calibration/fit.py, `effects` for effects/__init__.py, `bayescal` for the face of all."""
     parts = file.relative_to(package).with_suffix("").parts
@@ -60,7 +66,7 @@ def imported_names(node: ast.AST, package: str) -> Iterator[str]:
 
 def imports_of(name: str, modules: dict[str, Path], package: str) -> Iterator[Import]:
     """Every import of the package's own modules: at the top, in a function, for types."""
-    for node in ast.walk(ast.parse(modules[name].read_text("utf-8"))):
+    for node in ast.walk(parsed(modules[name])):
         for asked in imported_names(node, package):
             inner = asked.removeprefix(package).removeprefix(".")
             while inner and inner not in modules:  # an attribute of a module: the module counts
@@ -108,16 +114,14 @@ def test_names_are_unique() -> None:
     """One name for one thing: a class, and a file, is found by its name alone."""
     files, classes = Counter(name.rpartition(".")[2] for name in MODULES if "." in name), Counter()
     for file in MODULES.values():
-        tree = ast.parse(file.read_text("utf-8"))
+        tree = parsed(file)
         classes.update(node.name for node in tree.body if isinstance(node, ast.ClassDef))
     twice = {name for name, count in (files + classes).items() if count > 1}
     assert twice <= SAME_NAME, f"these names stand for two things: {sorted(twice - SAME_NAME)}"
 
 
 def test_every_module_says_what_it_holds() -> None:
-    silent = [
-        n for n, f in MODULES.items() if not ast.get_docstring(ast.parse(f.read_text("utf-8")))
-    ]
+    silent = [n for n, f in MODULES.items() if not ast.get_docstring(parsed(f))]
     assert not silent
 
 
@@ -125,7 +129,7 @@ def test_rooms_say_what_lives_there_and_hand_nothing_on() -> None:
     for room in ROOMS:
         if room in FILES:
             continue
-        tree = ast.parse(MODULES[room].read_text("utf-8"))
+        tree = parsed(MODULES[room])
         assert ast.get_docstring(tree), f"bayescal/{room}/__init__.py: say what lives here"
         assert room == "effects" or len(tree.body) == 1, (
             f"bayescal/{room}/__init__.py: no re-exports"
@@ -161,7 +165,7 @@ def test_instruments_use_only_the_public_face() -> None:
     private = [
         f"{file.relative_to(ROOT)} line {getattr(node, 'lineno', 0)} imports {asked}"
         for file in sorted(MODELS.rglob("*.py"))
-        for node in ast.walk(ast.parse(file.read_text("utf-8")))
+        for node in ast.walk(parsed(file))
         for asked in imported_names(node, "bayescal")
         if any(part.startswith("_") for part in asked.split("."))
     ]
@@ -172,7 +176,7 @@ def test_the_framework_knows_no_instrument() -> None:
     knowing = [
         f"bayescal/{name} line {getattr(node, 'lineno', 0)} imports {asked}"
         for name, file in MODULES.items()
-        for node in ast.walk(ast.parse(file.read_text("utf-8")))
+        for node in ast.walk(parsed(file))
         for asked in imported_names(node, "bayescal_models")
     ]
     assert not knowing, "\n".join(knowing)

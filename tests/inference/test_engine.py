@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -112,15 +113,22 @@ def somewhere(a: Assembly, seed: int = 0) -> tuple[Point, np.ndarray]:
     return Point(a.mean_of_x + sd * random.standard_normal(a.size), rows), v
 
 
+compiled = eqx.filter_jit(forward.linearise)  # a program, not one for each step of it
+
+
+def composed(a: Assembly, point: Point, hyper: forward.Values) -> forward.Linearised:
+    """What the composition itself says at a point."""
+    x, rows = jnp.asarray(point.x), jnp.asarray(point.rows)
+    return compiled(a.layout, a.record.frame, x, rows, hyper)
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_outputs_and_jacobians_are_those_of_the_composition(case: str) -> None:
     a = assembled(case)
     point, v = somewhere(a)
     found = a.linearise(point, a.hyper(v))
     hyper = forward.hyper_values(a.layout, jnp.asarray(v))
-    line = forward.linearise(
-        a.layout, a.record.frame, jnp.asarray(point.x), jnp.asarray(point.rows), hyper
-    )
+    line = composed(a, point, hyper)
     scale = np.max(np.abs(line.mean))
     np.testing.assert_allclose(found.mean, line.mean, rtol=1e-9, atol=1e-9 * scale)
     columns = np.max(np.abs(line.jacobian), axis=0) + 1e-300
@@ -131,7 +139,7 @@ def test_outputs_and_jacobians_are_those_of_the_composition(case: str) -> None:
 def dense_log_density(a: Assembly, v: np.ndarray, flat: np.ndarray) -> float:
     """log p(y, φ) about the start by the covariance matrix of all readings: Σ + J·D·Jᵀ."""
     start, hyper = a.start, forward.hyper_values(a.layout, jnp.asarray(v))
-    line = forward.linearise(a.layout, a.record.frame, start.x, start.rows, hyper)
+    line = composed(a, start, hyper)
     extra = np.sum((np.asarray(line.rows) * a.row_sd) ** 2, axis=1)
     one = jnp.eye(a.record.size)
     white, _ = a.noise.whiten(one, jnp.asarray(extra), hyper, a.record.frame)

@@ -165,6 +165,7 @@ def test_both_leave_in_one_frame(tmp_path: Path) -> None:
 
 
 @needs_installation
+@pytest.mark.usefixtures("unpainted")
 def test_one_command_from_a_log_of_nine_channels(tmp_path: Path) -> None:
     log = simulate_log(seed=5, campaign=FEW)
     header = ",".join(

@@ -12,7 +12,6 @@ import bayescal as bc
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.pairing.devices import devices_from
-from tests.support.command_line import GYRO, TABLE, run
 from tests.support.made_up.pairs import made_up
 
 
@@ -72,9 +71,3 @@ def test_other_refusals_say_what_is_possible() -> None:
         dp.measure(replace(devices, others=("timing.skew",)), "o 1", "i 1", [1.0], [1.0])
     with pytest.raises(ValueError, match=r"'bias\.humidity' can be hidden"):
         dp.simulate({"bias.humidity": 1.0}, seed=0)
-
-
-def test_the_command_refuses_an_instrument_without_pairs() -> None:
-    done = run("pairs", TABLE, *GYRO)
-    assert done.status == 2
-    assert done.said == ["bayescal: instrument 'mems_gyro' does not choose its devices in pairs"]

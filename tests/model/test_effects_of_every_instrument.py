@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 
 import equinox as eqx
@@ -28,6 +29,7 @@ def instrument_effects() -> list:
     return found
 
 
+@cache
 def made_up(instrument: bc.Instrument, rows: int = 12) -> bc.Measurements:
     """Readings of every column of an instrument, within its plausible ranges."""
     rng = np.random.default_rng(3)

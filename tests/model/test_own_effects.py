@@ -11,6 +11,7 @@ import pytest
 import bayescal as bc
 from bayescal_models import mems_gyro
 from tests.support.command_line import Ran, needs_installation, run
+from tests.support.reported import unpaint
 from tests.support.shown_output import assert_as_shown, blocks
 
 pytestmark = needs_installation
@@ -33,6 +34,7 @@ def followed(folder: Path) -> dict[str, Ran]:
     done = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        unpaint(patch)
         for block in blocks(PAGE, "sh"):
             for command in block.splitlines():
                 name, *arguments = shlex.split(command)

@@ -26,7 +26,9 @@ def results() -> dict[str, object]:
     readings = replace(readings, sources=(Source(f"{SCRIPT}.csv", "0", 330),))
     trail = bc.calibrate(INSTRUMENT.baseline(), readings, method=QUICK, max_effects=1)
     first, last = trail.steps[0].calibration, trail.final.calibration
-    unit = {n: still_sensor.simulate({}, seed=i) for i, n in enumerate(("x", "y"))}
+    unit = {
+        n: still_sensor.simulate({}, seed=i, runs=1, interval=60) for i, n in enumerate(("x", "y"))
+    }
     models = {n: still_sensor.INSTRUMENT.for_readings(r).baseline() for n, r in unit.items()}
     return {
         "readings": readings,

@@ -10,7 +10,6 @@ import pytest
 import bayescal as bc
 from bayescal._data.set_aside import find_spikes
 from bayescal_models import still_sensor
-from tests.support.command_line import needs_installation, run
 
 SENSOR = still_sensor.INSTRUMENT
 
@@ -53,14 +52,6 @@ def test_an_overload_in_a_column_beside_the_instruments_leaves_that_column_out(t
     found = bc.read(written(tmp_path / "a.csv", "9.91E37", column=3), SENSOR)
     assert "pressure" not in found.columns
     assert any("pressure" in flag and "row 19 reads 9.91e+37" in flag for flag in found.flags)
-
-
-@needs_installation
-def test_a_fit_of_an_overload_leaves_with_2(tmp_path: Path) -> None:
-    file = written(tmp_path / "a.csv", "9.9E37")
-    done = run("fit", file, "--instrument", "still_sensor", "--method", "least-squares")
-    assert done.status == 2
-    assert "code for an overload" in done.said[-1]
 
 
 def heavy(seed: int, rows: int = 2000) -> np.ndarray:

@@ -6,12 +6,14 @@ import contextlib
 import io
 import json
 import sys
+from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
 import pytest
+import typer
 
 from bayescal._cli import main
 from bayescal_models import mems_gyro
@@ -77,12 +79,16 @@ def _refuse(token: str) -> None:
     raise AssertionError(f"{token} is not JSON")
 
 
+_parser = cache(typer.main.get_command)  # made anew with each command otherwise
+
+
 def run(*arguments: object) -> Ran:
     """Run a command in this process."""
     out, err = io.StringIO(), io.StringIO()
     status = None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["bayescal", *map(str, arguments)])
+        patch.setattr(typer.main, "get_command", _parser)
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             try:
                 main.main()

@@ -22,7 +22,7 @@ import pytest
 import bayescal as bc
 from bayescal._workbench import start
 from bayescal._workbench.session import Session
-from tests.support.command_line import GYRO, needs_installation, run
+from tests.support.command_line import GYRO, needs_installation
 from tests.support.open_ports import listening, needs_proc
 from tests.workbench.conftest import Campaign
 from tests.workbench.real_page import Bench
@@ -187,15 +187,6 @@ def test_ended_and_gone_on_with(campaign: Campaign, tmp_path: Path) -> None:
         "Traceback" not in "".join(again.said) and again.said[-1] == "bayescal workbench: ended\n"
     )
     assert sorted(p.name for p in folder.iterdir()) == ["session_1"]
-
-
-@needs_installation
-def test_a_bad_file_is_refused_before_anything_opens(tmp_path: Path) -> None:
-    file = tmp_path / "bad.csv"
-    file.write_text("temperature [furlong],output [deg/s]\n20,1\n21,2\n")
-    done = run("workbench", file, *GYRO, "--no-open", "--out", tmp_path / "out")
-    assert done.status == 2 and "furlong" in done.err
-    assert not (tmp_path / "out").exists()
 
 
 def test_without_panel_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

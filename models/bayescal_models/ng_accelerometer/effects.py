@@ -109,17 +109,10 @@ def _effect(
     return term(name, basis, *(SIZES.get(name) or BASELINE_SIZES[name]), **{**own, **more})
 
 
-def _base(
-    name: str,
-    basis: Callable[[bc.Frame], Any],
-    columns: tuple[str, ...],
-    equation: str,
-    **more: Any,
-) -> bc.Effect:
-    """An effect on both components of the base tilt, found or dropped together."""
+def _base(name: str, basis: Callable[[bc.Frame], Any], *said: Any, **more: Any) -> bc.Effect:
+    """An effect on both components of the base tilt, found or dropped together; what is said of it as in `_effect`."""
     slots = tuple(f"base_tilt_{side}" for side in SIDES)
-    on_both = partial(_on_both_sides, basis)
-    return _effect(name, on_both, columns, equation, parts=SIDES, slots=slots, **more)
+    return _effect(name, partial(_on_both_sides, basis), *said, parts=SIDES, slots=slots, **more)
 
 
 def _tide() -> bc.Effect:

@@ -320,6 +320,30 @@ def tilt_accelerometer(draws: Draws, alike: float) -> World:
     return world
 
 
+def warm_scale(
+    world: World,
+    chamber: Chamber,
+    input_g: np.ndarray,
+    unit: str,
+    *,
+    about: float,
+    behind: float,
+    size: float,
+) -> None:
+    """A scale factor that may depend on the temperature of a body `behind` seconds late, about a temperature in °C."""
+    world.may_lack(
+        "scale.temperature",
+        input_g * (chamber.read(chamber.behind(behind)) - about),
+        "product",
+        f"{unit}/g/degC",
+        f"c·a·(T − {about:g} °C)",
+        size=size,
+        first="acceleration",
+        second="temperature",
+        about=about,
+    )
+
+
 def two_thermometers(draws: Draws, alike: float) -> World:
     """A vibrating-beam accelerometer, ±1 g, with thermometers at its head and at its circuit."""
     chamber = Chamber.of(draws, (0.0, 20.0, 40.0, 60.0, 80.0), 10, 60.0)
@@ -352,17 +376,7 @@ def two_thermometers(draws: Draws, alike: float) -> World:
         **pair,
         order=2,
     )
-    product: dict[str, Any] = {"first": "acceleration", "second": "temperature", "about": 40.0}
-    body_at = chamber.read(chamber.behind(25.0)) - 40.0
-    world.may_lack(
-        "scale.temperature",
-        up * body_at,
-        "product",
-        "ug/g/degC",
-        "c·a·(T − 40 °C)",
-        size=0.8,
-        **product,
-    )
+    warm_scale(world, chamber, up, "ug", about=40.0, behind=25.0, size=0.8)
     return world
 
 
@@ -395,17 +409,7 @@ def centrifuge(draws: Draws, alike: float) -> World:
     world.may_lack(
         "timing", along, "rate", "mg/(g/s)", "c·da/dt", size=2.0, column="acceleration", group="run"
     )
-    product: dict[str, Any] = {"first": "acceleration", "second": "temperature", "about": 30.0}
-    body_at = chamber.read(chamber.behind(4.0)) - 30.0
-    world.may_lack(
-        "scale.temperature",
-        input_g * body_at,
-        "product",
-        "mg/g/degC",
-        "c·a·(T − 30 °C)",
-        size=0.012,
-        **product,
-    )
+    warm_scale(world, chamber, input_g, "mg", about=30.0, behind=4.0, size=0.012)
     return world
 
 
