@@ -148,7 +148,7 @@ class RecordSettings(OutcomeSettings):
     most: float = 0.9
     direction: float = 0.02
     stirred: float = 0.2
-    second_correlated: int = 200
+    second_correlated: int = 150
     even: float = 0.05
     allan_readings: int = 30
     allan_slope: float = 0.25

@@ -19,6 +19,8 @@ from bayescal._search.noise_laws import log_prior
 from bayescal._search.scores import HINTS, ScoredPoint, View, gain_of
 from bayescal._search.structures import Structure, Structures, Weighed
 
+LIKELIEST = 2  # finer noise laws that are weighed beside fewer effects than the best structure has
+
 LIMIT = "The search was ended after {:.0f} s with the best so far: more time may find more."
 STOPPED = "The search was interrupted after {:.0f} s: this is the best so far."
 
@@ -173,26 +175,41 @@ def correlated_laws(structures: Structures) -> list[str]:
 
 
 def _refine(structures: Structures, end: Deadline) -> bool:
-    """Weigh finer noise laws beside the effects of the best structure; whether any was left to weigh."""
-    at = structures.best
-    moves = [*_finer_laws(structures, at)]
-    for move in moves:
+    """Weigh finer noise laws beside the effects of the best structure, and beside fewer; whether any was left to weigh.
+
+    What an effect explains under plain noise a finer law may explain without it.
+    """
+    best, fewest = structures.best, structures.best.total - searching().near
+    moves = sorted(_finer_laws(structures, best), key=lambda m: -m.total)
+    chosen = [(move, best) for move in moves if move.total > best.total]
+    plain = Structure(noise=best.structure.noise)
+    beside = {best.structure.minus(name) for name in best.structure.effects} - {plain}
+    likeliest = [move.to.noise for move in moves[:LIKELIEST]]
+    for fewer in (plain, *sorted(beside, key=lambda s: sorted(s.effects))) if moves else ():
+        at = structures.visited.get(fewer)
+        if at is not None and at is not best:
+            laws = None if fewer == plain else likeliest
+            chosen += [(m, at) for m in _finer_laws(structures, at, laws) if m.total > fewest]
+    for move in (*moves, *(move for move, _ in chosen)):
         structures.expect(move.to, move.total)
-    moves = [m for m in moves if m.total > at.total and m.to not in structures.visited]
-    for move in sorted(moves, key=lambda m: -m.total)[: searching().refitted[1]]:
+    chosen = [(move, at) for move, at in chosen if move.to not in structures.visited]
+    for move, at in sorted(chosen, key=lambda c: -c[0].total)[: searching().refitted[1]]:
         if not end.over:
             structures.weigh(move.to, at, move.hints)
-    return bool(moves)
+    return bool(chosen)
 
 
-def _finer_laws(structures: Structures, at: Weighed) -> Iterator[Move]:
+def _finer_laws(
+    structures: Structures, at: Weighed, among: Sequence[str] | None = None
+) -> Iterator[Move]:
     """Finer forms of the correlated law that a structure is under, by what they gain on the residuals under it.
 
-    None where the noise is as probably not correlated at all.
+    None where the noise is as probably not correlated at all; of `among` alone, if given.
     """
     here, plain = structures.noise(at.structure), structures.visited.get(at.structure.under(""))
     family = here.refines or here.name
     finer = [n for n, law in structures.laws.items() if law.refines == family and n != here.name]
+    finer = [n for n in finer if among is None or n in among]
     correlated = not here.independent and (plain is None or at.total > plain.total)
     if not (correlated and finer and math.isfinite(at.total)):
         return
