@@ -40,7 +40,7 @@ from ._use.compensator import compensator as compensator
 from ._use.compensator import load_compensator as load_compensator
 from ._use.vector_correction import vector_correction as vector_correction
 from ._use.moves import moves as moves
-from ._use.one_frame import in_frame_of as in_frame_of
+from ._use.vector_correction import in_frame_of as in_frame_of
 from ._use.vector_export import export_vector as export_vector
 from ._use.vector_export import load_vector_correction as load_vector_correction
 from ._use.budget import budget as budget
@@ -111,7 +111,7 @@ from ._search.false_reports import FalseReports as FalseReports
 from ._use.compensator import Compensator as Compensator
 from ._use.vector_correction import VectorCorrection as VectorCorrection
 from ._use.budget import Budget as Budget
-from ._use.decision import Decisions as Decisions
+from ._use.decide import Decisions as Decisions
 from ._use.firmware_parameters import FirmwareParameters as FirmwareParameters
 
 # many devices at once

@@ -22,11 +22,15 @@ from bayescal._report.whole_folder import (
     refuse_mixed,
 )
 from bayescal._search.own_files import instrument_named, user_effects
-from bayescal._use.autopilots import AUTOPILOTS
 from bayescal._use.code_writer import FORMATS
 from bayescal._use.compensator import Compensator, compensator, load_compensator
 from bayescal._use.decide import decide
-from bayescal._use.firmware_parameters import FirmwareParameters, axis_of, firmware_parameters
+from bayescal._use.firmware_parameters import (
+    AUTOPILOTS,
+    FirmwareParameters,
+    axis_of,
+    firmware_parameters,
+)
 
 PARAMETERS, DCC = tuple(AUTOPILOTS), "dcc"
 KNOWN = (*FORMATS.values(), *PARAMETERS, DCC)  # formats of an export

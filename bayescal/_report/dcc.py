@@ -30,7 +30,7 @@ from bayescal._core.templates import template
 from bayescal._core.version import __version__
 from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse
 from bayescal._report.certificate import SECTIONS, Certificate, read_certificate
-from bayescal._use.decision import Decisions, statement_lines
+from bayescal._use.decide import Decisions, statement_lines
 
 SCHEMA = "3.2.1"
 NEEDED = (

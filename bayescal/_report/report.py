@@ -26,7 +26,7 @@ from bayescal._report.section import Chapter, chapters
 from bayescal._report.under_way import RESULT
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
-from bayescal._use.decision import Decisions, decision_cells
+from bayescal._use.decide import Decisions, decision_cells
 
 # What the layout meets where a result.json is not as it was written, beside errors of its template.
 OF_DAMAGE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)

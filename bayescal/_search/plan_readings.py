@@ -25,8 +25,7 @@ from bayescal._data.pose_rows import ACROSS
 from bayescal._data.unit_conversion import unit_label
 from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._search.next_experiment import expected_readings
-from bayescal._use.limit import StatedLimit, stated_limit
-from bayescal._use.limited_quantity import limited_quantity
+from bayescal._use.limited_quantity import StatedLimit, limited_quantity, stated_limit
 
 AGAIN = "the same again"
 OF_SCATTER = (

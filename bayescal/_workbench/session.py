@@ -39,8 +39,7 @@ from bayescal._search.search_path import SearchPath, Step
 from bayescal._search.structures import Structure
 from bayescal._search.walk import path
 from bayescal._use.budget import Budget, budget
-from bayescal._use.decide import decide
-from bayescal._use.decision import Decisions
+from bayescal._use.decide import Decisions, decide
 from bayescal._workbench import kept, take_away
 from bayescal._workbench.change import Change, changed
 from bayescal._workbench.origin import Origin, Settings

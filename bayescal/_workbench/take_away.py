@@ -15,10 +15,9 @@ from bayescal._report.report import report
 from bayescal._report.section import of_folder
 from bayescal._search.search_path import SearchPath
 from bayescal._use import code_writer
-from bayescal._use.autopilots import AUTOPILOTS
 from bayescal._use.compensator import compensator
-from bayescal._use.decision import Decisions
-from bayescal._use.firmware_parameters import axis_of, firmware_parameters
+from bayescal._use.decide import Decisions
+from bayescal._use.firmware_parameters import AUTOPILOTS, axis_of, firmware_parameters
 from bayescal._workbench.origin import Origin
 from bayescal._workbench.state import State
 
