@@ -119,7 +119,7 @@ from ._fleet.fit_batch import fit_batch as fit_batch
 from ._fleet.fleet_result import FleetResult as FleetResult
 from ._fleet.find_devices import Find as Find
 from ._fleet.fleet_result import load_fleet as load_fleet
-from ._fleet.split_devices import split_devices as split_devices
+from ._fleet.devices import split_devices as split_devices
 from ._fleet.devices import Devices as Devices
 from ._fleet.weighted_draws import weighted_draws as weighted_draws
 from ._fleet.weighted_draws import Batch as Batch

@@ -181,7 +181,7 @@ def _one(
         output_factor(output_unit, readings.unit("output") or "1", scale)
     with result_folder(out) as folder:
         from bayescal._cli.output import ConsoleReporter, loop_text
-        from bayescal._report.under_way import earlier
+        from bayescal._report.result_json import earlier
 
         told = ConsoleReporter(folder, json_, verbose)
         seeds = earlier(folder, model, readings) if folder else ()

@@ -21,8 +21,8 @@ from bayescal._fleet.batch_result import (
     load_batch,
     printed,
 )
+from bayescal._fleet.find_devices import COLUMNS as EFFECTS
 from bayescal._fleet.population import Population
-from bayescal._fleet.shares import COLUMNS as EFFECTS
 
 FORMAT = "bayescal.fleet/1"
 WHOLE = "fleet.json"
