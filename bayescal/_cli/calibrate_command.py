@@ -115,7 +115,7 @@ def _sessions(
     names = [n for n in folders if n]
     models, readings, kept = _opened(names, asked, early)
     waiting.doing = "Loading the page …"
-    from bayescal._workbench.origin import Origin
+    from bayescal._workbench.kept import Origin
     from bayescal._workbench.serve import Sessions
     from bayescal._workbench.session import Session
 

@@ -28,7 +28,7 @@ from bayescal._cli.options import (
 )
 from bayescal._core.as_json import write_json
 from bayescal._core.errors import InputError, ModelError
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._data.unit_conversion import STANDARD_GRAVITY
 
 commands = Commands()
 MOST = 5  # effects that are added

@@ -18,7 +18,7 @@ from typing import Annotated, Any
 import typer
 
 from bayescal._core.errors import InputError
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._data.unit_conversion import STANDARD_GRAVITY
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 
 METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names

@@ -24,8 +24,7 @@ from bayescal._core.formatting import number, table, with_error
 from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
 from bayescal._data.time_in_runs import run_codes
-from bayescal._data.unit_conversion import unit_label
-from bayescal._data.unit_parsing import parse
+from bayescal._data.unit_conversion import parse, unit_label
 
 SYMBOLS = "NBK"
 SLOPES = {"N": -0.5, "B": 0.0, "K": 0.5}  # of log σ over log τ

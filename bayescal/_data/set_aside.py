@@ -2,7 +2,7 @@
 
 Spikes of the output, single readings far from both of their neighbours, are faults of the record and not of the sensor,
 and one of them can outweigh thousands of readings. At spikes of a thermometer it is not known what the output belongs
-to.
+to. Hold-out data that are fitted already say nothing of new readings.
 """
 
 from __future__ import annotations
@@ -10,12 +10,21 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
-from bayescal._data.covariate_checks import held_rows, leaps, pieces
-from bayescal._data.dataset_checks import clip_levels, repeated_rows, stuck_rows
+from bayescal._data.dataset_checks import (
+    clip_levels,
+    held_rows,
+    leaps,
+    pieces,
+    record_codes,
+    repeated_rows,
+    rounding_step,
+    stretches,
+    stuck_rows,
+)
 from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
-from bayescal._data.stretches import record_codes, rounding_step, stretches
 
 
 def set_aside(readings: Measurements, keep_spikes: bool = False) -> Measurements:
@@ -204,3 +213,40 @@ def _beyond_the_tail(high: np.ndarray, rest: np.ndarray, count: int) -> np.ndarr
     gaps = i * exponent * (logs[i - 1] - logs[i])
     beyond = np.flatnonzero(gaps > np.log(max(most, 1) / given.tail_chance))
     return order[: beyond[-1] + 1] if beyond.size else order[:0]
+
+
+def not_new(readings: Measurements, holdout: Measurements) -> int:
+    """How many of the hold-out data are readings that are fitted, whatever their time and labels say.
+
+    A reading is known by its numbers but for the time: output, temperatures, inputs. Where these repeat among the
+    readings themselves, as rounded ones do, equal numbers say nothing, and 0 is returned.
+
+    Args:
+        readings: to fit.
+        holdout: hold-out data, of the same instrument.
+    """
+    shared = [
+        n
+        for n in readings.columns
+        if n != "time" and readings.unit(n) is not None and holdout.has(n)
+    ]
+    mine, theirs = (
+        pd.DataFrame({n: r[n] for n in shared}).round(12).drop_duplicates()
+        for r in (readings, holdout)
+    )
+    if len(mine) < recording().one_of_its_kind * len(readings):
+        return 0
+    both = len(theirs.merge(mine, how="inner", on=shared))
+    return both if both > recording().not_new * len(theirs) else 0
+
+
+def said_of(readings: Measurements, holdout: Measurements) -> str:
+    """That hold-out data are not new, in words; empty where they are."""
+    many = not_new(readings, holdout)
+    if not many:
+        return ""
+    return (
+        f"{holdout.file}: {many} of the {len(holdout)} readings of the hold-out data are readings that are fitted "
+        "(equal output, temperature and inputs; times and labels apart): the hold-out error says nothing of new "
+        "readings. Take readings of another run"
+    )

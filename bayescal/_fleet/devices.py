@@ -20,21 +20,21 @@ from bayescal._core.errors import InputError
 from bayescal._data.column import Column, ConvertedColumns, NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
-from bayescal._data.header_matching import MatchedFile, unused_options
-from bayescal._data.measurements import Measurements
-from bayescal._data.read_options import (
+from bayescal._data.header_matching import (
     InstrumentLike,
+    MatchedFile,
     ReadOptions,
     expected_columns,
     output_name,
     unit_of,
+    unused_options,
 )
+from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import base_unit
 from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES, open_table
-from bayescal._tables.problems import Problems
-from bayescal._tables.raw_table import ROW, Table, load_whole
+from bayescal._tables.raw_table import ROW, Problems, Table, load_whole
 
 DEVICE = "device"
 

@@ -23,8 +23,8 @@ from bayescal._core.json_shape import parsed_json
 from bayescal._core.progress import note, tell
 from bayescal._core.settings_in_force import given_settings, use_settings
 from bayescal._core.version import __version__
+from bayescal._data.header_matching import ReadOptions
 from bayescal._data.measurements import Measurements
-from bayescal._data.read_options import ReadOptions
 from bayescal._fleet.batch_result import BatchResult, first_few
 from bayescal._fleet.devices import Devices, gathered, split_devices
 from bayescal._fleet.engine import Engine

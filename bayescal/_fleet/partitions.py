@@ -32,7 +32,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._core.settings_in_force import OutcomeSettings, use_settings
 from bayescal._core.version import __version__
-from bayescal._data.read_options import ReadOptions
+from bayescal._data.header_matching import ReadOptions
 from bayescal._fleet.batch_result import BatchResult, load_batch
 from bayescal._fleet.devices import DEVICE, Devices, open_readings, split_table
 from bayescal._fleet.find_devices import DeviceStructure, Find, find_and_fit

@@ -28,7 +28,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.quoting import xml_text
 from bayescal._core.templates import template
 from bayescal._core.version import __version__
-from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse
+from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse
 from bayescal._report.certificate import SECTIONS, Certificate, read_certificate
 from bayescal._use.decide import Decisions, statement_lines
 

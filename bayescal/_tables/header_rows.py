@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
-from bayescal._tables.cells import is_missing
-from bayescal._tables.dates import unix_seconds
+from bayescal._tables.cells import is_missing, unix_seconds
 
 LOOKED_AT = 200  # rows from the start of a file
 _LAST = 5  # of these, whose width is that of the readings

@@ -26,14 +26,12 @@ from bayescal._core.quoting import csv_line
 from bayescal._data.column import Column, ConvertedColumns, NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import problems_of_whole
-from bayescal._data.header_matching import MatchedFile
+from bayescal._data.header_matching import MatchedFile, ReadOptions
 from bayescal._data.measurements import assemble, of_columns
-from bayescal._data.read_options import ReadOptions
 from bayescal._tables.csv_reader import csv_parts
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.parquet_netcdf import parquet_parts
-from bayescal._tables.problems import Problems
-from bayescal._tables.raw_table import Table, bytes_text, load_whole
+from bayescal._tables.raw_table import Problems, Table, bytes_text, load_whole
 from bayescal._use.compensator import Compensated, Compensator, Method
 
 KEPT = (*TEXT, ".parquet", ".nc")  # in which a file can be written as it was

@@ -35,8 +35,7 @@ from bayescal._calibration.mixture import inclusion
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, Printed, number, table, with_error
-from bayescal._data.unit_conversion import unit_label
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
 from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.unknown_effect import covariate_in

@@ -45,8 +45,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, table
 from bayescal._core.quoting import ascii_text, one_line
 from bayescal._core.version import __version__
-from bayescal._data.unit_conversion import convert, unit_label
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._data.unit_conversion import STANDARD_GRAVITY, convert, unit_label
 from bayescal._use.compensation_program import STIMULUS, inputs_at_fit
 from bayescal._use.compensator import Compensator, compensator
 

@@ -43,8 +43,14 @@ from scipy.stats import multivariate_normal
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
-from bayescal._data.unit_conversion import convert, same_dimension, unit_label
-from bayescal._data.unit_parsing import STANDARD_GRAVITY, normalised, parse
+from bayescal._data.unit_conversion import (
+    STANDARD_GRAVITY,
+    convert,
+    normalised,
+    parse,
+    same_dimension,
+    unit_label,
+)
 from bayescal._use import operating_equation
 from bayescal._use.budget import notes_on
 from bayescal._use.compensation_program import PAST, bias_only

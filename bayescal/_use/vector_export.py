@@ -27,8 +27,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
 from bayescal._core.quoting import c_comment, identifier, number_text
 from bayescal._core.version import __version__
-from bayescal._data.unit_conversion import convert, same_dimension
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._data.unit_conversion import STANDARD_GRAVITY, convert, same_dimension
 from bayescal._use.expression_graph import template
 from bayescal._use.firmware_parameters import AUTOPILOTS
 from bayescal._use.vector_correction import NEWTON, SIZES, VectorCorrection

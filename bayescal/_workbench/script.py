@@ -18,8 +18,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._search.calibrate import QUICK
-from bayescal._workbench.origin import Origin, Settings
-from bayescal._workbench.state import FOLDER, State
+from bayescal._workbench.kept import FOLDER, Origin, Settings, State
 
 HEAD = '''"""What was done in the bayescal workbench, up to step {number}. It needs bayescal {version} or later."""
 

@@ -1,4 +1,8 @@
-"""A session: what one person does to one set of readings. It knows no browser."""
+"""A session: what one person does to one set of readings. It knows no browser.
+
+What may be done to a model, each change by its name, in words; and what leaves a session, the report and exports, as
+the command line makes them.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +20,20 @@ from typing import Any
 
 import numpy as np
 
+from bayescal._calibration.compare import compare
+from bayescal._calibration.summary import summary
 from bayescal._core import deadline
 from bayescal._core.errors import BayescalError, InputError, ModelError
-from bayescal._core.formatting import WIDTH
+from bayescal._core.formatting import WIDTH, number, table, with_error
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import set_aside
+from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
+from bayescal._report.report import report
 from bayescal._report.save_search import save_search
+from bayescal._report.section import of_folder
 from bayescal._search.calibrate import Loop, step_of
 from bayescal._search.describe import Draft, describe
 from bayescal._search.discover import Discovery, discover, discovery_at
@@ -38,13 +47,122 @@ from bayescal._search.preview import Preview, Previews
 from bayescal._search.search_path import SearchPath, Step
 from bayescal._search.structures import Structure
 from bayescal._search.walk import path
+from bayescal._use import code_writer
 from bayescal._use.budget import Budget, budget
+from bayescal._use.compensator import compensator
 from bayescal._use.decide import Decisions, decide
-from bayescal._workbench import kept, take_away
-from bayescal._workbench.change import Change, changed
-from bayescal._workbench.origin import Origin, Settings
+from bayescal._use.firmware_parameters import AUTOPILOTS, axis_of, firmware_parameters
+from bayescal._workbench import kept
+from bayescal._workbench.kept import Origin, Settings, State, path_to
 from bayescal._workbench.script import script
-from bayescal._workbench.state import State, path_to
+
+KINDS = {"add": 1, "take_out": 1, "fix": 2, "free": 1, "resize": 2, "noise": 1}
+
+
+@dataclass(frozen=True)
+class Change:
+    """A model, and how it differs from the one before.
+
+    Attributes:
+        model: what comes of it.
+        added: effect that was added; None where something else was done.
+        in_words: that, in words; empty where an effect was added.
+    """
+
+    model: Model
+    added: str | None = None
+    in_words: str = ""
+
+
+def changed(
+    model: Model,
+    kind: str,
+    arguments: Sequence[Any],
+    own: Mapping[str, Effect],
+    laws: Mapping[str, Noise],
+) -> Change:
+    """A model with a change.
+
+    Args:
+        model: before it.
+        kind: one of `KINDS`.
+        arguments: as many as that says.
+        own: effects that are not as the instrument states them, by name.
+        laws: noise laws, by name.
+
+    Raises:
+        ModelError: the model cannot be changed so.
+        InputError: there is no such change, or it takes other arguments.
+    """
+    if KINDS.get(kind) != len(arguments):
+        takes = ", ".join(f"{name} ({count})" for name, count in KINDS.items())
+        raise InputError(f"{kind!r} with {len(arguments)} argument(s) is none of: {takes}")
+    name = str(arguments[0])
+    if kind == "add":
+        return Change(model + own.get(name, name), added=name)
+    if kind == "take_out":
+        return Change(model - name, in_words=f"− {name}")
+    if kind == "free":
+        return Change(model.free(name), in_words=f"{name} estimated again")
+    if kind == "noise":
+        if name not in laws:
+            raise ModelError(f"no noise law is called {name!r} here; there are: {', '.join(laws)}")
+        law = laws[name]
+        return Change(model.with_noise(law), in_words=f"noise: {law.in_words}")
+    value = float(arguments[1])
+    if kind == "fix":
+        return Change(model.fix({name: value}), in_words=f"{name} = {number(value, 6)} fixed")
+    unit = unit_label(model.effect(name).coefficients[0].unit)
+    size = f"{number(value)} {unit}".rstrip()
+    return Change(model.resize(name, value), in_words=f"{name} of plausible size {size}")
+
+
+SUFFIXES = {format: suffix for suffix, format in code_writer.FORMATS.items()}
+FORMATS = (*SUFFIXES, *AUTOPILOTS)
+
+
+def side_by_side(one: State, other: State) -> str:
+    """`bc.compare` of two states, then their coefficients, noise and shapes with standard uncertainties.
+
+    Raises:
+        InputError: they were fitted to other readings.
+    """
+    fits = {f"{s.number} {s.title}": s.calibration for s in (one, other)}
+    values = [
+        {t["name"]: with_error(t["mean"], t["sd"]) for told in summary(c) for t in told}
+        for c in fits.values()
+    ]
+    units = {t["name"]: t["unit"] for c in fits.values() for told in summary(c) for t in told}
+    rows = [[n, *(v.get(n, "–") for v in values), unit_label(unit)] for n, unit in units.items()]
+    return f"{compare(fits)}\n\n{table(['', *fits, 'unit'], rows)}"
+
+
+def write_report(
+    folder: Path, origin: Origin, own: Mapping[str, Effect], decisions: Decisions | None
+) -> Path:
+    """The report of a folder that a trail was saved to: what `bayescal report FOLDER` writes."""
+    instrument, effects = origin.open_instrument(), tuple(own.values())
+    given = () if instrument is None else (instrument,)
+    chapter = of_folder(folder, effects, given)
+    return report([chapter], folder / "report.html", effects=effects, decisions=decisions)
+
+
+def write_export(folder: Path, trail: SearchPath, what: str) -> Path:
+    """One export of the trail's calibration: what `bayescal export FOLDER/calibration.nc --format WHAT` writes.
+
+    Raises:
+        InputError: what the export itself refuses.
+    """
+    made = compensator(trail.calibration)
+    if what in SUFFIXES:
+        return made.export(folder / f"compensation{SUFFIXES[what]}", what)
+    axis = axis_of(trail.final.calibration)
+    if axis is None:
+        raise InputError(
+            "these readings do not say of which axis they are, and an autopilot's parameters need it: export the "
+            f"calibration with bayescal export --format {what} --axis gyro_x=FILE"
+        )
+    return firmware_parameters({axis: made}, what).write(folder / f"{what}.txt")
 
 
 @dataclass(eq=False)
@@ -389,7 +507,7 @@ class Session:
 
     def compare(self, number: int) -> str:
         """The current model beside another step's: `bc.compare`, and their coefficients side by side."""
-        return take_away.side_by_side(self.current, self.states[number])
+        return side_by_side(self.current, self.states[number])
 
     def budget(self, at: Mapping[str, float]) -> Budget:
         """`bc.budget` of the current model."""
@@ -408,7 +526,7 @@ class Session:
     def report(self) -> Path:
         """The report for sign-off, in the folder: what `bayescal report` writes of it, with what was decided."""
         folder, decided = self._result()[0], self._decisions.get(self.current.number)
-        return take_away.write_report(folder, self.origin, self.own, decided)
+        return write_report(folder, self.origin, self.own, decided)
 
     def export(self, what: str) -> Path:
         """An export of the current model, in the folder: what `bayescal export` writes; `what` is one of its formats.
@@ -416,10 +534,10 @@ class Session:
         Raises:
             InputError, ModelError: there is no such format, or the model cannot be exported so.
         """
-        if what not in take_away.FORMATS:
-            raise InputError(f"{what!r} is not one of {', '.join(take_away.FORMATS)}")
+        if what not in FORMATS:
+            raise InputError(f"{what!r} is not one of {', '.join(FORMATS)}")
         folder, trail = self._result()
-        return take_away.write_export(folder, trail, what)
+        return write_export(folder, trail, what)
 
     @property
     def _loop(self) -> Loop:

@@ -11,12 +11,20 @@ from bayescal._core.formatting import number, probability
 from bayescal._data.unit_conversion import unit_label
 from bayescal._report.plot_colours import GREEN, ORANGE, RED
 from bayescal._search.search_path import RISES
-from bayescal._workbench.panes.fails_panel import NOISE
-from bayescal._workbench.panes.pane import Pane
-from bayescal._workbench.parts.pieces import button, column, halves, plot, row, words
-from bayescal._workbench.parts.rows import Rows
-from bayescal._workbench.parts.style import Palette, new_figure
-from bayescal._workbench.state import path_to
+from bayescal._workbench.kept import path_to
+from bayescal._workbench.panes.fails import NOISE
+from bayescal._workbench.parts.pieces import (
+    Palette,
+    Pane,
+    Rows,
+    button,
+    column,
+    halves,
+    new_figure,
+    plot,
+    row,
+    words,
+)
 
 SERIES = (  # of a step's errors: name, marker, colour (None: the ground's blue)
     ("as fitted", "circle", None),
