@@ -116,9 +116,9 @@ from ._use.firmware_parameters import FirmwareParameters as FirmwareParameters
 
 # many devices at once
 from ._fleet.fit_batch import fit_batch as fit_batch
-from ._fleet.fleet_result import FleetResult as FleetResult
+from ._fleet.batch_result import FleetResult as FleetResult
 from ._fleet.find_devices import Find as Find
-from ._fleet.fleet_result import load_fleet as load_fleet
+from ._fleet.batch_result import load_fleet as load_fleet
 from ._fleet.devices import split_devices as split_devices
 from ._fleet.devices import Devices as Devices
 from ._fleet.weighted_draws import weighted_draws as weighted_draws

@@ -8,11 +8,10 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import load
 from bayescal._cli.options import DecisionRule, InUse, OwnParts, UsedParts, named_values
 from bayescal._core.errors import InputError
-from bayescal._fleet.batch_result import load_batch
-from bayescal._fleet.fleet_result import load_fleet
+from bayescal._fleet.batch_result import load_batch, load_fleet
 from bayescal._fleet.population import Population
 from bayescal._model.instrument import Instrument
-from bayescal._report.dcc import dcc_text
+from bayescal._report.certificate import dcc_text
 from bayescal._report.section import CALIBRATION, Chapter, chapters, of_folder
 from bayescal._report.whole_folder import (
     AVERAGED,

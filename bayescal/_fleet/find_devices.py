@@ -23,7 +23,7 @@ from scipy.special import expit
 
 from bayescal._core.errors import BayescalError
 from bayescal._data.measurements import Measurements
-from bayescal._fleet.batch_result import BatchResult
+from bayescal._fleet.batch_result import EFFECTS, BatchResult
 from bayescal._fleet.devices import Devices
 from bayescal._fleet.fit_devices import FitOptions, fit_together
 from bayescal._fleet.fleet_settings import fleet_settings
@@ -156,7 +156,6 @@ def find_and_fit(
 
 BURN_IN, ROUNDS = 200, 1000
 NONE, ALL = 1e-12, 1 - 1e-12  # shares, as far as their log odds are taken
-COLUMNS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
 
 
 @dataclass(frozen=True)
@@ -254,4 +253,4 @@ def effects_table(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.Da
         if named[name] or possible[name] or one.expected > fleet_settings().kept
     ]
     rows.sort(key=lambda row: (-row[4], -row[1]))
-    return pd.DataFrame(rows, columns=COLUMNS)
+    return pd.DataFrame(rows, columns=EFFECTS)

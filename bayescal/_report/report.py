@@ -32,7 +32,7 @@ from bayescal._core.templates import template
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
-from bayescal._report import plots, sentences, tables
+from bayescal._report import plots, report_text
 from bayescal._report.certificate import Certificate, read_certificate
 from bayescal._report.result_json import RESULT, is_quiet
 from bayescal._report.section import Chapter, chapters
@@ -301,7 +301,7 @@ def page(
         "unit_label": unit_label,
         "probability": probability,
         "minus": lambda text: text.replace("-", "−"),
-        "measured": tables.measured,
+        "measured": report_text.measured,
         "with_error": with_error,
         "zip": zip,
     }
@@ -310,13 +310,13 @@ def page(
         title=title or "Calibration report",
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         chapters=[_chapter(c, pictures) for c in found],
-        k=tables.K,
+        k=report_text.K,
         many=MANY,
         certificate=certificate.rows() if certificate else [],
         decisions=decisions,
         output_unit=output_unit,
         in_output_unit=[
-            tables.rows_in_output_unit(c, output_unit) if output_unit else [] for c in found
+            report_text.rows_in_output_unit(c, output_unit) if output_unit else [] for c in found
         ],
         decided=[] if decisions is None else [decision_cells(d) for d in decisions.decisions],
     )
@@ -325,38 +325,38 @@ def page(
 def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     """All that the template lays out for one set of readings."""
     c, data = chapter.calibration, chapter.data
-    may, not_for = sentences.use_and_limits(chapter)
-    rows = tables.coefficients(chapter)
+    may, not_for = report_text.use_and_limits(chapter)
+    rows = report_text.coefficients(chapter)
     signed = [r for r in rows if not r["member"]]
     last = len(data["steps"]) - 1
     found, no_budget = _budget(chapter)
     return {
         "instrument": c.model.instrument,
-        "devices": tables.devices(c.readings),
-        "channels": tables.channels(c.readings),
-        "ok": sentences.ok(chapter),
+        "devices": report_text.devices(c.readings),
+        "channels": report_text.channels(c.readings),
+        "ok": report_text.ok(chapter),
         "data": data,
         "final": data["steps"][-1],
         "identity": identity(c),
         "files": sources_of(c.readings),
         "groups": _groups(data),
-        "signed": signed[: tables.SUMMARY],
-        "further": len(rows) - len(signed[: tables.SUMMARY]),
+        "signed": signed[: report_text.SUMMARY],
+        "further": len(rows) - len(signed[: report_text.SUMMARY]),
         "may": may,
         "not_for": not_for,
-        "unexplained": sentences.unexplained(chapter),
-        "story": sentences.story(chapter),
-        "ranges": tables.ranges(c),
-        "effects": tables.effects(chapter),
+        "unexplained": report_text.unexplained(chapter),
+        "story": report_text.story(chapter),
+        "ranges": report_text.ranges(c),
+        "effects": report_text.effects(chapter),
         "noise": c.model.noise.in_words,
         "fixed": [(n, number(v, 6)) for n, v in c.model.fixed],
-        "reference": [(n, tables.measured(v, "degC")) for n, v in c.hold_at.items()],
+        "reference": [(n, report_text.measured(v, "degC")) for n, v in c.hold_at.items()],
         "coefficients": rows[: 4 * MANY],
-        "matrix": tables.matrix(chapter),
-        "skewed": tables.skewed(chapter),
+        "matrix": report_text.matrix(chapter),
+        "skewed": report_text.skewed(chapter),
         "check": chapter.check,
         "checks": [0, last] if last else [0],
-        "allan": tables.allan(chapter.check),
+        "allan": report_text.allan(chapter.check),
         "discoveries": [_discovery(m, data, pictures) for m in data["missing"]],
         "budget": found,
         "no_budget": no_budget,
@@ -390,17 +390,17 @@ def _discovery(found: dict[str, Any], data: dict[str, Any], pictures: Pictures) 
         "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
         "rows": [c for c in tested if not is_quiet(c)][:MANY],
         "alike": sorted(", ".join(sorted(g)) for g in groups),
-        "not_testable": sentences.not_tested(found["candidates"]),
+        "not_testable": report_text.not_tested(found["candidates"]),
         "picture": pictures.missing(found, title),
     }
 
 
 def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
     """The budget at the middle of what was covered; or why there is none."""
-    if not sentences.ok(chapter):
+    if not report_text.ok(chapter):
         return None, "There is no budget of a result that is not reliable."
     try:
-        return budget(chapter.calibration, k=tables.K).shown(), ""
+        return budget(chapter.calibration, k=report_text.K).shown(), ""
     except BayescalError as error:
         return None, f"There is no budget: {error}"
 

@@ -14,9 +14,9 @@ from bayescal._calibration.description import identity
 from bayescal._core import deadline
 from bayescal._core.as_json import as_json, write_json
 from bayescal._core.errors import InputError
+from bayescal._report.report_text import conclusion
 from bayescal._report.result_json import RESULT, UNDER_WAY, result
 from bayescal._report.section import of_trail
-from bayescal._report.sentences import conclusion
 from bayescal._report.whole_folder import (
     AVERAGED,
     CHANNELS,

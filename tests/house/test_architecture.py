@@ -28,7 +28,7 @@ ROOMS = [
 ]
 FILES = ("plot", "__main__")  # that stand for themselves and hand on what a room has
 # Files that may be called as another one is: what they hold is the same thing, once for each of its kinds.
-SAME_NAME = {"take_away"}
+SAME_NAME: set[str] = set()
 
 
 class Import(NamedTuple):

@@ -14,10 +14,9 @@ from bayescal._search.discover import Discovery
 from bayescal._search.posterior import Found
 from bayescal._workbench.app import Workbench
 from bayescal._workbench.kept import path_to
-from bayescal._workbench.panes.error import in_order
 from bayescal._workbench.panes.fails import MANY, PIXELS, CutAxis, drawn_rows, sentence
 from bayescal._workbench.panes.missing import candidate_rows
-from bayescal._workbench.panes.tabs import ERROR, safe_name
+from bayescal._workbench.panes.tabs import ERROR, in_order, safe_name
 from bayescal._workbench.parts.pieces import Rows, new_figure, words
 from bayescal._workbench.session import Session
 
