@@ -119,17 +119,6 @@ class Curve(NamedTuple):
     edf: Float[np.ndarray, "k"]
 
 
-def terms_of(curve: Curve, unit: str) -> tuple[AllanTerm, ...]:
-    """N, B and K of a curve, each only where the curve has its slope.
-
-    Args:
-        curve: in octaves.
-        unit: of the output.
-    """
-    shown = _sizes(_stretches(curve), curve)
-    return tuple(term(s, unit, *shown.get(s, (None, None))) for s in SYMBOLS)
-
-
 class _Stretch(NamedTuple):
     first: int
     last: int
@@ -340,6 +329,7 @@ def of_runs(
     edf = degrees_of_freedom(runs, noise_types(variance))
     low, high = np.array([_interval(v, e) for v, e in zip(variance, edf, strict=True)]).T
     curve = Curve(factors, runs.step, max(runs.lengths), variance, edf)
+    shown = _sizes(_stretches(curve), curve)  # each only where the curve has its slope
     return AllanDeviation(
         unit=unit,
         step=runs.step,
@@ -350,7 +340,7 @@ def of_runs(
         high=high,
         differences=differences,
         edf=edf,
-        terms=terms_of(curve, unit),
+        terms=tuple(term(s, unit, *shown.get(s, (None, None))) for s in SYMBOLS),
     )
 
 

@@ -18,7 +18,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -61,6 +61,15 @@ class InstrumentLike(Protocol):
     def columns(self) -> tuple[Column, ...]: ...
     @property
     def nominal_scale(self) -> NominalScale | None: ...
+
+
+class ExpectedColumns(NamedTuple):
+    """What a file must hold, as reading asks an instrument."""
+
+    name: str
+    columns: tuple[Column, ...]
+    nominal_scale: NominalScale | None
+    output: str = "output"
 
 
 @dataclass(frozen=True)

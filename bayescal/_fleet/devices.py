@@ -10,17 +10,18 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
 from bayescal._core.errors import InputError
-from bayescal._data.column import Column, ConvertedColumns, NominalScale, Source
+from bayescal._data.column import Column, ConvertedColumns, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
 from bayescal._data.header_matching import (
+    ExpectedColumns,
     InstrumentLike,
     MatchedFile,
     ReadOptions,
@@ -295,15 +296,6 @@ def open_readings(path: Path, options: ReadOptions, max_bytes: int = MAX_BYTES) 
     return open_table(path, path.name, max_bytes, options.decimal, asked)
 
 
-class _WithFurtherColumns(NamedTuple):
-    """What reading asks of an instrument, with further columns that must be read."""
-
-    name: str
-    columns: tuple[Column, ...]
-    nominal_scale: NominalScale | None
-    output: str
-
-
 def split_table(
     table: Table,
     stem: str,
@@ -321,7 +313,7 @@ def split_table(
     problems.refuse()
     further = _further(table, instrument, options, needs)
     output = output_name(instrument)
-    expects = _WithFurtherColumns(
+    expects = ExpectedColumns(
         instrument.name, (*instrument.columns, *further), instrument.nominal_scale, output
     )
     file = MatchedFile(table, expects, options, problems)

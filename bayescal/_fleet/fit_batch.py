@@ -306,11 +306,6 @@ class Request:
     find: Find | None
     settings: tuple[OutcomeSettings, ...]
 
-    @property
-    def device_column(self) -> str:
-        """The files' name of the column of devices."""
-        return self.read_options.columns.get(DEVICE, DEVICE)
-
     @cached_property
     def digest(self) -> str:
         """SHA-256 over all that results depend on, but the readings."""
@@ -549,7 +544,7 @@ def fit_fleet(
     read_options = ReadOptions.of(model.instrument, **(columns or {}))
     request = Request(model, fit_options, read_options, find, given_settings())
     rows = rows or (FIND_ROWS if find else ROWS)
-    partitions = partitions_of(paths, rows, request.device_column)
+    partitions = partitions_of(paths, rows, read_options.columns.get(DEVICE, DEVICE))
     request = _with_common(request, partitions, engine, bool(population))
     named = chosen(request.model, population)
     folder = out.resolve()

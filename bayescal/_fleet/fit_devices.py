@@ -36,7 +36,6 @@ from bayescal._inference.method import Method
 from bayescal._inference.mode import Mode, find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import WeightedDraws, weighted_draws
-from bayescal._model.effect import Effect
 from bayescal._model.frame import (
     GROUPS,
     Frame,
@@ -383,7 +382,7 @@ def tailored(model: Model, readings: Measurements) -> Model:
     parts = {
         e.name: e.coefficients[0].size / stated[e.name].coefficients[0].size
         for e in model.effects
-        if e.name in stated and e == _sized_as(e, stated[e.name])
+        if e.name in stated and e == replace(stated[e.name], coefficients=e.coefficients)
     }
     effects = tuple(sized.get(e.name, e) if e.name in parts else e for e in model.effects)
     noise = own.noise if model.noise == general.noise else model.noise
@@ -392,11 +391,6 @@ def tailored(model: Model, readings: Measurements) -> Model:
         if part != 1:
             made = made.resize(name, part * made.effect(name).coefficients[0].size)
     return made
-
-
-def _sized_as(effect: Effect, stated: Effect) -> Effect:
-    """An effect as it is stated, of the sizes that this one has."""
-    return replace(stated, coefficients=effect.coefficients)
 
 
 def tailored_to_first(

@@ -120,7 +120,7 @@ def residual_panel(
     ax: Any, calibration: Calibration, found: Check, entry: Entry, title: str = ""
 ) -> None:
     """Residuals against one covariate."""
-    values = covariate_values(calibration, entry.against)
+    values = next(b.values for b in covariates_of(calibration) if b.name == entry.against)
     levels, codes = calibration.readings.groups("run")
     for run in np.unique(codes):
         own = codes == run
@@ -150,10 +150,6 @@ def residual_panel(
         low, high = ax.get_ylim()
         ax.set_ylim(low, high + 0.15 * (high - low))  # room for the legend
         ax.legend(frameon=False, fontsize=8, ncols=len(levels), markerscale=2, loc="upper left")
-
-
-def covariate_values(calibration: Calibration, name: str) -> np.ndarray:
-    return next(b.values for b in covariates_of(calibration) if b.name == name)
 
 
 MOST_CANDIDATES = 12  # candidates

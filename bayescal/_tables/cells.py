@@ -250,7 +250,7 @@ def numbers_of(texts: Sequence[str], decimal: str = ".") -> Cells:
             return Cells(np.fromiter(map(float, plain), np.float64, len(plain)))
     values = np.fromiter(map(number_of, plain), np.float64, len(plain))
     odd = [i for i in np.flatnonzero(np.isnan(values)).tolist() if not is_missing(texts[i])]
-    if odd and _is_date(texts[odd[0]]):
+    if odd and is_date(texts[odd[0]]):
         return _dates_of(texts, values, odd)
     return Cells(values, {i: texts[i].strip() for i in odd[:MOST_BAD]})
 
@@ -281,7 +281,8 @@ def _dates_of(texts: Sequence[str], values: np.ndarray, odd: Sequence[int]) -> C
     return Cells(shown, bad, dates=True, orders=orders)
 
 
-def _is_date(text: str) -> bool:
+def is_date(text: str) -> bool:
+    """Whether a cell is a date, or a time of day."""
     with suppress(ValueError):
         unix_seconds(text)
         return True

@@ -25,7 +25,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import permutations, product
 from typing import Any
 
 import jax
@@ -548,6 +547,7 @@ def _taylor(
 SWEEPS = 20  # of Gauss–Newton
 SETTLED = 1e-10  # rad, by which the last may move
 UNKNOWNS = 4  # the rotation and the dip
+TURNS = Rotation.create_group("O").as_matrix()  # the 24 that take axes to axes
 SCATTER = 0.2  # of sin(dip) between poses, from which on the axes do not fit or the field is none
 
 
@@ -682,16 +682,3 @@ def _split(vectors: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
 def _blocks(rows: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3n"]:
     """Each row on the three columns of its own pose."""
     return (np.eye(len(rows))[:, :, None] * rows[:, None, :]).reshape(len(rows), -1)
-
-
-def _turns() -> list[np.ndarray]:
-    """The 24 rotations that take axes to axes."""
-    made = [
-        np.eye(3)[list(order)] * np.array(signs)
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]
-    return [turn for turn in made if np.linalg.det(turn) > 0]
-
-
-TURNS = _turns()
