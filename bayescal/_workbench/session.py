@@ -53,8 +53,7 @@ from bayescal._use.compensator import compensator
 from bayescal._use.decide import Decisions, decide
 from bayescal._use.firmware_parameters import AUTOPILOTS, axis_of, firmware_parameters
 from bayescal._workbench import kept
-from bayescal._workbench.kept import Origin, Settings, State, path_to
-from bayescal._workbench.script import script
+from bayescal._workbench.kept import Origin, Settings, State, path_to, script
 
 KINDS = {"add": 1, "take_out": 1, "fix": 2, "free": 1, "resize": 2, "noise": 1}
 
