@@ -12,17 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from bayescal._data.dataset_checks import (
-    clip_levels,
-    held_rows,
-    leaps,
-    pieces,
-    record_codes,
-    repeated_rows,
-    rounding_step,
-    stretches,
-    stuck_rows,
-)
+from bayescal._data import dataset_checks as checks
 from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
 
@@ -45,7 +35,7 @@ def _without(readings: Measurements, rows: np.ndarray, said: str) -> Measurement
 
 def _once(readings: Measurements) -> Measurements:
     """Without rows that repeat an earlier one: reading a file drops them, other sources may hold them."""
-    again = repeated_rows({name: readings[name] for name in readings.columns})
+    again = checks.repeated_rows({name: readings[name] for name in readings.columns})
     if not (readings.has("time") and len(again)):
         return readings
     said = f"{len(again)} row(s) repeat an earlier one in every column: dropped"
@@ -56,7 +46,7 @@ def _without_clipped(readings: Measurements) -> Measurements:
     """Without what stands exactly at an end where the output was cut off: such a reading only says "beyond"."""
     output = readings["output"]
     clipped, notes = np.zeros(len(readings), dtype=bool), []
-    for end, level in [] if rounding_step(output) else clip_levels(output):
+    for end, level in [] if checks.rounding_step(output) else checks.clip_levels(output):
         at = output == level
         clipped |= at
         notes.append(f"{int(at.sum())} at its {end} {level:.6g}")
@@ -72,9 +62,9 @@ def _without_clipped(readings: Measurements) -> Measurements:
 def _without_stuck(readings: Measurements) -> Measurements:
     """Without repeats of one reading by an output that stood still: only the first was measured."""
     output = readings["output"]
-    if np.ptp(output) == 0 or rounding_step(output):
+    if np.ptp(output) == 0 or checks.rounding_step(output):
         return readings
-    if (stuck := stuck_rows(output)) is not None:
+    if (stuck := checks.stuck_rows(output)) is not None:
         first, last = stuck
         repeats = np.arange(first + 1, last + 1)
         said = f"stands still at {output[first]:.6g} (rows {first + 2} to {last + 1})"
@@ -90,8 +80,8 @@ def _held(readings: Measurements) -> np.ndarray:
     """Rows that repeat the output before them where it is held from leap to leap."""
     if not readings.has("time"):
         return np.zeros(0, int)
-    output, own = readings["output"], pieces({n: readings[n] for n in readings.columns})
-    held = held_rows(output, own)
+    output, own = readings["output"], checks.pieces({n: readings[n] for n in readings.columns})
+    held = checks.held_rows(output, own)
     again = [piece[1:][output[piece[1:]] == output[piece[:-1]]] for piece in own]
     return np.intersect1d(held, np.concatenate([np.zeros(0, int), *again]))
 
@@ -101,9 +91,9 @@ def _without_leaps(readings: Measurements) -> Measurements:
     if not readings.has("time"):
         return readings
     columns = {n: readings[n] for n in readings.columns}
-    gone, notes, own = np.zeros(len(readings), bool), [], pieces(columns)
+    gone, notes, own = np.zeros(len(readings), bool), [], checks.pieces(columns)
     for name in (n for n in columns if readings.unit(n) == "degC" and np.ptp(columns[n]) > 0):
-        rows = leaps(columns[name], own)
+        rows = checks.leaps(columns[name], own)
         gone[rows] = True
         shown = ", ".join(f"{row + 1} ({columns[name][row]:.6g} °C)" for row in rows[:5])
         notes += [f"{name}: row {shown}{' …' if len(rows) > 5 else ''}"] if len(rows) else []
@@ -139,8 +129,8 @@ def find_spikes(readings: Measurements) -> np.ndarray:
     if not readings.has("time"):
         return none
     found, heights, rest = [none], [np.zeros(0)], [np.zeros(0)]
-    codes = record_codes({name: readings[name] for name in readings.columns})
-    for piece in stretches(readings["time"], codes, given.spike_fewest):
+    codes = checks.record_codes({name: readings[name] for name in readings.columns})
+    for piece in checks.stretches(readings["time"], codes, given.spike_fewest):
         at, high, others = _standing_out(readings["output"][piece])
         found.append(piece[at])
         heights.append(high)

@@ -52,18 +52,13 @@ from bayescal._search.calibrate import QUICK
 from bayescal._search.discover import Discovery
 from bayescal._search.own_files import in_a_file, instrument_named, user_effects
 from bayescal._search.search_path import Step
+from bayescal._tables.mapping_file import MAPPING
 
 METHODS = ("LeastSquares", "Marginal", "NUTS")
-READ = {
-    **{"columns?": {str: str}, "units?": {str: str}, "ignore?": [str]},
-    **{"local_gravity?": float, "nominal_scale?": str, "nominal_zero?": str},
-    "outputs?": [str],
-    **{"missing?": str, "decimal?": str, "date_order?": str},
-}
 SHAPE = {  # of an `Origin`
     "instrument": str,
     **{"files": [str], "holdout": [str], "effect_files": [str], "channel?": str},
-    "read": READ,
+    "read": {**MAPPING, "outputs?": [str]},
     "average": OneOf(None, str),
     "keep_spikes": bool,
 }
