@@ -159,17 +159,9 @@ def sums_and_slopes(
     return Sums(*map(np.asarray, values)), Sums(*map(np.asarray, slopes))
 
 
-def device_moments(devices: DeviceEstimates, draws: PopulationDraws) -> DeviceMoments:
-    """Devices' own coefficients, averaged over the draws."""
-    number_and_sum, likely = len(devices.estimate), int(np.argmax(draws.weights))
-    made = _moments(_padded(devices, draws.centre), draws, likely)
-    moments = DeviceMoments(*(np.asarray(a)[:number_and_sum] for a in made))
-    return moments._replace(mean=moments.mean + draws.centre)
-
-
 def _padded(devices: DeviceEstimates, centre: np.ndarray) -> DeviceEstimates:
-    number_and_sum = len(devices.estimate)
-    spare = max(LEAST, 1 << max(number_and_sum - 1, 0).bit_length()) - number_and_sum
+    count = len(devices.estimate)
+    spare = max(LEAST, 1 << max(count - 1, 0).bit_length()) - count
     return DeviceEstimates(
         np.pad(devices.precision, ((0, spare), (0, 0), (0, 0))),
         np.pad(devices.estimate - centre, ((0, spare), (0, 0))),
@@ -330,9 +322,11 @@ class Learned(NamedTuple):
     draws: PopulationDraws
 
     def moments(self, devices: DeviceEstimates) -> DeviceMoments:
-        """The devices' coefficients under the population, in their units."""
-        own = device_moments(devices, self.draws)
-        return DeviceMoments(own.mean * self.size, own.covariance * np.outer(self.size, self.size))
+        """The devices' coefficients under the population, averaged over the draws, in their units."""
+        draws, size = self.draws, self.size
+        made = _moments(_padded(devices, draws.centre), draws, int(np.argmax(draws.weights)))
+        mean, covariance = (np.asarray(a)[: len(devices.estimate)] for a in made)
+        return DeviceMoments((mean + draws.centre) * size, covariance * np.outer(size, size))
 
 
 def estimates(

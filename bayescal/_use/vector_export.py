@@ -32,7 +32,6 @@ from bayescal._use.expression_graph import template
 from bayescal._use.firmware_parameters import AUTOPILOTS
 from bayescal._use.vector_correction import NEWTON, SIZES, VectorCorrection
 
-AXES = "xyz"
 SHAPE = {
     "made_by": str,
     "calibration": str,

@@ -120,50 +120,6 @@ SUFFIXES = {format: suffix for suffix, format in code_writer.FORMATS.items()}
 FORMATS = (*SUFFIXES, *AUTOPILOTS)
 
 
-def side_by_side(one: State, other: State) -> str:
-    """`bc.compare` of two states, then their coefficients, noise and shapes with standard uncertainties.
-
-    Raises:
-        InputError: they were fitted to other readings.
-    """
-    fits = {f"{s.number} {s.title}": s.calibration for s in (one, other)}
-    values = [
-        {t["name"]: with_error(t["mean"], t["sd"]) for told in summary(c) for t in told}
-        for c in fits.values()
-    ]
-    units = {t["name"]: t["unit"] for c in fits.values() for told in summary(c) for t in told}
-    rows = [[n, *(v.get(n, "–") for v in values), unit_label(unit)] for n, unit in units.items()]
-    return f"{compare(fits)}\n\n{table(['', *fits, 'unit'], rows)}"
-
-
-def write_report(
-    folder: Path, origin: Origin, own: Mapping[str, Effect], decisions: Decisions | None
-) -> Path:
-    """The report of a folder that a trail was saved to: what `bayescal report FOLDER` writes."""
-    instrument, effects = origin.open_instrument(), tuple(own.values())
-    given = () if instrument is None else (instrument,)
-    chapter = of_folder(folder, effects, given)
-    return report([chapter], folder / "report.html", effects=effects, decisions=decisions)
-
-
-def write_export(folder: Path, trail: SearchPath, what: str) -> Path:
-    """One export of the trail's calibration: what `bayescal export FOLDER/calibration.nc --format WHAT` writes.
-
-    Raises:
-        InputError: what the export itself refuses.
-    """
-    made = compensator(trail.calibration)
-    if what in SUFFIXES:
-        return made.export(folder / f"compensation{SUFFIXES[what]}", what)
-    axis = axis_of(trail.final.calibration)
-    if axis is None:
-        raise InputError(
-            "these readings do not say of which axis they are, and an autopilot's parameters need it: export the "
-            f"calibration with bayescal export --format {what} --axis gyro_x=FILE"
-        )
-    return firmware_parameters({axis: made}, what).write(folder / f"{what}.txt")
-
-
 @dataclass(eq=False)
 class Session:
     """One person's work on one set of readings: a tree of states in a folder, one of which is current.
@@ -505,8 +461,18 @@ class Session:
         return "\n\n".join([*(textwrap.fill(t, WIDTH) for t in told if t), str(trail)])
 
     def compare(self, number: int) -> str:
-        """The current model beside another step's: `bc.compare`, and their coefficients side by side."""
-        return side_by_side(self.current, self.states[number])
+        """The current model beside another step's: `bc.compare`, then coefficients, noise and shapes ± u.
+
+        Raises:
+            InputError: they were fitted to other readings.
+        """
+        both = self.current, self.states[number]
+        fits = {f"{s.number} {s.title}": s.calibration for s in both}
+        told = [[t for rows in summary(c) for t in rows] for c in fits.values()]
+        values = [{t["name"]: with_error(t["mean"], t["sd"]) for t in own} for own in told]
+        units = {t["name"]: unit_label(t["unit"]) for own in told for t in own}
+        rows = [[n, *(v.get(n, "–") for v in values), unit] for n, unit in units.items()]
+        return f"{compare(fits)}\n\n{table(['', *fits, 'unit'], rows)}"
 
     def budget(self, at: Mapping[str, float]) -> Budget:
         """`bc.budget` of the current model."""
@@ -525,7 +491,9 @@ class Session:
     def report(self) -> Path:
         """The report for sign-off, in the folder: what `bayescal report` writes of it, with what was decided."""
         folder, decided = self._result()[0], self._decisions.get(self.current.number)
-        return write_report(folder, self.origin, self.own, decided)
+        instrument, effects = self.origin.open_instrument(), tuple(self.own.values())
+        chapter = of_folder(folder, effects, () if instrument is None else (instrument,))
+        return report([chapter], folder / "report.html", effects=effects, decisions=decided)
 
     def export(self, what: str) -> Path:
         """An export of the current model, in the folder: what `bayescal export` writes; `what` is one of its formats.
@@ -536,7 +504,16 @@ class Session:
         if what not in FORMATS:
             raise InputError(f"{what!r} is not one of {', '.join(FORMATS)}")
         folder, trail = self._result()
-        return write_export(folder, trail, what)
+        made = compensator(trail.calibration)
+        if what in SUFFIXES:
+            return made.export(folder / f"compensation{SUFFIXES[what]}", what)
+        axis = axis_of(trail.final.calibration)
+        if axis is None:
+            raise InputError(
+                "these readings do not say of which axis they are, and an autopilot's parameters need it: export the "
+                f"calibration with bayescal export --format {what} --axis gyro_x=FILE"
+            )
+        return firmware_parameters({axis: made}, what).write(folder / f"{what}.txt")
 
     @property
     def _loop(self) -> Loop:
