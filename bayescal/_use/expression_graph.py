@@ -275,11 +275,8 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
-_SAME = (
-    "add sub mul div neg abs sign max min pow atan2 rem exp log expm1 log1p sqrt sin cos tan asin acos atan sinh "
-    "cosh tanh floor ceil gt ge lt le eq ne and or not"
-)
-SAME = {**{name: name for name in _SAME.split()}, "add_any": "add"}  # primitive → operation
+# primitive → operation
+SAME = {name: name for name in OPERATIONS.keys() - {"select", "real"}} | {"add_any": "add"}
 _MOVES = (
     "broadcast_in_dim reshape squeeze expand_dims slice dynamic_slice gather concatenate transpose rev copy stack "
     "unstack split"

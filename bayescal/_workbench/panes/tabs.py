@@ -20,7 +20,7 @@ from typing import Any, get_args
 
 import numpy as np
 import panel as pn
-import panel.models.file_dropper
+import panel.models.file_dropper  # its scripts come with the page
 from bokeh.models import ColumnDataSource, Legend, LegendItem, NumeralTickFormatter, Span, Whisker
 
 from bayescal._calibration.noise_in_time import AllanCheck
