@@ -86,7 +86,7 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-MOST_PANELS = 6  # panels
+MOST_PANELS = 6  # of residuals
 MANY = 3000  # readings from which points become one image within a vector picture
 NO_UNIT = {"order": "row"}  # covariates that count
 
@@ -152,7 +152,7 @@ def residual_panel(
         ax.legend(frameon=False, fontsize=8, ncols=len(levels), markerscale=2, loc="upper left")
 
 
-MOST_CANDIDATES = 12  # candidates
+MOST_CANDIDATES = 12
 BELOW = 0.45  # inch, from an axis to its legend: its numbers and its label stand between
 # No line runs through the words.
 ON_GROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
@@ -290,7 +290,7 @@ def loop(found: SearchPath) -> Figure:
 
 DRAWS = 1000  # in a picture
 INTERVAL = 0.95
-MOST_UNKNOWNS = 24  # coefficients in one picture
+MOST_UNKNOWNS = 24  # in one picture
 PAIRED = 4  # unknowns in a picture of pairs
 
 
@@ -307,7 +307,7 @@ def coefficients(
     Raises:
         InputError: no such unknown, or none at all.
     """
-    data = _chosen(calibration, names, MOST_UNKNOWNS)
+    data = _chosen(calibration, names)
     across, down = min(columns, len(data)), -(-len(data) // columns)
     figure = new_figure(2.8 * across, 2.0 * down + 0.3)
     panels = figure.subplots(down, across, squeeze=False).ravel()
@@ -386,7 +386,7 @@ def pairs(calibration: Calibration, names: Sequence[str] | None = None) -> Figur
     Raises:
         InputError: no such unknown, or fewer than two.
     """
-    data = _chosen(calibration, names, MOST_UNKNOWNS)
+    data = _chosen(calibration, names)
     if len(data) < 2:
         raise InputError(f"a picture of pairs needs two unknowns or more, not {len(data)}")
     if names is None:
@@ -482,7 +482,7 @@ def identifiability(calibration: Calibration, ax: Any = None) -> Figure:
     return ax.figure
 
 
-def _chosen(calibration: Calibration, names: Sequence[str] | None, most: int) -> xr.Dataset:
+def _chosen(calibration: Calibration, names: Sequence[str] | None) -> xr.Dataset:
     """Draws of the named unknowns, thinned; of those with one value each, if none is named."""
     posterior = calibration.posterior
     single = [str(n) for n in posterior if set(posterior[n].dims) == {"chain", "draw"}]
@@ -492,7 +492,7 @@ def _chosen(calibration: Calibration, names: Sequence[str] | None, most: int) ->
             f"no unknown with one value is called {', '.join(unknown)}; there are: {', '.join(single)}"
         )
     moving = [n for n in single if _moves(posterior[n].values)]
-    chosen = list(names or moving)[:most]
+    chosen = list(names or moving)[:MOST_UNKNOWNS]
     if not chosen:
         raise InputError("every unknown is held at a value: there is nothing to draw")
     return posterior[chosen].isel(draw=_thin(posterior))

@@ -215,12 +215,15 @@ def inline(svg: str, prefix: str, alt: str) -> Markup:
     return Markup(f"{head} {view[0] if view else ''}>{rest}")
 
 
-def embedded(png: bytes, caption: str, alt: str) -> Picture:
-    """A PNG as data within the page."""
-    data = base64.b64encode(png).decode("ascii")
-    return Picture(
-        Markup('<img alt="{}" src="data:image/png;base64,{}">').format(alt, data), caption
+def embedded(loop: bytes) -> Picture:
+    """The picture of the loop, a PNG, as data within the page."""
+    told = (
+        "Four panels: residuals of the first model, candidates for what is missing, residuals of the last model, and "
+        "the error of each step. The tables of this report hold the same."
     )
+    data = base64.b64encode(loop).decode("ascii")
+    body = Markup('<img alt="{}" src="data:image/png;base64,{}">').format(told, data)
+    return Picture(body, "The loop as it was drawn when the calibration was made")
 
 
 # What the layout meets where a result.json is not as it was written, beside errors of its template.
@@ -411,14 +414,7 @@ def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     if last and chapter.first is not None and chapter.first_check is not None:
         first = pictures.residuals(chapter.first, chapter.first_check, "the first model")
     elif last and chapter.picture is not None:
-        first = [
-            embedded(
-                chapter.picture,
-                "The loop as it was drawn when the calibration was made",
-                "Four panels: residuals of the first model, candidates for what is missing, residuals of the last "
-                "model, and the error of each step. The tables of this report hold the same.",
-            )
-        ]
+        first = [embedded(chapter.picture)]
     return {
         "first": first,
         "last": pictures.residuals(c, chapter.check, "the last model"),
