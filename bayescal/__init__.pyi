@@ -40,7 +40,7 @@ from ._use.compensator import compensator as compensator
 from ._use.compensator import load_compensator as load_compensator
 from ._use.vector_correction import vector_correction as vector_correction
 from ._use.moves import moves as moves
-from ._use.one_frame import in_frame_of as in_frame_of
+from ._use.vector_correction import in_frame_of as in_frame_of
 from ._use.vector_export import export_vector as export_vector
 from ._use.vector_export import load_vector_correction as load_vector_correction
 from ._use.budget import budget as budget
@@ -111,15 +111,15 @@ from ._search.false_reports import FalseReports as FalseReports
 from ._use.compensator import Compensator as Compensator
 from ._use.vector_correction import VectorCorrection as VectorCorrection
 from ._use.budget import Budget as Budget
-from ._use.decision import Decisions as Decisions
+from ._use.decide import Decisions as Decisions
 from ._use.firmware_parameters import FirmwareParameters as FirmwareParameters
 
 # many devices at once
 from ._fleet.fit_batch import fit_batch as fit_batch
-from ._fleet.fleet_result import FleetResult as FleetResult
+from ._fleet.batch_result import FleetResult as FleetResult
 from ._fleet.find_devices import Find as Find
-from ._fleet.fleet_result import load_fleet as load_fleet
-from ._fleet.split_devices import split_devices as split_devices
+from ._fleet.batch_result import load_fleet as load_fleet
+from ._fleet.devices import split_devices as split_devices
 from ._fleet.devices import Devices as Devices
 from ._fleet.weighted_draws import weighted_draws as weighted_draws
 from ._fleet.weighted_draws import Batch as Batch

@@ -23,8 +23,7 @@ from bayescal._data.allan_deviation import (
 )
 from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
-from bayescal._data.unit_conversion import unit_label
-from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse
+from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse, unit_label
 from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_terms import FLAT
 from bayescal._model.summed_noise import SummedNoise

@@ -123,7 +123,7 @@ def _cluster(
         return
     if workers is not None and scheduler is not None:
         raise InputError("--workers and --scheduler: give one of them, a cluster here or elsewhere")
-    from bayescal._fleet.open_cluster import open_cluster
+    from bayescal._fleet.engine import open_cluster
 
     with open_cluster(workers, scheduler) as client:
         for own in own_files:

@@ -28,7 +28,6 @@ from bayescal._cli.options import (
 )
 from bayescal._core.as_json import write_json
 from bayescal._core.errors import InputError, ModelError
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
 
 commands = Commands()
 MOST = 5  # effects that are added
@@ -300,6 +299,7 @@ def export(
     """Write the calibration for use elsewhere: C99, Python, JSON, a page, autopilot parameters, a certificate."""
     from bayescal._cli import saved
     from bayescal._core.atomic_file import write_text
+    from bayescal._data.unit_conversion import STANDARD_GRAVITY
 
     known, paths = ", ".join(saved.KNOWN), calibrations or []
     if format_ is None and out is None:
@@ -384,6 +384,7 @@ def decide(
     Exit status: 0 where every limit is met; 1 where one is not, or is undecided.
     """
     from bayescal._cli import saved
+    from bayescal._data.unit_conversion import STANDARD_GRAVITY
 
     found = bc.decide(
         saved.load_saved(calibration, own),

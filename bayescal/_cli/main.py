@@ -18,7 +18,7 @@ from typing import NoReturn
 
 import typer
 
-from bayescal._cli import batch, calibrate_command, catalogue, deliverables, fit_and_predict
+from bayescal._cli import batch, commands, deliverables
 from bayescal._core import deadline
 from bayescal._core.errors import BayescalError, NotConverged, TimeIsUp
 from bayescal._core.quoting import one_line
@@ -36,7 +36,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-for group in (catalogue, calibrate_command, fit_and_predict, deliverables, batch):
+for group in (commands, deliverables, batch):
     app.add_typer(group.commands)
 
 

@@ -18,7 +18,6 @@ from typing import Annotated, Any
 import typer
 
 from bayescal._core.errors import InputError
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 
 METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names
@@ -317,6 +316,8 @@ class ColumnOptions:
         Raises:
             InputError: an option is not of its form, or the mapping cannot be used.
         """
+        from bayescal._data.unit_conversion import STANDARD_GRAVITY  # loads NumPy
+
         saved = {} if self.mapping is None else load_mapping(self.mapping)
         names = ("local_gravity", "missing", "decimal", "date_order", "nominal_scale")
         single = {name: getattr(self, name) for name in (*names, "nominal_zero", "ignore")}

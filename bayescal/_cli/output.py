@@ -22,9 +22,9 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._model.unknown_effect import covariate_in
+from bayescal._report.report_text import rows_in_output_unit
+from bayescal._report.result_json import Keeper
 from bayescal._report.section import of_trail
-from bayescal._report.tables import rows_in_output_unit
-from bayescal._report.under_way import Keeper
 from bayescal._search.calibrate import SearchPath
 from bayescal._search.channels import Channels
 from bayescal._search.draft_effect import draft_effect

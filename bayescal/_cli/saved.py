@@ -8,11 +8,10 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import load
 from bayescal._cli.options import DecisionRule, InUse, OwnParts, UsedParts, named_values
 from bayescal._core.errors import InputError
-from bayescal._fleet.batch_result import load_batch
-from bayescal._fleet.fleet_result import load_fleet
+from bayescal._fleet.batch_result import load_batch, load_fleet
 from bayescal._fleet.population import Population
 from bayescal._model.instrument import Instrument
-from bayescal._report.dcc import dcc_text
+from bayescal._report.certificate import dcc_text
 from bayescal._report.section import CALIBRATION, Chapter, chapters, of_folder
 from bayescal._report.whole_folder import (
     AVERAGED,
@@ -22,11 +21,15 @@ from bayescal._report.whole_folder import (
     refuse_mixed,
 )
 from bayescal._search.own_files import instrument_named, user_effects
-from bayescal._use.autopilots import AUTOPILOTS
 from bayescal._use.code_writer import FORMATS
 from bayescal._use.compensator import Compensator, compensator, load_compensator
 from bayescal._use.decide import decide
-from bayescal._use.firmware_parameters import FirmwareParameters, axis_of, firmware_parameters
+from bayescal._use.firmware_parameters import (
+    AUTOPILOTS,
+    FirmwareParameters,
+    axis_of,
+    firmware_parameters,
+)
 
 PARAMETERS, DCC = tuple(AUTOPILOTS), "dcc"
 KNOWN = (*FORMATS.values(), *PARAMETERS, DCC)  # formats of an export

@@ -24,8 +24,7 @@ from bayescal._core.formatting import number, table, with_error
 from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
 from bayescal._data.time_in_runs import run_codes
-from bayescal._data.unit_conversion import unit_label
-from bayescal._data.unit_parsing import parse
+from bayescal._data.unit_conversion import parse, unit_label
 
 SYMBOLS = "NBK"
 SLOPES = {"N": -0.5, "B": 0.0, "K": 0.5}  # of log σ over log τ
@@ -118,17 +117,6 @@ class Curve(NamedTuple):
     readings: int
     variance: Float[np.ndarray, "k"]
     edf: Float[np.ndarray, "k"]
-
-
-def terms_of(curve: Curve, unit: str) -> tuple[AllanTerm, ...]:
-    """N, B and K of a curve, each only where the curve has its slope.
-
-    Args:
-        curve: in octaves.
-        unit: of the output.
-    """
-    shown = _sizes(_stretches(curve), curve)
-    return tuple(term(s, unit, *shown.get(s, (None, None))) for s in SYMBOLS)
 
 
 class _Stretch(NamedTuple):
@@ -341,6 +329,7 @@ def of_runs(
     edf = degrees_of_freedom(runs, noise_types(variance))
     low, high = np.array([_interval(v, e) for v, e in zip(variance, edf, strict=True)]).T
     curve = Curve(factors, runs.step, max(runs.lengths), variance, edf)
+    shown = _sizes(_stretches(curve), curve)  # each only where the curve has its slope
     return AllanDeviation(
         unit=unit,
         step=runs.step,
@@ -351,7 +340,7 @@ def of_runs(
         high=high,
         differences=differences,
         edf=edf,
-        terms=terms_of(curve, unit),
+        terms=tuple(term(s, unit, *shown.get(s, (None, None))) for s in SYMBOLS),
     )
 
 

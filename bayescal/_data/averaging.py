@@ -10,8 +10,8 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import MAY_BE_EMPTY, UNCERTAINTY
+from bayescal._data.dataset_checks import label_codes, record_codes
 from bayescal._data.record_settings import recording
-from bayescal._data.stretches import label_codes, record_codes
 from bayescal._data.unit_conversion import convert, unit_label
 
 _DURATION = re.compile(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*([^\W\d_]+)\s*")

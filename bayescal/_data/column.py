@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
 from bayescal._data.record_settings import recording
-from bayescal._data.unit_parsing import ANY
+from bayescal._data.unit_conversion import ANY
 from bayescal._tables.raw_table import ROW, Table
 
 UNCERTAINTY = "output_uncertainty"  # known standard uncertainty of each reading

@@ -17,14 +17,27 @@ from bayescal._data.column import (
     overloads,
     placeholders,
 )
-from bayescal._data.header_matching import DAYS, MatchedFile, channels_beside, plain, unit_in
-from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name, unit_of
-from bayescal._data.unit_conversion import convert, needs_gravity, pretty, same_dimension
-from bayescal._data.unit_parsing import ANY, parse
-from bayescal._tables.cells import Cells
-from bayescal._tables.dates import EXAMPLE, date_text, from_first, unit_of_counts
-from bayescal._tables.problems import Problem, Problems, option
-from bayescal._tables.raw_table import Header, Table, load_whole
+from bayescal._data.header_matching import (
+    DAYS,
+    InstrumentLike,
+    MatchedFile,
+    ReadOptions,
+    channels_beside,
+    output_name,
+    plain,
+    unit_in,
+    unit_of,
+)
+from bayescal._data.unit_conversion import (
+    ANY,
+    convert,
+    needs_gravity,
+    parse,
+    pretty,
+    same_dimension,
+)
+from bayescal._tables.cells import EXAMPLE, Cells, date_text, from_first, unit_of_counts
+from bayescal._tables.raw_table import Header, Problem, Problems, Table, load_whole, option
 
 _TEXTS = 3  # of a column, that are quoted
 _OVERLOAD = "reads {:.4g}, an instrument's code for an overload or no reading at all (SCPI writes ±9.9E37 and 9.91E37)"

@@ -30,14 +30,11 @@ from bayescal._data.dataset_checks import (
     problems_of_whole,
     repeated_rows,
 )
-from bayescal._data.header_matching import unused_options
+from bayescal._data.header_matching import InstrumentLike, ReadOptions, output_name, unused_options
 from bayescal._data.pose_rows import scalar_readings
-from bayescal._data.read_options import InstrumentLike, ReadOptions, output_name
-from bayescal._data.unit_parsing import ANY, STANDARD_GRAVITY, parse
-from bayescal._tables.cells import equally_long
-from bayescal._tables.dates import date_text
-from bayescal._tables.problems import Problems
-from bayescal._tables.raw_table import ROW, Table
+from bayescal._data.unit_conversion import ANY, STANDARD_GRAVITY, parse
+from bayescal._tables.cells import date_text, equally_long
+from bayescal._tables.raw_table import ROW, Problems, Table
 from bayescal._tables.write import write
 
 SINCE = "since"  # attribute of the time: seconds since 1970 at its zero, where the file has dates

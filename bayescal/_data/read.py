@@ -15,17 +15,16 @@ from bayescal._core.quoting import one_line
 from bayescal._data.column import MAY_BE_EMPTY, ConvertedColumns, NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import problems_of_whole
-from bayescal._data.header_matching import unused_options
-from bayescal._data.read_options import (
+from bayescal._data.header_matching import (
     InstrumentLike,
     ReadOptions,
     expected_columns,
     output_name,
+    unused_options,
 )
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._data.unit_conversion import STANDARD_GRAVITY
 from bayescal._tables.open_table import MAX_BYTES, check_files, open_table
-from bayescal._tables.problems import Problems
-from bayescal._tables.raw_table import Table
+from bayescal._tables.raw_table import Problems, Table
 
 if TYPE_CHECKING:
     from bayescal._data.measurements import Measurements

@@ -2,7 +2,7 @@
 
 Spikes of the output, single readings far from both of their neighbours, are faults of the record and not of the sensor,
 and one of them can outweigh thousands of readings. At spikes of a thermometer it is not known what the output belongs
-to.
+to. Hold-out data that are fitted already say nothing of new readings.
 """
 
 from __future__ import annotations
@@ -10,12 +10,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
-from bayescal._data.covariate_checks import held_rows, leaps, pieces
-from bayescal._data.dataset_checks import clip_levels, repeated_rows, stuck_rows
+from bayescal._data import dataset_checks as checks
 from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
-from bayescal._data.stretches import record_codes, rounding_step, stretches
 
 
 def set_aside(readings: Measurements, keep_spikes: bool = False) -> Measurements:
@@ -36,7 +35,7 @@ def _without(readings: Measurements, rows: np.ndarray, said: str) -> Measurement
 
 def _once(readings: Measurements) -> Measurements:
     """Without rows that repeat an earlier one: reading a file drops them, other sources may hold them."""
-    again = repeated_rows({name: readings[name] for name in readings.columns})
+    again = checks.repeated_rows({name: readings[name] for name in readings.columns})
     if not (readings.has("time") and len(again)):
         return readings
     said = f"{len(again)} row(s) repeat an earlier one in every column: dropped"
@@ -47,7 +46,7 @@ def _without_clipped(readings: Measurements) -> Measurements:
     """Without what stands exactly at an end where the output was cut off: such a reading only says "beyond"."""
     output = readings["output"]
     clipped, notes = np.zeros(len(readings), dtype=bool), []
-    for end, level in [] if rounding_step(output) else clip_levels(output):
+    for end, level in [] if checks.rounding_step(output) else checks.clip_levels(output):
         at = output == level
         clipped |= at
         notes.append(f"{int(at.sum())} at its {end} {level:.6g}")
@@ -63,9 +62,9 @@ def _without_clipped(readings: Measurements) -> Measurements:
 def _without_stuck(readings: Measurements) -> Measurements:
     """Without repeats of one reading by an output that stood still: only the first was measured."""
     output = readings["output"]
-    if np.ptp(output) == 0 or rounding_step(output):
+    if np.ptp(output) == 0 or checks.rounding_step(output):
         return readings
-    if (stuck := stuck_rows(output)) is not None:
+    if (stuck := checks.stuck_rows(output)) is not None:
         first, last = stuck
         repeats = np.arange(first + 1, last + 1)
         said = f"stands still at {output[first]:.6g} (rows {first + 2} to {last + 1})"
@@ -81,8 +80,8 @@ def _held(readings: Measurements) -> np.ndarray:
     """Rows that repeat the output before them where it is held from leap to leap."""
     if not readings.has("time"):
         return np.zeros(0, int)
-    output, own = readings["output"], pieces({n: readings[n] for n in readings.columns})
-    held = held_rows(output, own)
+    output, own = readings["output"], checks.pieces({n: readings[n] for n in readings.columns})
+    held = checks.held_rows(output, own)
     again = [piece[1:][output[piece[1:]] == output[piece[:-1]]] for piece in own]
     return np.intersect1d(held, np.concatenate([np.zeros(0, int), *again]))
 
@@ -92,9 +91,9 @@ def _without_leaps(readings: Measurements) -> Measurements:
     if not readings.has("time"):
         return readings
     columns = {n: readings[n] for n in readings.columns}
-    gone, notes, own = np.zeros(len(readings), bool), [], pieces(columns)
+    gone, notes, own = np.zeros(len(readings), bool), [], checks.pieces(columns)
     for name in (n for n in columns if readings.unit(n) == "degC" and np.ptp(columns[n]) > 0):
-        rows = leaps(columns[name], own)
+        rows = checks.leaps(columns[name], own)
         gone[rows] = True
         shown = ", ".join(f"{row + 1} ({columns[name][row]:.6g} °C)" for row in rows[:5])
         notes += [f"{name}: row {shown}{' …' if len(rows) > 5 else ''}"] if len(rows) else []
@@ -130,8 +129,8 @@ def find_spikes(readings: Measurements) -> np.ndarray:
     if not readings.has("time"):
         return none
     found, heights, rest = [none], [np.zeros(0)], [np.zeros(0)]
-    codes = record_codes({name: readings[name] for name in readings.columns})
-    for piece in stretches(readings["time"], codes, given.spike_fewest):
+    codes = checks.record_codes({name: readings[name] for name in readings.columns})
+    for piece in checks.stretches(readings["time"], codes, given.spike_fewest):
         at, high, others = _standing_out(readings["output"][piece])
         found.append(piece[at])
         heights.append(high)
@@ -204,3 +203,40 @@ def _beyond_the_tail(high: np.ndarray, rest: np.ndarray, count: int) -> np.ndarr
     gaps = i * exponent * (logs[i - 1] - logs[i])
     beyond = np.flatnonzero(gaps > np.log(max(most, 1) / given.tail_chance))
     return order[: beyond[-1] + 1] if beyond.size else order[:0]
+
+
+def not_new(readings: Measurements, holdout: Measurements) -> int:
+    """How many of the hold-out data are readings that are fitted, whatever their time and labels say.
+
+    A reading is known by its numbers but for the time: output, temperatures, inputs. Where these repeat among the
+    readings themselves, as rounded ones do, equal numbers say nothing, and 0 is returned.
+
+    Args:
+        readings: to fit.
+        holdout: hold-out data, of the same instrument.
+    """
+    shared = [
+        n
+        for n in readings.columns
+        if n != "time" and readings.unit(n) is not None and holdout.has(n)
+    ]
+    mine, theirs = (
+        pd.DataFrame({n: r[n] for n in shared}).round(12).drop_duplicates()
+        for r in (readings, holdout)
+    )
+    if len(mine) < recording().one_of_its_kind * len(readings):
+        return 0
+    both = len(theirs.merge(mine, how="inner", on=shared))
+    return both if both > recording().not_new * len(theirs) else 0
+
+
+def said_of(readings: Measurements, holdout: Measurements) -> str:
+    """That hold-out data are not new, in words; empty where they are."""
+    many = not_new(readings, holdout)
+    if not many:
+        return ""
+    return (
+        f"{holdout.file}: {many} of the {len(holdout)} readings of the hold-out data are readings that are fitted "
+        "(equal output, temperature and inputs; times and labels apart): the hold-out error says nothing of new "
+        "readings. Take readings of another run"
+    )

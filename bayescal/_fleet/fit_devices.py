@@ -1,26 +1,44 @@
-"""Many devices of one type, fitted each by itself in this process: mean, covariance and whether they are reliable."""
+"""Many devices of one type, fitted each by itself in this process: mean, covariance and whether they are reliable.
+
+Least squares has a closed form but for one number, the noise, where the expected output is affine in the coefficients,
+their priors are fixed and the noise is white: the quick way through a batch. The readings enter through R of the QR
+factors of [J_flat, J·s, r] alone (s: prior standard deviations), and through the singular values d of its block of
+proper columns. The restricted likelihood of the noise σ is then a sum of p terms,
+
+    −2 log L(σ) = (n − f) log σ² + ρ²/σ² + Σ log(1 + d²/σ²) + c²/(σ² + d²)
+
+with ρ what no column explains, c the readings along the singular vectors and f the number of flat coefficients. Its
+maximum is that of `LeastSquares`, and so are the coefficients at it and their covariance.
+Source: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
+
+There frames of many devices are stacked, so that one compiled program sees them all. A table without time and without
+groups becomes a stack of frames by a few array operations; else frames are built one by one. Devices with other numbers
+of readings are padded to a common one; a padded reading repeats the last and counts nothing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Float
 
 from bayescal._core.errors import BayescalError, InputError, ModelError
 from bayescal._core.importance_weights import smoothed
 from bayescal._core.jax_setup import spare_memory_maps
+from bayescal._core.jit import compiled
 from bayescal._core.settings_in_force import unusual
+from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
-from bayescal._fleet import closed_form
 from bayescal._fleet.batch_result import BatchPart, BatchResult
-from bayescal._fleet.devices import DeviceBlock, Devices, joined
+from bayescal._fleet.devices import DEVICE, DeviceBlock, Devices, joined
 from bayescal._fleet.partial_pooling import pooled
 from bayescal._fleet.population import Named
-from bayescal._fleet.stacks import DeviceFrame, DeviceStack, frames, stacks
 from bayescal._inference import least_squares, sampled_products, trust
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.least_squares import LeastSquares
@@ -30,10 +48,312 @@ from bayescal._inference.method import Method
 from bayescal._inference.mode import Mode, find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import WeightedDraws, weighted_draws
-from bayescal._model.effect import Effect
-from bayescal._model.frame import Frame, Reference, build_frame, reference_name, reference_of
+from bayescal._model import forward
+from bayescal._model.frame import (
+    GROUPS,
+    Frame,
+    Reference,
+    build_frame,
+    reference_name,
+    reference_of,
+    rounded_means,
+)
 from bayescal._model.model import Model
-from bayescal._model.parameters import Layout, Levels
+from bayescal._model.parameters import Layout, Levels, bind
+
+GRID = 32  # starts for log σ², among which the best one's neighbours bracket the maximum
+NEWTON_STEPS = 10  # safeguarded Newton steps in the bracket, to the last digits
+LEAST_NOISE = 1e-24  # share of the readings' variance, below which the noise counts as none
+NOISE = "noise.white"
+
+
+class ClosedFormFit(NamedTuple):
+    """What least squares finds of one device: x̂, its covariance, σ, and whether all of it was determined."""
+
+    x: Float[Array, "p"]
+    covariance: Float[Array, "p p"]
+    noise: Float[Array, ""]
+    determined: Array
+    scatter: Array  # whether the readings left any
+
+
+def has_closed_form(layout: Layout, frame: Frame) -> bool:
+    """Whether the model is of this kind for readings like these."""
+    noise = layout.model.noise
+    only_noise = all(h.kind == "noise" for h in layout.hypers)
+    return (
+        noise.first
+        and only_noise
+        and layout.size > 0
+        and not layout.row_blocks
+        and UNCERTAINTY not in frame.columns
+        and not sampled_products.is_nonlinear(layout, frame)
+    )
+
+
+@compiled
+def solve_in_closed_form(
+    layout: Layout, frames: Frame, ys: Float[Array, "b n"], real: Float[Array, "b n"]
+) -> ClosedFormFit:
+    """All devices of a stack; `real` is 0 where a reading is padding."""
+    return jax.vmap(lambda *device: _solve_one(layout, *device))(frames, ys, real)
+
+
+def _solve_one(
+    layout: Layout, frame: Frame, y: Float[Array, "n"], real: Float[Array, "n"]
+) -> ClosedFormFit:
+    flat = np.concatenate([np.full(b.size, b.coefficient.flat) for b in layout.x_blocks])
+    places, f, p = np.argsort(~flat, kind="stable"), int(flat.sum()), layout.size
+    centre = forward.prior_mean(layout)
+    hyper = forward.hyper_values(layout, jnp.zeros(len(layout.hypers)))
+    line = forward.linearise(layout, frame, centre, jnp.zeros((frame.size, 0)), hyper)
+    norm = jnp.sqrt(jnp.sum((line.jacobian * real[:, None]) ** 2, axis=0))
+    scale = forward.prior_sd(layout, hyper, 1 / jnp.where(norm > 0, norm, 1.0))
+    table = jnp.column_stack([(line.jacobian * scale)[:, places], y - line.mean])
+    # R, flat columns first, then the proper ones, then the readings.
+    upper = _triangle(table * real[:, None])
+    u, d, vt = jnp.linalg.svd(upper[f:p, f:p])
+    c, rest, d2 = u.T @ upper[f:p, p], upper[p, p] ** 2, d**2
+    if NOISE in dict(layout.model.fixed):
+        variance = jnp.asarray(dict(layout.model.fixed)[NOISE]) ** 2
+    else:
+        variance = jnp.exp(_log_variance(jnp.sum(real) - f, rest, c**2, d2))
+    # The proper coefficients z, in parts of their prior standard deviations, given the noise.
+    z = vt.T @ (d * c / (variance + d2))
+    covariance_z = (vt.T * (variance / (variance + d2))) @ vt
+    # The flat ones given these: R11·x = first − R12·z + noise.
+    left = upper[:f, :f]
+    right = jnp.column_stack([upper[:f, f:p], upper[:f, p], jnp.eye(f)])
+    back = solve_triangular(left, right, lower=False)
+    slope, free, root = back[:, : p - f], back[:, p - f], back[:, p - f + 1 :]
+    cross = -slope @ covariance_z
+    inner = variance * root @ root.T - cross @ slope.T
+    undo = np.argsort(places)
+    value = jnp.concatenate([free - slope @ z, z])[undo]
+    covariance = jnp.block([[inner, cross], [cross.T, covariance_z]])[undo][:, undo]
+    # Flat columns have length one: a diagonal of R near zero is a direction that nothing determines.
+    determined = jnp.all(jnp.abs(jnp.diag(left)) > 1e-10) & jnp.all(jnp.isfinite(value))
+    return ClosedFormFit(
+        x=centre + scale * value,
+        covariance=scale[:, None] * covariance * scale,
+        noise=jnp.sqrt(variance),
+        determined=determined,
+        scatter=rest > LEAST_NOISE * jnp.sum(upper[:, p] ** 2),
+    )
+
+
+def _triangle(table: Float[Array, "n q"]) -> Float[Array, "q q"]:
+    """R of the QR factors up to the signs of its rows, square however few rows there are."""
+    upper = jnp.linalg.qr(table, mode="r")
+    return jnp.pad(upper, ((0, table.shape[1] - upper.shape[0]), (0, 0)))
+
+
+def _log_variance(count: Array, rest: Array, c2: Float[Array, "m"], d2: Float[Array, "m"]) -> Array:
+    """Where the restricted likelihood of t = log σ² is greatest.
+
+    Args:
+        count: readings less flat coefficients.
+        rest: sum of squares that no column explains, positive.
+        c2, d2: squares along the singular vectors, and of the singular values.
+    """
+
+    def value(t):
+        s = jnp.exp(t)
+        return -(count * t + rest / s + jnp.sum(jnp.log1p(d2 / s) + c2 / (s + d2)))
+
+    def slopes(t):
+        s = jnp.exp(t)
+        share = s / (s + d2)
+        pull = c2 * share / (s + d2)
+        first = -count + rest / s + jnp.sum(1 - share + pull)
+        second = -rest / s + jnp.sum(-share * (1 - share) + pull * (1 - 2 * share))
+        return first, second
+
+    # From none of it explained by noise to all of it.
+    least = jnp.log(rest / count + 1e-300) - 0.5
+    most = jnp.log((rest + jnp.sum(c2)) / count + 1e-300) + 4.0
+    grid = least + (most - least) * jnp.linspace(0.0, 1.0, GRID) ** 2
+    best = jnp.argmax(jax.vmap(value)(grid))
+    low, high = grid[jnp.maximum(best - 1, 0)], grid[jnp.minimum(best + 1, GRID - 1)]
+
+    def closer(_, state):
+        t, low, high = state
+        first, second = slopes(t)
+        low, high = jnp.where(first > 0, t, low), jnp.where(first > 0, high, t)
+        step = t - first / jnp.where(second < 0, second, -1.0)
+        inside = (step >= low) & (step <= high) & (second < 0)
+        return jnp.where(inside, step, 0.5 * (low + high)), low, high
+
+    return jax.lax.fori_loop(0, NEWTON_STEPS, closer, (grid[best], low, high))[0]
+
+
+STEP = 1.25  # from one padded number of readings to the next
+NUMBERS = 2_000_000  # readings in one stack at most
+
+
+class DeviceFrame(NamedTuple):
+    """One device as a fit takes it.
+
+    Attributes:
+        device: its index in the block.
+        layout: where its unknowns stand.
+        levels: members of its groups.
+        frame: what the effects see.
+        y: outputs, (n,).
+    """
+
+    device: int
+    layout: Layout
+    levels: Levels
+    frame: Frame
+    y: np.ndarray
+
+
+class DeviceStack(NamedTuple):
+    """Devices of one shape, as `DeviceFrame` with a leading axis.
+
+    Attributes:
+        devices: their indices in the block, (b,).
+        layout: common to all.
+        levels: members of the groups of each.
+        frame: stacked frames; leaves (b, …).
+        y: outputs, (b, n).
+        real: 1 where a reading is one, 0 where it is padding, (b, n).
+    """
+
+    devices: np.ndarray
+    layout: Layout
+    levels: Sequence[Levels]
+    frame: Frame
+    y: np.ndarray
+    real: np.ndarray
+
+    def padded(self) -> DeviceStack:
+        """A few devices more, the last one repeated, so that few programs are compiled: at most an eighth above 64."""
+        few = len(self.devices)
+        step = max(64, 1 << max((few - 1).bit_length() - 4, 0))
+        many = 1 << (few - 1).bit_length() if few < 64 else -(-few // step) * step
+        pick = np.minimum(np.arange(many), few - 1)
+        if many == few:
+            return self
+        frame = jax.tree.map(lambda a: np.asarray(a)[pick], self.frame)
+        return self._replace(frame=frame, y=self.y[pick], real=self.real[pick])
+
+
+Refuse = Callable[[int, BayescalError], Any]  # takes the index of a device that cannot be fitted
+
+
+def frames(
+    model: Model, block: DeviceBlock, reference: Reference, refuse: Refuse
+) -> Iterator[DeviceFrame]:
+    """The devices of a block one by one; `refuse` is called with those that cannot be fitted, and why."""
+    for i in range(len(block.names)):
+        readings = block.measurements(i)
+        try:
+            layout, levels = bind(model, readings)
+            frame = build_frame(readings, {**reference_of(readings), **reference})
+        except BayescalError as error:
+            refuse(i, error)
+            continue
+        yield DeviceFrame(
+            i, layout, levels, jax.tree.map(np.asarray, frame), np.asarray(readings["output"])
+        )
+
+
+def stacks(
+    model: Model, block: DeviceBlock, reference: Reference, refuse: Refuse, most: int
+) -> Iterator[DeviceStack]:
+    """The devices of a block by shape, at most so many at once; arguments as of `frames`."""
+    labels = {name for name, unit in block.units.items() if unit is None}
+    if labels <= {DEVICE} and not {"time", "temperature_point"} & block.values.keys():
+        yield from _stacks_of_numbers(model, block, reference, refuse, most)
+        return
+    waiting: dict[tuple, list[DeviceFrame]] = {}
+    for one in frames(model, block, reference, refuse):
+        kind = (str(jax.tree.map(jnp.shape, one.frame)), one.layout.counts)
+        waiting.setdefault(kind, []).append(one)
+        if len(waiting[kind]) >= min(most, NUMBERS // max(1, len(one.y))):
+            yield _stacked(waiting.pop(kind))
+    for rest in waiting.values():
+        yield _stacked(rest)
+
+
+def _stacked(made: Sequence[DeviceFrame]) -> DeviceStack:
+    devices, layouts, levels, each, ys = zip(*made, strict=True)
+    y = np.stack(ys)
+    frame = jax.tree.map(lambda *a: np.stack(a), *each)
+    return DeviceStack(np.array(devices), layouts[0], levels, frame, y, np.ones_like(y))
+
+
+def _stacks_of_numbers(
+    model: Model, block: DeviceBlock, reference: Reference, refuse: Refuse, most: int
+) -> Iterator[DeviceStack]:
+    """Devices whose frames need nothing but their numbers: no time, no groups, no labels."""
+    rungs = np.array([_rung(int(n)) for n in range(int(block.counts.max()) + 1)])[block.counts]
+    constants = {name: v for name, v in reference.items() if not isinstance(v, dict)}
+    levels = {g: () if g == "cell" else ("1",) for g in GROUPS}
+    for rung in np.unique(rungs).tolist():
+        counts = (*((group, len(names)) for group, names in levels.items()), ("reading", rung))
+        layout = Layout(model, counts)
+        few = block.counts <= layout.size  # readings, perhaps not enough for the model
+        for one in np.flatnonzero(few & (rungs == rung)).tolist():
+            try:
+                bind(model, block.measurements(one))
+            except BayescalError as error:
+                refuse(one, error)
+                rungs[one] = 0
+        members = np.flatnonzero(rungs == rung)
+        at_once = max(1, min(most, NUMBERS // rung))
+        for begin in range(0, len(members), at_once):
+            some = members[begin : begin + at_once]
+            columns, real, scalars = _matrices(block, some, rung)
+            shape = real.shape
+            frame = Frame(  # NumPy arrays, until they are fitted
+                columns=columns,
+                labels={},
+                rates={},
+                codes={g: np.full(shape, len(names) - 1) for g, names in levels.items()},
+                reference={**scalars, **{n: np.full(len(some), v) for n, v in constants.items()}},
+                order=np.broadcast_to(np.arange(rung), shape),
+                step=-np.ones(shape),
+                record=dict(columns),
+                silence=np.full(len(some), np.inf),
+            )
+            own = [levels] * len(some)
+            if DEVICE in block.values:
+                own = [{**levels, DEVICE: (block.names[i],)} for i in some]
+            yield DeviceStack(some, layout, own, frame, columns["output"], real)
+
+
+def _rung(count: int) -> int:
+    """The least of a ladder of numbers of readings that is no smaller."""
+    rung = 8
+    while rung < count:
+        rung = int(np.ceil(rung * STEP))
+    return rung
+
+
+def _matrices(
+    block: DeviceBlock, some: np.ndarray, rung: int
+) -> tuple[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray]]:
+    """Columns (b, rung), which readings are real, and the reference constants of each device."""
+    counts = block.counts[some]
+    within = np.arange(rung)
+    rows = block.starts[some][:, None] + np.minimum(within, counts[:, None] - 1)
+    real = (within < counts[:, None]).astype(float)
+    numbers = [name for name, unit in block.units.items() if unit is not None]
+    columns = {name: block.values[name][rows] for name in numbers}
+    scalars = {}
+    for name in numbers:
+        low, high = columns[name].min(axis=1), columns[name].max(axis=1)
+        if block.units[name] == "degC":
+            mean = np.sum(columns[name] * real, axis=1) / counts
+            sd = np.sqrt(np.sum((columns[name] - mean[:, None]) ** 2 * real, axis=1) / counts)
+            scalars[reference_name(name)] = rounded_means(mean, sd, low, high)
+        if name not in ("output", UNCERTAINTY):
+            scalars |= {f"{name}_low": low, f"{name}_high": high}
+    return columns, real, scalars
+
 
 CHUNK = 4096  # devices in one compiled program at most
 NUDGE = 1e-5  # of a coordinate, for the slope of its value
@@ -201,7 +521,7 @@ def tailored(model: Model, readings: Measurements) -> Model:
     parts = {
         e.name: e.coefficients[0].size / stated[e.name].coefficients[0].size
         for e in model.effects
-        if e.name in stated and e == _sized_as(e, stated[e.name])
+        if e.name in stated and e == replace(stated[e.name], coefficients=e.coefficients)
     }
     effects = tuple(sized.get(e.name, e) if e.name in parts else e for e in model.effects)
     noise = own.noise if model.noise == general.noise else model.noise
@@ -210,11 +530,6 @@ def tailored(model: Model, readings: Measurements) -> Model:
         if part != 1:
             made = made.resize(name, part * made.effect(name).coefficients[0].size)
     return made
-
-
-def _sized_as(effect: Effect, stated: Effect) -> Effect:
-    """An effect as it is stated, of the sizes that this one has."""
-    return replace(stated, coefficients=effect.coefficients)
 
 
 def tailored_to_first(
@@ -296,7 +611,7 @@ class _Fits:
         if (
             first is not None
             and isinstance(self.method, LeastSquares)
-            and closed_form.applies(first.layout, jax.tree.map(jnp.asarray, first.frame))
+            and has_closed_form(first.layout, jax.tree.map(jnp.asarray, first.frame))
         ):
             for stack in stacks(*given, refuse, self.options.chunk):
                 names = [block.names[i] for i in stack.devices]
@@ -354,9 +669,9 @@ def _unknowns(layout: Layout, levels: Levels) -> list[tuple[str, str]]:
 def _in_closed_form(stack: DeviceStack) -> _Solved:
     padded, few = stack.padded(), len(stack.devices)
     y, real = jnp.asarray(padded.y), jnp.asarray(padded.real)
-    solved = closed_form.solve(stack.layout, padded.frame, y, real)
+    solved = solve_in_closed_form(stack.layout, padded.frame, y, real)
     line = jax.tree.map(lambda a: np.asarray(a)[:few], solved)
-    known = closed_form.NOISE in dict(stack.layout.model.fixed)
+    known = NOISE in dict(stack.layout.model.fixed)
     mean, covariance = line.x, line.covariance
     if not known:
         mean = np.column_stack([line.x, line.noise])

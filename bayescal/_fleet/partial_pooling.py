@@ -16,10 +16,17 @@ from scipy import stats
 
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._fleet.batch_result import BatchPart, BatchResult, load_batch
-from bayescal._fleet.device_sums import DeviceEstimates, loaded
 from bayescal._fleet.engine import Engine
 from bayescal._fleet.fleet_settings import fleet_settings
-from bayescal._fleet.population import Learned, Named, Population, estimates, learn
+from bayescal._fleet.population import (
+    DeviceEstimates,
+    Learned,
+    Named,
+    Population,
+    estimates,
+    learn,
+    loaded,
+)
 
 KEPT = 100  # devices that stand out most, of which the whole keeps the p
 

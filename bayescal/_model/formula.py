@@ -20,8 +20,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError, ModelError
 from bayescal._data.measurements import Measurements
-from bayescal._data.unit_conversion import base_unit, coefficient_factor
-from bayescal._data.unit_parsing import ANY, parse
+from bayescal._data.unit_conversion import ANY, base_unit, coefficient_factor, parse
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.instrument import Instrument

@@ -13,7 +13,7 @@ from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
 
 from bayescal._data.column import Column, NominalScale
-from bayescal._data.read_options import InstrumentLike
+from bayescal._data.header_matching import InstrumentLike
 
 if TYPE_CHECKING:
     from bayescal._model.instrument import Instrument

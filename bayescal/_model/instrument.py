@@ -20,8 +20,7 @@ from bayescal._core.errors import InputError, ModelError
 from bayescal._core.jit import importable, written_by_value
 from bayescal._data.column import Column, NominalScale
 from bayescal._data.measurements import Measurements
-from bayescal._data.unit_conversion import basis_factor
-from bayescal._data.unit_parsing import ANY
+from bayescal._data.unit_conversion import ANY, basis_factor
 from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.frame import GROUPS, Frame
 from bayescal._model.noise_law import Noise

@@ -10,8 +10,7 @@ from typing import Any
 from bayescal._core.errors import ModelError
 from bayescal._core.formatting import Printed, number, table
 from bayescal._data.measurements import Measurements
-from bayescal._data.unit_conversion import unit_label
-from bayescal._data.unit_parsing import ANY
+from bayescal._data.unit_conversion import ANY, unit_label
 from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.formula import require_units
 from bayescal._model.frame import GROUPS

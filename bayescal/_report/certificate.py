@@ -1,18 +1,40 @@
-"""What a certificate states beside the numbers: device, place, people, conditions, standards, dates; from a TOML file.
+"""What a certificate states beside the numbers, from a TOML file; and the PTB's digital certificate (DCC).
 
-ISO/IEC 17025:2017, 7.8.2 and 7.8.4, say what belongs on a calibration certificate. Nothing of it is asked for by
-anyone who wants none: a report without such a file is as it was.
+Device, place, people, conditions, standards, dates: ISO/IEC 17025:2017, 7.8.2 and 7.8.4, say what belongs on a
+calibration certificate. Nothing of it is asked for by anyone who wants none: a report without such a file is as it was.
+
+The DCC is XML, schema 3.2.1, numbers and units in D-SI. Units of D-SI are coherent SI: an acceleration in local g is in
+m/s². Schema and meaning: Physikalisch-Technische Bundesanstalt, https://www.ptb.de/dcc (dcc.xsd 3.2.1) and
+https://www.ptb.de/si (SI_Format.xsd 2.1.0); S. Hackel et al., The Digital Calibration Certificate,
+PTB-Mitteilungen 127 (2017) 4, doi 10.7795/310.20170403; D. Hutzschenreuter et al., SmartCom Digital System of Units
+(D-SI) Guide, doi 10.5281/zenodo.3522631.
+The file is not signed: a seal is the laboratory's.
 """
 
 from __future__ import annotations
 
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date
+from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from markupsafe import Markup
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.description import identity, sources_of
+from bayescal._calibration.summary import summary
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import OneOf, read_toml
+from bayescal._core.quoting import xml_text
+from bayescal._core.templates import template
+from bayescal._core.version import __version__
+from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse
+from bayescal._use.decide import Decisions, statement_lines
 
 # Section → key → what a person reads. A section in lists may stand several times.
 _PLACE = {"street": "street", "city": "city", "postcode": "postcode", "country": "country"}
@@ -112,3 +134,201 @@ def read_certificate(path: str | Path) -> Certificate:
             f"{str(path)!r}, [calibration]: it ends ({end}) before it begins ({begin})"
         )
     return Certificate(stated, path.name)
+
+
+SCHEMA = "3.2.1"
+NEEDED = (
+    *("certificate.number", "device.name", "device.serial", "calibration.begin", "calibration.end"),
+    *("laboratory.name", "laboratory.country", "laboratory.responsible"),
+    *("customer.name", "customer.country"),
+)
+K, PROBABILITY = 2.0, 0.9545  # coverage of k = 2 for a normal distribution (JCGM 100, table G.1)
+
+
+class Real(NamedTuple):
+    """A number as D-SI writes it: value, unit, and the elements of its uncertainty, which is in the form `form`."""
+
+    value: str
+    unit: str
+    form: str
+    spread: dict[str, str]
+
+
+def dcc_text(
+    calibration: Calibration,
+    certificate: Certificate | str | Path,
+    local_gravity: float = STANDARD_GRAVITY,
+    decisions: Decisions | None = None,
+) -> str:
+    """The certificate as XML.
+
+    Args:
+        calibration: a reliable fit.
+        certificate: what it states beside the numbers, or the TOML file of it.
+        local_gravity: m/s², that one g of the calibration is.
+        decisions: statements of conformity, with their rule.
+
+    Raises:
+        InputError: the result is not reliable, or the certificate does not state what the schema needs.
+    """
+    stated = certificate if isinstance(certificate, Certificate) else read_certificate(certificate)
+    stated.require(*NEEDED)
+    for section in ("laboratory", "customer"):
+        country = stated.get(section, "country")
+        if not re.fullmatch("[A-Z]{2}", country):
+            raise InputError(
+                f"{stated.file}, [{section}] country = {country!r}: two capital letters of ISO 3166-1 were expected, "
+                "such as DE"
+            )
+    if not calibration.verdict.reliable:
+        raise InputError(
+            f"no certificate is written of a result that is not reliable: {calibration.verdict.why_not}"
+        )
+    conditions = {**stated.conditions, "place": stated.get("calibration", "place")}
+    layout = template(
+        "bayescal._report",
+        "dcc.xml.jinja",
+        {"statement_lines": statement_lines},
+        autoescape=True,
+        finalize=lambda value: value if isinstance(value, Markup) else xml_text(value),
+    )
+    written = layout.render(
+        schema=SCHEMA,
+        version=__version__,
+        stated=stated,
+        standards=[
+            {key: one.get(key, "") for key in SECTIONS["standards"]}
+            for one in stated.stated.get("standards", [])
+            if "name" in one
+        ],
+        conditions={name: said for name, said in conditions.items() if said},
+        hashes=[
+            ("other", "calibration, SHA-256", identity(calibration)),
+            *(
+                ("other", f"SHA-256 of {s.file}", s.sha256)
+                for s in sources_of(calibration.readings)
+            ),
+        ],
+        model=calibration.model,
+        description="Coefficients of the measurement equation, with U = k*u, k = "
+        f"{K:g}; each effect adds its equation, times its coefficients, to a slot. Effects: "
+        + "; ".join(f"{e.name} in {e.slot}: {e.equation}" for e in calibration.model.effects)
+        + ". Coefficients are correlated; their covariance is in the calibration that the SHA-256 names. All holds "
+        "within the influence conditions as covered.",
+        method=f"{calibration.method}, seed {calibration.seed}",
+        covered=list(_covered(calibration, local_gravity)),
+        quantities=list(_quantities(calibration, local_gravity)),
+        decisions=decisions,
+    )
+    for prefix, space in (("dcc", "https://ptb.de/dcc"), ("si", "https://ptb.de/si")):
+        ET.register_namespace(prefix, space)
+    root = ET.fromstring(written)
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _covered(calibration: Calibration, local_gravity: float) -> Iterator[tuple[str, Real, Real]]:
+    """Column, lowest and highest value of what the readings cover."""
+    readings = calibration.readings
+    for name in readings.columns:
+        unit = readings.unit(name)
+        if unit is not None and not name.startswith("output"):
+            low, high = float(readings[name].min()), float(readings[name].max())
+            yield name, real(low, unit, local_gravity), real(high, unit, local_gravity)
+
+
+def _quantities(calibration: Calibration, local_gravity: float) -> Iterator[tuple[str, Real]]:
+    for name, value in calibration.hold_at.items():
+        yield f"{name}, at which constants hold", real(value, "degC", local_gravity)
+    coefficients, hyperparameters = summary(calibration)
+    for row in coefficients:
+        yield row["name"], real(row["mean"], row["unit"], local_gravity, row["sd"])
+    for row in hyperparameters:  # positive and skewed: no multiple of u covers
+        ends = row["interval95"]
+        yield row["name"], real(row["mean"], row["unit"], local_gravity, row["sd"], ends)
+
+
+def real(
+    value: float,
+    unit: str | None,
+    gravity: float,
+    sd: float = 0.0,
+    ends: tuple[float, float] | None = None,
+) -> Real:
+    """A number with its unit, and its expanded uncertainty where it has one, or the ends of its 95 % interval.
+
+    The uncertainty has two significant digits, and the value as many decimals (JCGM 100, 7.2.6).
+    """
+    factor, text = d_si(unit, gravity)
+    value, sd = float(value) * factor, float(sd) * factor
+    number = Real(_rounded(value, K * sd), text, "", {})
+    if not sd > 0:
+        return number
+    if ends is not None:
+        interval = {
+            "standardUnc": _rounded(sd, sd),
+            "intervalMin": _rounded(ends[0] * factor, sd),
+            "intervalMax": _rounded(ends[1] * factor, sd),
+            "coverageProbability": "0.95",
+        }
+        return number._replace(form="coverageInterval", spread=interval)
+    expanded = {
+        "uncertainty": _rounded(K * sd, K * sd),
+        "coverageFactor": f"{K:g}",
+        "coverageProbability": f"{PROBABILITY:g}",
+        "distribution": "normal",
+    }
+    return number._replace(form="expandedUnc", spread=expanded)
+
+
+_D_SI = {
+    "s": "second",
+    "K": "kelvin",
+    "rad": "radian",
+    "V": "volt",
+    "Hz": "hertz",
+    "m": "metre",
+    "A": "ampere",
+    "Pa": "pascal",
+    "uT": "tesla",
+    "count": "one",
+}
+
+
+def d_si(unit: str | None, local_gravity: float = STANDARD_GRAVITY) -> tuple[float, str]:
+    """A unit in D-SI: the factor from the one to the other, and its text, such as \\radian\\second\\tothe{-1}.
+
+    Args:
+        unit: ours; a temperature in degC stays one.
+        local_gravity: m/s², that one g is.
+
+    Raises:
+        InputError: it is no unit.
+    """
+    if unit in (None, "", "1"):
+        return 1.0, "\\one"
+    if unit == "degC":
+        return 1.0, "\\degreecelsius"
+    found = parse(unit)
+    factor, powers = found.factor, dict[str, float]()
+    for base, power in found.powers.items():
+        if base == "ug":
+            factor *= (1e-6 * local_gravity) ** power
+            parts = {"metre": power, "second": -2 * power}
+        else:
+            factor *= 1e-6**power if base == "uT" else 1.0
+            parts = {_D_SI[base]: power}
+        for name, p in parts.items():
+            powers[name] = powers.get(name, 0.0) + p
+    text = "".join(
+        f"\\{name}" + ("" if p == 1 else f"\\tothe{{{p:g}}}") for name, p in powers.items() if p
+    )
+    return factor, text or "\\one"
+
+
+def _rounded(value: float, uncertainty: float) -> str:
+    """A number to the second significant digit of an uncertainty; as it is where that is zero."""
+    if not uncertainty > 0:
+        return repr(value)
+    place = Decimal(1).scaleb(math.floor(math.log10(uncertainty)) - 1)
+    return str(Decimal(value).quantize(place))

@@ -1,16 +1,29 @@
 """The report for sign-off: one HTML file that needs nothing else.
 
-Everything that comes from files (names of files, devices, effects) is escaped; nothing in the page is run.
+Everything that comes from files (names of files, devices, effects) is escaped; nothing in the page is run. Figures are
+SVG within the page: one colour with its text, names of their own, nothing from elsewhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import base64
+import io
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from markupsafe import Markup, escape
+from matplotlib import rc_context
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.check_result import Check
 from bayescal._calibration.description import identity, sources_of
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError
@@ -19,14 +32,199 @@ from bayescal._core.templates import template
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
-from bayescal._report import figures, sentences, tables
+from bayescal._report import plots, report_text
 from bayescal._report.certificate import Certificate, read_certificate
-from bayescal._report.result_json import is_quiet
+from bayescal._report.result_json import RESULT, is_quiet
 from bayescal._report.section import Chapter, chapters
-from bayescal._report.under_way import RESULT
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
-from bayescal._use.decision import Decisions, decision_cells
+from bayescal._use.decide import Decisions, decision_cells
+
+SVG = {"svg.fonttype": "none", "svg.hashsalt": "bayescal", "font.size": 9.0}
+PANELS = 4  # of residuals
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of the page.
+
+    Attributes:
+        body: the figure as HTML.
+        caption: below it.
+    """
+
+    body: Markup
+    caption: str
+
+
+class Pictures:
+    """Draws the pictures of one page, so that no two share an id."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def draw(self, make: Callable[[], Figure], caption: str, alt: str) -> Picture:
+        with rc_context(SVG):
+            text = as_svg(make())
+        self.count += 1
+        return Picture(inline(text, f"f{self.count}-", alt), caption)
+
+    def residuals(self, calibration: Calibration, found: Check, which: str) -> list[Picture]:
+        """Residuals against the covariates, the worst first, a picture each."""
+        entries = [e for e in found.entries if not e.by_group][:PANELS]
+        unit = unit_label(found.unit)
+        pictures = []
+        for e in entries:
+            size = f"{e.worst.size:+.2g} {unit}".replace("-", "−")
+            where = f"{number(e.worst.low, 4)} to {number(e.worst.high, 4)} {unit_label(e.worst.covariate_unit)}"
+            structure = (
+                f"the worst region, {where.strip()}, has a mean of {size}"
+                if e.log_bayes_factor > 0
+                else "no structure"
+            )
+            pictures.append(
+                self.draw(
+                    lambda e=e: _panel(calibration, found, e.against),
+                    f"Residuals of {which} against {e.against}",
+                    f"Residuals of {which} in {unit} against {e.against}: {structure}; log Bayes factor "
+                    f"{e.log_bayes_factor:.1f}; noise {number(found.noise)} {unit}.",
+                )
+            )
+        return pictures
+
+    def allan(self, found: Check, which: str) -> Picture | None:
+        """The Allan deviation of the residuals, where there is one."""
+        if found.allan is None:
+            return None
+        return self.draw(
+            lambda: plots.allan(found),
+            f"Allan deviation of the residuals of {which}, and what its noise law lets one expect (grey, 95 %)",
+            f"Allan deviation over averaging time: {found.allan.sentence()}.",
+        )
+
+    def sphere(self, calibration: Calibration) -> Picture | None:
+        """Residuals along the sphere of poses, of three axes that are read so."""
+        vector = calibration.model.instrument.vector
+        if vector is None or vector.acting is not None:
+            return None
+        residual = np.abs(plots.residuals_on_sphere(calibration)[1])
+        return self.draw(
+            lambda: plots.sphere(calibration),
+            "Residuals of the magnitude along the sphere of poses, in standard deviations",
+            f"Two hemispheres with {len(residual)} poses; the largest residual is {number(residual.max())} standard "
+            f"deviations, {int(np.sum(residual > 2))} are beyond 2.",
+        )
+
+    def error(self, chapter: Chapter) -> Picture:
+        steps = chapter.data["steps"]
+        unit = unit_label(steps[-1]["unit"])
+        told = "; ".join(f"{s['title']} {number(s['rmse_fitted'])} {unit}" for s in steps)
+        floor = number(steps[-1]["noise_floor"])
+        return self.draw(
+            lambda: plots.trail(chapter.data),
+            "The error, step by step",
+            f"Bars of the rms error of each step, as fitted: {told}; noise floor {floor} {unit}.",
+        )
+
+    def missing(self, found: dict, title: str) -> Picture | None:
+        tested = [c for c in found["candidates"] if c["log_bayes_factor"] is not None]
+        if not tested:
+            return None
+        told = "; ".join(f"{c['effect']} {c['log_bayes_factor']:.1f}" for c in tested[:5])
+        return self.draw(
+            lambda: plots.missing(found),
+            f"What is missing from {title}",
+            f"Bars of the log Bayes factor of each candidate; the first of them: {told}.",
+        )
+
+    def of_fit(self, name: str, calibration: Calibration) -> Picture | None:
+        """One of `OF_FIT`; None where there is nothing to draw."""
+        make, caption, alt = OF_FIT[name]
+        try:
+            return self.draw(lambda: make(calibration), caption, alt)
+        except InputError:
+            return None
+
+
+# What is drawn of a fit: by what, its caption, what it shows in words.
+OF_FIT: dict[str, tuple[Callable[[Calibration], Figure], str, str]] = {
+    "coefficients": (
+        partial(plots.coefficients, columns=2),
+        "Posterior of each unknown, its mean and its 95 % credible interval",
+        "Posterior densities; the numbers are in the table of coefficients.",
+    ),
+    "identifiability": (
+        plots.identifiability,
+        "Posterior over prior standard deviation: 1 where the readings said nothing",
+        "Bars of posterior over prior standard deviation; the table of coefficients has the same as contraction.",
+    ),
+    "pairs": (
+        plots.pairs,
+        "The most correlated unknowns, two by two",
+        "Joint posterior draws of pairs of unknowns.",
+    ),
+    "predictive": (
+        plots.predictive,
+        "Readings against their predictive probabilities: within the band if the model is right",
+        "Share of readings below each predictive probability minus that probability, with its 99 % band.",
+    ),
+}
+
+
+def _panel(calibration: Calibration, found: Check, against: str) -> Figure:
+    figure = plots.residuals(calibration, found, against)
+    figure.set_size_inches(4.6, 2.9)
+    return figure
+
+
+def as_svg(figure: Figure) -> str:
+    """A figure as an SVG without a background."""
+    figure.patch.set_visible(False)
+    for ax in figure.axes:
+        ax.patch.set_visible(False)
+    out = io.StringIO()
+    nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
+    FigureCanvasSVG(figure).print_svg(out, metadata=nothing)  # `savefig` would draw it twice
+    return out.getvalue()
+
+
+def inline(svg: str, prefix: str, alt: str) -> Markup:
+    """An SVG as part of a page.
+
+    Black becomes the colour of the page's text, fonts the page's, ids are prefixed, and all that names another place
+    (document type, metadata) goes, and the comments, which repeat the labels.
+
+    Args:
+        svg: as Matplotlib writes it: labels are escaped.
+        prefix: of every id.
+        alt: what it shows, in words.
+    """
+    body = svg[svg.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
+    body = re.sub(r"\bid=\"([^\"]+)\"", rf'id="{prefix}\1"', body)
+    body = re.sub(r"url\(#", f"url(#{prefix}", body)
+    body = re.sub(r"href=\"#", f'href="#{prefix}', body)
+    body = body.replace("#000000", "currentColor")
+    body = re.sub(r"font: ([\d.]+)px [^;\"]+", r"font-size: \1px", body)
+    body = re.sub(r"font: (\w+ )?([\d.]+)px [^;\"]+", r"font-size: \2px", body)
+    size = re.search(r'viewBox="0 0 ([\d.]+)', body)
+    width = float(size[1]) * 4 / 3 if size else 600.0  # points to CSS pixels
+    opening, rest = body.split(">", 1)
+    view = re.search(r'viewBox="[^"]*"', opening)
+    head = f'<svg role="img" aria-label="{escape(alt)}" style="max-width:{width:.0f}px"'
+    return Markup(f"{head} {view[0] if view else ''}>{rest}")
+
+
+def embedded(loop: bytes) -> Picture:
+    """The picture of the loop, a PNG, as data within the page."""
+    told = (
+        "Four panels: residuals of the first model, candidates for what is missing, residuals of the last model, and "
+        "the error of each step. The tables of this report hold the same."
+    )
+    data = base64.b64encode(loop).decode("ascii")
+    body = Markup('<img alt="{}" src="data:image/png;base64,{}">').format(told, data)
+    return Picture(body, "The loop as it was drawn when the calibration was made")
+
 
 # What the layout meets where a result.json is not as it was written, beside errors of its template.
 OF_DAMAGE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
@@ -106,62 +304,62 @@ def page(
         "unit_label": unit_label,
         "probability": probability,
         "minus": lambda text: text.replace("-", "−"),
-        "measured": tables.measured,
+        "measured": report_text.measured,
         "with_error": with_error,
         "zip": zip,
     }
-    pictures = figures.Pictures()
+    pictures = Pictures()
     return template("bayescal._report", "report.html.j2", filters, autoescape=True).render(
         title=title or "Calibration report",
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         chapters=[_chapter(c, pictures) for c in found],
-        k=tables.K,
+        k=report_text.K,
         many=MANY,
         certificate=certificate.rows() if certificate else [],
         decisions=decisions,
         output_unit=output_unit,
         in_output_unit=[
-            tables.rows_in_output_unit(c, output_unit) if output_unit else [] for c in found
+            report_text.rows_in_output_unit(c, output_unit) if output_unit else [] for c in found
         ],
         decided=[] if decisions is None else [decision_cells(d) for d in decisions.decisions],
     )
 
 
-def _chapter(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
+def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     """All that the template lays out for one set of readings."""
     c, data = chapter.calibration, chapter.data
-    may, not_for = sentences.use_and_limits(chapter)
-    rows = tables.coefficients(chapter)
+    may, not_for = report_text.use_and_limits(chapter)
+    rows = report_text.coefficients(chapter)
     signed = [r for r in rows if not r["member"]]
     last = len(data["steps"]) - 1
     found, no_budget = _budget(chapter)
     return {
         "instrument": c.model.instrument,
-        "devices": tables.devices(c.readings),
-        "channels": tables.channels(c.readings),
-        "ok": sentences.ok(chapter),
+        "devices": report_text.devices(c.readings),
+        "channels": report_text.channels(c.readings),
+        "ok": report_text.ok(chapter),
         "data": data,
         "final": data["steps"][-1],
         "identity": identity(c),
         "files": sources_of(c.readings),
         "groups": _groups(data),
-        "signed": signed[: tables.SUMMARY],
-        "further": len(rows) - len(signed[: tables.SUMMARY]),
+        "signed": signed[: report_text.SUMMARY],
+        "further": len(rows) - len(signed[: report_text.SUMMARY]),
         "may": may,
         "not_for": not_for,
-        "unexplained": sentences.unexplained(chapter),
-        "story": sentences.story(chapter),
-        "ranges": tables.ranges(c),
-        "effects": tables.effects(chapter),
+        "unexplained": report_text.unexplained(chapter),
+        "story": report_text.story(chapter),
+        "ranges": report_text.ranges(c),
+        "effects": report_text.effects(chapter),
         "noise": c.model.noise.in_words,
         "fixed": [(n, number(v, 6)) for n, v in c.model.fixed],
-        "reference": [(n, tables.measured(v, "degC")) for n, v in c.hold_at.items()],
+        "reference": [(n, report_text.measured(v, "degC")) for n, v in c.hold_at.items()],
         "coefficients": rows[: 4 * MANY],
-        "matrix": tables.matrix(chapter),
-        "skewed": tables.skewed(chapter),
+        "matrix": report_text.matrix(chapter),
+        "skewed": report_text.skewed(chapter),
         "check": chapter.check,
         "checks": [0, last] if last else [0],
-        "allan": tables.allan(chapter.check),
+        "allan": report_text.allan(chapter.check),
         "discoveries": [_discovery(m, data, pictures) for m in data["missing"]],
         "budget": found,
         "no_budget": no_budget,
@@ -176,9 +374,7 @@ def _groups(data: dict[str, Any]) -> str:
     return ", ".join(f"{n} {plural.get(k, k + 's')}" for k, n in counted if n > 1)
 
 
-def _discovery(
-    found: dict[str, Any], data: dict[str, Any], pictures: figures.Pictures
-) -> dict[str, Any]:
+def _discovery(found: dict[str, Any], data: dict[str, Any], pictures: Pictures) -> dict[str, Any]:
     """What was missing from one step."""
     title = data["steps"][found["step"]]["title"]
     tested = [c for c in found["candidates"] if c["kind"] != "not testable"]
@@ -197,40 +393,33 @@ def _discovery(
         "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
         "rows": [c for c in tested if not is_quiet(c)][:MANY],
         "alike": sorted(", ".join(sorted(g)) for g in groups),
-        "not_testable": sentences.not_tested(found["candidates"]),
+        "not_testable": report_text.not_tested(found["candidates"]),
         "picture": pictures.missing(found, title),
     }
 
 
 def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
     """The budget at the middle of what was covered; or why there is none."""
-    if not sentences.ok(chapter):
+    if not report_text.ok(chapter):
         return None, "There is no budget of a result that is not reliable."
     try:
-        return budget(chapter.calibration, k=tables.K).shown(), ""
+        return budget(chapter.calibration, k=report_text.K).shown(), ""
     except BayescalError as error:
         return None, f"There is no budget: {error}"
 
 
-def _pictures(chapter: Chapter, pictures: figures.Pictures) -> dict[str, Any]:
+def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     c, last = chapter.calibration, len(chapter.data["steps"]) - 1
-    first: list[figures.Picture] = []
+    first: list[Picture] = []
     if last and chapter.first is not None and chapter.first_check is not None:
         first = pictures.residuals(chapter.first, chapter.first_check, "the first model")
     elif last and chapter.picture is not None:
-        first = [
-            figures.embedded(
-                chapter.picture,
-                "The loop as it was drawn when the calibration was made",
-                "Four panels: residuals of the first model, candidates for what is missing, residuals of the last "
-                "model, and the error of each step. The tables of this report hold the same.",
-            )
-        ]
+        first = [embedded(chapter.picture)]
     return {
         "first": first,
         "last": pictures.residuals(c, chapter.check, "the last model"),
         "sphere": pictures.sphere(c),
         "error": pictures.error(chapter),
-        **{name: pictures.of_fit(name, c) for name in figures.OF_FIT},
+        **{name: pictures.of_fit(name, c) for name in OF_FIT},
         "allan": pictures.allan(chapter.check, "the last model"),
     }

@@ -14,10 +14,9 @@ from bayescal._calibration.description import identity
 from bayescal._core import deadline
 from bayescal._core.as_json import as_json, write_json
 from bayescal._core.errors import InputError
-from bayescal._report.result_json import result
+from bayescal._report.report_text import conclusion
+from bayescal._report.result_json import RESULT, UNDER_WAY, result
 from bayescal._report.section import of_trail
-from bayescal._report.sentences import conclusion
-from bayescal._report.under_way import RESULT, UNDER_WAY
 from bayescal._report.whole_folder import (
     AVERAGED,
     CHANNELS,
@@ -52,10 +51,7 @@ def save_search(self: SearchPath, folder: Path) -> None:
         if self.average is not None:
             self.average.save(hidden / AVERAGED)
         if not deadline.current().over:
-            from bayescal._report.plot_search import (
-                loop,  # Matplotlib only where a picture is written
-            )
-            from bayescal._report.plot_style import save
+            from bayescal._report.plots import loop, save
 
             save(loop(self), hidden / "loop.png")
         write_json(result(self), hidden / RESULT)

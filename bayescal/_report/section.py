@@ -20,8 +20,7 @@ from bayescal._core.errors import InputError, NotConverged
 from bayescal._core.json_shape import read_json
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
-from bayescal._report.result_json import FORMER, SCHEMA, hashes, result
-from bayescal._report.under_way import RESULT, refuse_unfinished
+from bayescal._report.result_json import FORMER, RESULT, SCHEMA, hashes, refuse_unfinished, result
 from bayescal._report.whole_folder import refuse_mixed
 from bayescal._search.calibrate import step_of
 from bayescal._search.discover import discover

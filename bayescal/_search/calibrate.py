@@ -28,9 +28,8 @@ from bayescal._core.deadline import Handover
 from bayescal._core.errors import TimeIsUp
 from bayescal._core.formatting import probability
 from bayescal._core.progress import stage
-from bayescal._data.held_out import said_of
 from bayescal._data.measurements import Measurements
-from bayescal._data.set_aside import set_aside
+from bayescal._data.set_aside import said_of, set_aside
 from bayescal._data.time_in_runs import going_on
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import NOT_SAMPLED

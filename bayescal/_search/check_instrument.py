@@ -25,8 +25,7 @@ from bayescal._core.formatting import Printed, number, table, with_error
 from bayescal._core.progress import stage
 from bayescal._data.column import Column
 from bayescal._data.measurements import Measurements
-from bayescal._data.unit_conversion import coefficient_factor, same_dimension, unit_label
-from bayescal._data.unit_parsing import ANY
+from bayescal._data.unit_conversion import ANY, coefficient_factor, same_dimension, unit_label
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model import forward
 from bayescal._model.effect import Effect

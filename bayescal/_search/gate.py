@@ -12,9 +12,8 @@ from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.settings import guarding
 from bayescal._core.formatting import number
-from bayescal._data.covariate_checks import oddities
+from bayescal._data.dataset_checks import oddities, rounding_step
 from bayescal._data.record_settings import recording
-from bayescal._data.stretches import rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.unknown_effect import FORMS, FREED, covariate_in
 from bayescal._search.search_path import Gate, Step

@@ -22,11 +22,9 @@ from bayescal._core.formatting import number, table
 from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS
-from bayescal._data.unit_conversion import unit_label
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
 from bayescal._search.next_experiment import expected_readings
-from bayescal._use.limit import StatedLimit, stated_limit
-from bayescal._use.limited_quantity import limited_quantity
+from bayescal._use.limited_quantity import StatedLimit, limited_quantity, stated_limit
 
 AGAIN = "the same again"
 OF_SCATTER = (

@@ -28,8 +28,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_cell_read
 from bayescal._tables.cells import MOST_BAD, Cells, number_of, numbers_of
 from bayescal._tables.header_rows import LOOKED_AT, header_rows, with_units
-from bayescal._tables.problems import Problem
-from bayescal._tables.raw_table import Header, Table, after, refuse_many
+from bayescal._tables.raw_table import Header, Problem, Table, after, refuse_many
 
 _BLOCK = 1 << 24  # bytes looked at together, and the longest line allowed
 _MARK = b"\xef\xbb\xbf"  # of UTF-8

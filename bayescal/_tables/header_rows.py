@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
-from bayescal._tables.cells import is_missing
-from bayescal._tables.dates import unix_seconds
+from bayescal._tables.cells import is_date, is_missing
 
 LOOKED_AT = 200  # rows from the start of a file
 _LAST = 5  # of these, whose width is that of the readings
@@ -68,10 +67,7 @@ def is_reading(text: str) -> bool:
     with suppress(ValueError):
         float(text.strip().replace(",", ".", 1))
         return not is_missing(text)
-    with suppress(ValueError):
-        unix_seconds(text)
-        return True
-    return False
+    return is_date(text)
 
 
 def _readings_width(rows: Sequence[Sequence[str]]) -> tuple[int, bool]:

@@ -14,7 +14,7 @@ from typing import Any
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.json_shape import read_toml
 
-_SHAPE = {
+MAPPING = {  # its shape: how `read` is asked, as keywords
     "columns?": {str: str},
     "units?": {str: str},
     "ignore?": [str],
@@ -32,7 +32,7 @@ def load_mapping(path: Path) -> dict[str, Any]:
     Raises:
         InputError: no such file, no TOML, or an entry that no mapping has; names the entries that there are.
     """
-    found = read_toml(path, _SHAPE, f"--mapping {path}", "Correct or remove it")
+    found = read_toml(path, MAPPING, f"--mapping {path}", "Correct or remove it")
     return {n: float(v) if n == "local_gravity" else v for n, v in found.items()}
 
 

@@ -14,12 +14,9 @@ from typing import NamedTuple
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
-from bayescal._tables.ardupilot_bin import read_dataflash
 from bayescal._tables.csv_reader import open_csv
-from bayescal._tables.px4_ulog import read_ulog
+from bayescal._tables.logs import Sensor, columns_of, read_bag, read_dataflash, read_ulog
 from bayescal._tables.raw_table import Table, as_format, bytes_text
-from bayescal._tables.recorded import Sensor, columns_of
-from bayescal._tables.ros_bag import read_bag
 
 
 class LogFormat(NamedTuple):

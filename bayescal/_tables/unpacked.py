@@ -127,7 +127,9 @@ def refuse_matlab(path: Path, file: str) -> None:
             if kind == _COMPRESSED:
                 packed = handle.read(length)
                 total += sum(map(len, _inflated(packed, file, size, total)))
-                data = b"".join(_inflated(packed, file, size, 0)) if _nested(packed, order) else b""
+                begin = zlib.decompressobj().decompress(packed, 32)
+                nested = _class_of(begin, order) in _HOLDS_OTHERS
+                data = b"".join(_inflated(packed, file, size, 0)) if nested else b""
             elif kind == _MATRIX:
                 data = tag + handle.read(length)
                 data = data if _class_of(data, order) in _HOLDS_OTHERS else b""
@@ -147,10 +149,6 @@ def _inflated(packed: bytes, file: str, size: int, before: int) -> Iterator[byte
         refuse_unpacked(file, size, total, ARRAYS)
         yield piece
         piece = inflater.decompress(inflater.unconsumed_tail, _CHUNK)
-
-
-def _nested(packed: bytes, order: str) -> bool:
-    return _class_of(zlib.decompressobj().decompress(packed, 32), order) in _HOLDS_OTHERS
 
 
 def _class_of(data: bytes, order: str) -> int:

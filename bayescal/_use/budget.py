@@ -31,11 +31,9 @@ from bayescal._data.unit_conversion import (
     same_dimension,
     unit_label,
 )
+from bayescal._use.compensation_program import PAST, bias_only
 from bayescal._use.compensator import Compensator, compensator
-from bayescal._use.inputs import PAST
-from bayescal._use.inversion import AtPoint
-from bayescal._use.operating_equation import OperatingEquation
-from bayescal._use.provenance import bias_only
+from bayescal._use.operating_equation import AtPoint, OperatingEquation
 
 REST = "between-group sd, shapes, curvature"
 STRUCTURES = "which effects there are (average over structures)"

@@ -23,31 +23,20 @@ import xarray as xr
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_line
-from bayescal._data.column import Column, ConvertedColumns, NominalScale, Source
+from bayescal._data.column import ConvertedColumns, NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import problems_of_whole
-from bayescal._data.header_matching import MatchedFile
+from bayescal._data.header_matching import ExpectedColumns, MatchedFile, ReadOptions
 from bayescal._data.measurements import assemble, of_columns
-from bayescal._data.read_options import ReadOptions
 from bayescal._tables.csv_reader import csv_parts
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.parquet_netcdf import parquet_parts
-from bayescal._tables.problems import Problems
-from bayescal._tables.raw_table import Table, bytes_text, load_whole
+from bayescal._tables.raw_table import Problems, Table, bytes_text, load_whole
 from bayescal._use.compensator import Compensated, Compensator, Method
 
 KEPT = (*TEXT, ".parquet", ".nc")  # in which a file can be written as it was
 AS_CSV = (".xlsx", ".mat")
 ROWS = 200_000  # compensated at a time
-
-
-@dataclass(frozen=True)
-class ExpectedColumns:
-    """What a file to compensate must hold, as `convert_columns` asks an instrument."""
-
-    name: str
-    columns: tuple[Column, ...]
-    nominal_scale: NominalScale | None
 
 
 @dataclass
@@ -174,7 +163,8 @@ def compensate_file(
     )
     with replacing_for_user(out) as partial:
         asked = tuple(options.columns.values())
-        table = open_table(path, path.name, _limit(suffix), options.decimal, asked)
+        limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # that is read a stretch at a time
+        table = open_table(path, path.name, limit, options.decimal, asked)
         raw, names = _names(table, expected, options)
         done = CompensationSummary(out, names)
         job = _FileCompensation(compensator, options, method, noise, expected, done)
@@ -184,10 +174,6 @@ def compensate_file(
         writers = {".parquet": _parquet, ".nc": _netcdf, **dict.fromkeys(AS_CSV, _as_csv)}
         writers.get(suffix, _csv)(job, path, partial, table, raw)
     return done
-
-
-def _limit(suffix: str) -> int:
-    return 1 << 62 if suffix == ".parquet" else MAX_BYTES  # Parquet is read a stretch at a time
 
 
 def _expected(compensator: Compensator) -> ExpectedColumns:

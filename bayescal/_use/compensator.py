@@ -19,25 +19,28 @@ from bayescal._calibration.mixture import usual_columns, with_columns
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
 from bayescal._data.measurements import Measurements
-from bayescal._use import code_writer, inversion
-from bayescal._use.compensation_program import CompensationProgram, program_of
-from bayescal._use.inputs import (
+from bayescal._use import code_writer, operating_equation
+from bayescal._use.compensation_program import (
     PAST,
+    CompensationProgram,
     Input,
     gathered,
     input_of,
     inputs_at_fit,
     limits,
+    notes_on_use,
     outside,
+    program_of,
+    provenance_of,
     warn_outside,
 )
 from bayescal._use.operating_equation import (
     OperatingEquation,
+    PosteriorMoments,
     equation_in_use,
     input_names,
+    posterior_moments,
 )
-from bayescal._use.posterior_moments import PosteriorMoments, posterior_moments
-from bayescal._use.provenance import notes_on_use, provenance_of
 
 Method = Literal["draws", "first order"]
 
@@ -116,7 +119,7 @@ class Compensator:
             value, own, inclination = self.program.run(given["output"], given)
             variance, inclination = own**2, inclination**2
         else:
-            value, variance, inclination = inversion.solved(
+            value, variance, inclination = operating_equation.solved(
                 self._inverse, self._moments, given, record, by_draws=method == "draws"
             )
         if noise:
@@ -152,7 +155,9 @@ class Compensator:
     def noise(self) -> float:
         """Standard deviation of the noise of one reading, output unit; of one that follows a column, over the fit."""
         return (
-            self.loaded.noise if self.loaded else inversion.noise_variance(self._calibration) ** 0.5
+            self.loaded.noise
+            if self.loaded
+            else operating_equation.noise_variance(self._calibration) ** 0.5
         )
 
     @cached_property
@@ -242,10 +247,10 @@ class Compensator:
         return self.equation
 
     @cached_property
-    def _inverse(self) -> inversion.Inverse:
+    def _inverse(self) -> operating_equation.Inverse:
         frame = self._calibration.frame
         names = input_names(self._equation, frame)
-        return inversion.Inverse(self._equation, frame.reference, tuple(names))
+        return operating_equation.Inverse(self._equation, frame.reference, tuple(names))
 
     @cached_property
     def _moments(self) -> PosteriorMoments:

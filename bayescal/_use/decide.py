@@ -1,4 +1,4 @@
-"""Does it conform? Decisions about limits, with the rule, the guard band and the risks of each.
+"""Does it conform? Decisions about limits, with the rule, guard band and risks of each; when to calibrate again.
 
 Three rules, one of which the laboratory and its customer agree on beforehand (ISO/IEC 17025:2017, 7.1.3 and 7.8.6):
 
@@ -8,35 +8,380 @@ Three rules, one of which the laboratory and its customer agree on beforehand (I
 - *guarded*: accept where the probability of a false acceptance is at most the stated one, that is, where the estimate
   is inside the limits by the guard bands; reject where the probability of a false rejection is; between them,
   undecided (8.3; ILAC-G8:09/2019 calls it a non-binary statement with guard bands).
+
+To calibrate again is due where the probability of conformity falls below a stated one. What a model says of the future
+is what changes in it with the time of the record: a drift, whose rate is known from runs that lie apart, so that a
+value and its uncertainty go on growing after the last reading. Runs differ by a deviation that is as large tomorrow as
+it was during the calibration: it lowers the probability everywhere, and sets no date. Where nothing in the model
+changes with time, there is no answer, and the reason is said.
+Source: ILAC-G24/OIML D 10:2022 leaves the method to the laboratory; this one states its probability.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple, Protocol, get_args
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
 import pandas as pd
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
+from bayescal._calibration.mixture import inclusion
+from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import number
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
-from bayescal._use.conformity import (
+from bayescal._core.formatting import WIDTH, Printed, number, table, with_error
+from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
+from bayescal._model.departure import Departure
+from bayescal._model.effect import Effect
+from bayescal._model.unknown_effect import covariate_in
+from bayescal._use.compensation_program import averaged_over
+from bayescal._use.limited_quantity import (
     DrawnQuantity,
     GlobalRisks,
+    LimitedQuantity,
     Limits,
+    SpreadOfDevices,
+    StatedLimit,
     acceptance,
     global_risks,
+    limited_quantity,
     risks_of_curves,
+    spread_of_devices,
+    stated_limit,
+    with_population,
 )
-from bayescal._use.decision import ACCEPT, REJECT, UNDECIDED, Decision, Decisions, percent
-from bayescal._use.limit import SpreadOfDevices, StatedLimit, spread_of_devices, stated_limit
-from bayescal._use.limited_quantity import LimitedQuantity, limited_quantity, with_population
-from bayescal._use.provenance import averaged_over
-from bayescal._use.recalibration import recalibration
+
+DAY = 86400.0
+YEAR = 365.25 * DAY
+# Where the search ends: a horizon and no claim; beyond it only "not within 10 years" is said.
+HORIZON = 10 * YEAR
+FIRST = 60.0  # s, the first time looked at, shorter than any interval between calibrations
+TIMES = 160  # looked at, evenly in the logarithm: each is 1.13 times the one before
+STEPS = 50  # of bisection between two of them
+FAR = 3.0  # spans of the record beyond which a drift is extrapolated so far that it is said
+
+ADVICE = (
+    "For a recalibration interval, calibrate in runs that lie weeks apart, with their time, and let the model hold a "
+    "drift, such as bias.drift."
+)
+
+
+@dataclass(frozen=True)
+class Recalibration:
+    """When the probability of conformity falls below a stated one.
+
+    Attributes:
+        stated: the probability.
+        after: s after the last reading of the calibration; None where it does not fall within the horizon, or
+            that cannot be said.
+        date: of that time, ISO 8601, where the readings have dates.
+        why_not: why there is no time; empty where there is one.
+        notes: what to know, each a sentence.
+    """
+
+    stated: float
+    after: float | None
+    date: str | None = None
+    why_not: str = ""
+    notes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        if self.after is None:
+            return self.why_not
+        if self.after == 0:
+            return f"the probability of conformity is below {self.stated:g} already"
+        when = f", {self.date}" if self.date else ""
+        return (
+            f"the probability of conformity falls below {self.stated:g} {in_words(self.after)} after the last "
+            f"reading{when}"
+        )
+
+
+def recalibration(
+    quantity: LimitedQuantity, limits: Limits, calibration: Calibration, stated: float
+) -> Recalibration:
+    """When the probability of conformity falls below a stated one, by the drift in the model.
+
+    Args:
+        quantity: that is limited.
+        limits: of it, in its unit.
+        calibration: whose last reading the time counts from.
+        stated: the probability.
+    """
+    if reason := _no_answer(quantity, calibration, stated):
+        return Recalibration(stated, None, why_not=reason, notes=(ADVICE,) * bool(quantity.place))
+
+    def probability(later: float) -> float:
+        return quantity.drawn(later).probability(limits)
+
+    after = first_below(probability, stated)
+    if after is None:
+        years = HORIZON / YEAR
+        return Recalibration(
+            stated, None, why_not=f"not within {years:g} years by the drift that the model holds"
+        )
+    time = calibration.readings["time"]
+    span = float(np.ptp(time))
+    notes = []
+    if after > FAR * span:
+        notes.append(
+            f"The drift is extrapolated to {after / span:.0f} times the {in_words(span)} of the record, as if it "
+            "went on as it was: calibrate again sooner to see whether it does."
+        )
+    since, date = calibration.readings.since, None
+    if since is not None:
+        begin = datetime.fromtimestamp(since, UTC)
+        date = (begin + timedelta(seconds=float(time.max()) + after)).date().isoformat()
+    return Recalibration(stated, after, date, notes=tuple(notes))
+
+
+def first_below(probability: Callable[[float], float], stated: float) -> float | None:
+    """The first time, s, from which a probability is below a stated one; None where it is so nowhere up to the horizon.
+
+    A fall and rise between two of the times looked at, each 1.13 times the one before, is not seen.
+    """
+    if probability(0.0) < stated:
+        return 0.0
+    before = 0.0
+    for time in np.geomspace(FIRST, HORIZON, TIMES):
+        if probability(float(time)) < stated:
+            above, below = before, float(time)
+            for _ in range(STEPS):
+                middle = 0.5 * (above + below)
+                above, below = (middle, below) if probability(middle) >= stated else (above, middle)
+                if below - above <= 1e-6 * below:
+                    break
+            return above
+        before = float(time)
+    return None
+
+
+def _no_answer(quantity: LimitedQuantity, calibration: Calibration, stated: float) -> str:
+    """Why the model says nothing of the future; empty where it does."""
+    name = quantity.limit.quantity
+    if not quantity.place:
+        return f"{name} is one number of the model, which holds no change of it in time"
+    if not quantity.follows_time:
+        return f"the model cannot say when: nothing in it that acts on {name} changes with the time of the record"
+    # What is less probable than a failure at the stated probability cannot decide about the date.
+    shares = inclusion(calibration)
+    likely = (e for e in calibration.model.effects if shares[e.name] > 1 - stated)
+    forms = [e.name for e in likely if _describes_the_record(e)]
+    if forms:
+        return f"the model cannot say when: {forms[0]} describes the record and is no law of what comes after it"
+    return ""
+
+
+def _describes_the_record(effect: Effect) -> bool:
+    """Whether an effect is a form in time that the readings drew, which ends with them."""
+    if isinstance(effect, Departure):
+        return effect.along == "time"
+    return (covariate_in(effect.name) or "").startswith("time")
+
+
+def in_words(seconds: float) -> str:
+    """A duration in the unit in which people say it."""
+    for size, name in ((YEAR, "years"), (DAY, "days"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.3g} {name}"
+    return f"{seconds:.3g} s"
+
+
+ACCEPT, REJECT, UNDECIDED = "accept", "reject", "undecided"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What is decided about one limit.
+
+    Attributes:
+        limit: as it was written.
+        quantity, unit: what is limited, and the unit of all its numbers.
+        tolerance: its limits; infinite where there is none.
+        estimate: posterior mean, its lowest and highest value over the range of the limit.
+        uncertainty: standard uncertainty of the estimate; over a range, the largest of its two ends.
+        scatter: standard deviation of single readings; zero where the quantity does not scatter.
+        probability: of conformity.
+        probability_error: its Monte-Carlo standard error.
+        guard_bands: below and above; None where no estimate would be accepted.
+        accepted: estimates that are accepted, by the rule.
+        decision: "accept", "reject" or "undecided".
+        why: in words.
+        risk: the specific risk: that the decision is wrong; None where none was made.
+        at: name → lowest value, highest value, unit of the operating point.
+        population: mean and standard deviation of the devices; None where none is given, and over a range.
+        global_risks: over the devices of a population; None where none is given.
+        recalibration: when to calibrate again.
+        notes: what to know, each a sentence.
+    """
+
+    limit: str
+    quantity: str
+    unit: str
+    tolerance: Limits
+    estimate: tuple[float, float]
+    uncertainty: float
+    scatter: float
+    probability: float
+    probability_error: float
+    guard_bands: tuple[float, float] | None
+    accepted: Limits | None
+    decision: str
+    why: str
+    risk: float | None
+    at: dict[str, tuple[float, float, str]]
+    population: tuple[float, float] | None
+    global_risks: GlobalRisks | None
+    recalibration: Recalibration
+    notes: tuple[str, ...]
+
+    def data(self) -> dict[str, Any]:
+        """As JSON; a limit that there is not is null."""
+        return as_json(self)
+
+
+@dataclass(frozen=True, repr=False)
+class Decisions(Printed):
+    """Decisions about the limits of one device.
+
+    Attributes:
+        rule: "simple", "guarded" or "shared-risk".
+        rule_in_words: as a certificate states it.
+        false_accept: the probability of a false acceptance that is allowed.
+        decisions: one of each limit, in their order.
+        calibration: identity of the calibration.
+        notes: what to know of all of them, each a sentence.
+    """
+
+    rule: str
+    rule_in_words: str
+    false_accept: float
+    decisions: tuple[Decision, ...]
+    calibration: str
+    notes: tuple[str, ...] = ()
+
+    @property
+    def conforms(self) -> bool:
+        """Whether every limit is met, by the rule."""
+        return all(d.decision == ACCEPT for d in self.decisions)
+
+    def data(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "schema": "bayescal.decisions/1",
+            "calibration": self.calibration,
+            "rule": self.rule,
+            "rule_in_words": self.rule_in_words,
+            "false_accept": self.false_accept,
+            "conforms": self.conforms,
+            "decisions": as_json(self.decisions),
+            "notes": list(self.notes),
+        }
+
+    def _brief(self) -> str:
+        said = ", ".join(f"{d.quantity} {d.decision}" for d in self.decisions)
+        return f"{'conforms' if self.conforms else 'not shown to conform'}: {said}"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        each = self.decisions
+        return {
+            "limit": [d.limit for d in each],
+            "estimate": [worst(d) for d in each],
+            "uncertainty": [d.uncertainty for d in each],
+            "unit": [d.unit for d in each],
+            "probability": [d.probability for d in each],
+            "decision": [d.decision for d in each],
+        }
+
+    def __str__(self) -> str:
+        return _text(self)
+
+
+def worst(d: Decision) -> float:
+    """The end of the estimate that is nearer to its limit."""
+    low, high = d.estimate
+    return high if d.tolerance.high - high <= low - d.tolerance.low else low
+
+
+def decision_cells(d: Decision) -> list[str]:
+    """Limit, estimate, probability of conformity, accepted estimates and decision, as people read them."""
+    return [
+        d.limit,
+        f"{with_error(worst(d), d.uncertainty)} {unit_label(d.unit)}".strip(),
+        percent(d.probability, d.probability_error),
+        _accepted(d),
+        d.decision,
+    ]
+
+
+def _text(found: Decisions) -> str:
+    rows = [decision_cells(d) for d in found.decisions]
+    head = ["limit", "estimate", "p(conforms)", "accepted from … to", "decision"]
+    parts = [_fill(f"Decision rule: {found.rule_in_words}."), table(head, rows)]
+    parts += ["\n".join(_fill(line) for line in statement_lines(d)) for d in found.decisions]
+    of_each = (note for d in found.decisions for note in (*d.recalibration.notes, *d.notes))
+    parts += [_fill(note) for note in dict.fromkeys((*of_each, *found.notes))]
+    return "\n\n".join(parts)
+
+
+def _fill(text: str) -> str:
+    indent = "    " if text.startswith("  ") else "  "
+    return textwrap.fill(text, WIDTH, subsequent_indent=indent)
+
+
+def _accepted(d: Decision) -> str:
+    if d.accepted is None:
+        return "none"
+    low, high = d.accepted
+    unit = unit_label(d.unit)
+    if math.isinf(low):
+        return f"≤ {number(high, 4)} {unit}".strip()
+    if math.isinf(high):
+        return f"≥ {number(low, 4)} {unit}".strip()
+    return f"{number(low, 4)} … {number(high, 4)} {unit}".strip()
+
+
+def statement_lines(d: Decision) -> list[str]:
+    """Each in a line: the decision and its risk, where it holds, the population's risks, when to calibrate again."""
+    said = [f"{d.limit}: {d.decision}; {d.why}."]
+    if d.at:
+        scatter = f"; single readings scatter by {number(d.scatter)} {unit_label(d.unit)}" * (
+            d.scatter > 0
+        )
+        said.append(
+            f"  at {', '.join(_place(name, *place) for name, place in d.at.items())}{scatter}"
+        )
+    if (g := d.global_risks) is not None:
+        which = f" {with_error(*d.population)} {unit_label(d.unit)}" if d.population else ""
+        said.append(
+            f"  of devices{which or ' calibrated so'}: {percent(g.conforming)} conform, "
+            f"{percent(g.accepted)} would be accepted; consumer's risk (accepted, does not conform) "
+            f"{percent(g.consumer)}, producer's risk (conforms, not accepted) {percent(g.producer)}"
+        )
+    return [*said, f"  next calibration: {d.recalibration}"]
+
+
+def _place(name: str, low: float, high: float, unit: str) -> str:
+    if unit == "rad":
+        low, high, unit = math.degrees(low), math.degrees(high), "deg"
+    values = number(low, 4) if low == high else f"{number(low, 4)} to {number(high, 4)}"
+    return f"{name} = {values} {unit_label(unit)}".strip()
+
+
+def percent(p: float, error: float = 0.0) -> str:
+    """A probability as people read it; no finer than its Monte-Carlo error, nor than a hundredth of a per cent."""
+    least = max(3 * error if p in (0.0, 1.0) else 0.0, 1e-4)
+    if p < least:
+        return f"< {100 * least:.2g} %"
+    if p > 1 - least:
+        return f"> {100 - 100 * least:.4g} %"
+    return f"{100 * p:.2f} %" if p < 0.1 or p > 0.9 else f"{100 * p:.1f} %"
+
 
 Rule = Literal["simple", "guarded", "shared-risk"]
 # What a guard band of one expanded uncertainty, k = 2, comes to about (JCGM 106, 8.3.2; ILAC-G8 gives < 2.5 %).
@@ -75,7 +420,7 @@ def decide(
     Args:
         calibration: a fit, or an average over structures, which puts what is not known of the structure into every
             probability.
-        limits: such as "bias: ±0.5 °/s" or "corrected reading: ±0.1 °/s over -20..60 °C" (see `limit.py`).
+        limits: such as "bias: ±0.5 °/s" or "corrected reading: ±0.1 °/s over -20..60 °C" (see `stated_limit`).
         rule: "guarded", "simple" or "shared-risk".
         false_accept: probability of a false acceptance (and, of a false rejection) that "guarded" allows.
         population: devices of this kind, for global risks: "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s", one for a limit by name

@@ -13,7 +13,7 @@ from bayescal._calibration.sensor_noise import SensorNoise
 from bayescal._calibration.settings import guarding
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import c_comment
-from bayescal._data.unit_parsing import STANDARD_GRAVITY, parse
+from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse
 
 KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 ROUNDED = " + quantisation"  # in the words of a law

@@ -1,4 +1,6 @@
-"""What a limit is on: the error of a corrected reading, a slot of the instrument in use, or an unknown of the model.
+"""A limit as a person writes it, the quantity that it is on, and the probability that this conforms.
+
+A limit ("bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C") is on one of three:
 
 - "corrected reading": corrected reading minus what acts, with the noise of one reading; "corrected mean": the same
   without, as the mean of many readings has it. The correction is made with the posterior mean, as exports make it.
@@ -8,31 +10,371 @@
 
 The first two are values at an operating point: covariates at the middle of their calibrated range, rates and lags
 zero, the time that of the last reading, unless the limit says otherwise.
+
+The quantity that is limited is y, its limits [T_L, T_U], one of which may be infinite; the readings leave it known as a
+posterior. Of these follow
+
+- the probability of conformity p_c = P(T_L ≤ y ≤ T_U) (JCGM 106:2012, 7.2) and the specific risk: 1 − p_c that an item
+  which is accepted does not conform, p_c that one which is rejected does (3.3.13 and 3.3.14);
+- the acceptance interval [A_L, A_U] of a stated probability α of false acceptance: all estimates with which, had the
+  posterior the same form about them, p_c ≥ 1 − α; the guard bands are w = T_U − A_U and A_L − T_L (8.3.2);
+- the global risks: averages over a population of items y ~ N(y₀, u₀²) that are each measured with standard uncertainty
+  u (9.4 and 9.5): the consumer's, that an item does not conform and is accepted, and the producer's, that it conforms
+  and is not accepted.
+
+A quantity may be a curve, which conforms where all of it does: each draw counts by its lowest and highest value. A
+quantity that scatters (a reading) conforms with the probability of one reading at the least favourable place.
 """
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.special import ndtr
+from scipy.stats import multivariate_normal
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
-from bayescal._data.unit_conversion import convert, same_dimension, unit_label
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
-from bayescal._use import inversion
+from bayescal._data.unit_conversion import (
+    STANDARD_GRAVITY,
+    convert,
+    normalised,
+    parse,
+    same_dimension,
+    unit_label,
+)
+from bayescal._use import operating_equation
 from bayescal._use.budget import notes_on
+from bayescal._use.compensation_program import PAST, bias_only
+from bayescal._use.compensation_program import limits as calibrated_limits
 from bayescal._use.compensator import Compensator
-from bayescal._use.conformity import DrawnQuantity, Limits
-from bayescal._use.inputs import PAST
-from bayescal._use.inputs import limits as calibrated_limits
-from bayescal._use.limit import LimitedRange, SpreadOfDevices, StatedLimit
 from bayescal._use.operating_equation import equation_in_use
-from bayescal._use.provenance import bias_only
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_RANGE = rf"(?P<low>{_NUMBER})\s*(?:\.\.|…|to\b)\s*(?P<high>{_NUMBER})"
+_TOLERANCE = re.compile(
+    rf"(?:(?P<centre>{_NUMBER})?\s*±\s*(?P<half>{_NUMBER})|≤\s*(?P<most>{_NUMBER})|≥\s*(?P<least>{_NUMBER})|{_RANGE})"
+    r"(?P<unit>.*)"
+)
+_OVER = re.compile(rf"(?P<name>.*?)\s*{_RANGE}(?P<unit>.*)")
+_AT = re.compile(rf"(?P<name>.+?)\s*=\s*(?P<value>{_NUMBER})(?P<unit>.*)")
+_WRITTEN = {"+/-": "±", "+-": "±", "<=": "≤", ">=": "≥", "−": "-", "–": "-"}
+FORM = (
+    'write "bias: ±0.5 °/s", "noise.white: ≤ 0.1 °/s", "scale: -300..300 ppm" or "corrected reading: ±0.1 °/s over '
+    '-20..60 °C"'
+)
+
+
+@dataclass(frozen=True)
+class LimitedRange:
+    """A range over which a limit holds, or one value: `low` to `high` of the column `name`, "" where it is not said."""
+
+    name: str
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class StatedLimit:
+    """A limit on a quantity, as it was written.
+
+    Attributes:
+        quantity: "corrected reading", "corrected mean", a slot of the instrument such as "bias", or an unknown.
+        low, high: the tolerance limits, in `unit`; infinite where there is none.
+        unit: as written; "" for a number without one.
+        over: where it holds.
+        text: as written.
+    """
+
+    quantity: str
+    low: float
+    high: float
+    unit: str
+    over: tuple[LimitedRange, ...] = ()
+    text: str = ""
+
+
+def stated_limit(text: str) -> StatedLimit:
+    """Understand a limit.
+
+    A quantity, a colon, limits (±A, C ± A, ≤ B, ≥ A, A..B) and their unit; then, if need be, "over" a range of a
+    column, "at" a value of one, and more of these after "and": "over temperature -20..60 °C and rate_input
+    -90..90 °/s".
+
+    Raises:
+        InputError: the text is none; says what is wrong with it.
+    """
+    quantity, colon, rest = text.rpartition(":")
+    if not (colon and quantity.strip() and rest.strip()):
+        raise InputError(f"limit {text!r} names no quantity: {FORM}")
+    for written, sign in _WRITTEN.items():
+        rest = rest.replace(written, sign)
+    said, *places = re.split(r"\b(over|at)\b", rest)
+    low, high, unit = _tolerance(said.strip(), text)
+    over: list[LimitedRange] = []
+    for kind, place in zip(places[::2], places[1::2], strict=True):
+        over += [_span(kind, one.strip(), text) for one in re.split(r"\band\b", place)]
+    if not low < high or (math.isinf(low) and math.isinf(high)):
+        raise InputError(f"limit {text!r}: the lower limit {low:g} is not below the upper {high:g}")
+    return StatedLimit(quantity.strip(), low, high, unit, tuple(over), text.strip())
+
+
+def _tolerance(said: str, text: str) -> tuple[float, float, str]:
+    found = _TOLERANCE.fullmatch(said)
+    if found is None:
+        raise InputError(f"limit {text!r}: {said!r} are no limits: {FORM}")
+    unit = _unit(found["unit"], text)
+    if found["half"]:
+        centre, half = float(found["centre"] or 0.0), float(found["half"])
+        return centre - half, centre + half, unit
+    low, high = found["low"] or found["least"], found["high"] or found["most"]
+    return float(low or -math.inf), float(high or math.inf), unit
+
+
+def _span(kind: str, place: str, text: str) -> LimitedRange:
+    if kind == "at":
+        if found := _AT.fullmatch(place):
+            value = float(found["value"])
+            return LimitedRange(found["name"], value, value, _unit(found["unit"], text))
+        raise InputError(f"limit {text!r}: write at temperature = 25 °C, not at {place!r}")
+    found = _OVER.fullmatch(place)
+    if found is None or not -math.inf < float(found["low"]) < float(found["high"]) < math.inf:
+        raise InputError(
+            f"limit {text!r}: {place!r} is no range: write over -20..60 °C, or over temperature -20..60 °C"
+        )
+    return LimitedRange(
+        found["name"], float(found["low"]), float(found["high"]), _unit(found["unit"], text)
+    )
+
+
+def _unit(said: str, text: str) -> str:
+    unit = said.strip().strip("[]").strip()
+    if not unit:
+        return ""
+    try:
+        parse(unit)
+    except InputError as error:
+        raise InputError(f"limit {text!r}: {error}") from None
+    return normalised(unit)
+
+
+@dataclass(frozen=True)
+class SpreadOfDevices:
+    """Devices of one kind, for one quantity: mean and standard deviation, in `unit`.
+
+    Attributes:
+        quantity: whose it is; "" for every limit whose unit it has.
+        mean: None for the middle of the limits, which is where a maker aims.
+        sd, unit: of the devices.
+        text: as written.
+    """
+
+    quantity: str
+    mean: float | None
+    sd: float
+    unit: str
+    text: str = ""
+
+
+_DEVICES = re.compile(
+    rf"(?:(?P<quantity>.+):)?\s*(?:mean\s+(?P<mean>{_NUMBER})\s*,?\s*)?sd\s+(?P<sd>{_NUMBER})(?P<unit>.*)"
+)
+
+
+def spread_of_devices(text: str) -> SpreadOfDevices:
+    """Understand a population as it is written: "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s", "bias: sd 0.2 °/s".
+
+    Raises:
+        InputError: the text is none, or its standard deviation is not positive.
+    """
+    found = _DEVICES.fullmatch(text.strip().replace("−", "-"))
+    if found is None:
+        raise InputError(
+            f'population {text!r}: write "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s" or "bias: sd 0.2 °/s", or give the folder '
+            "of a fleet that has a population"
+        )
+    sd = float(found["sd"])
+    if not 0 < sd < math.inf:
+        raise InputError(f"population {text!r}: a standard deviation is positive and finite")
+    mean = float(found["mean"]) if found["mean"] else None
+    return SpreadOfDevices(
+        (found["quantity"] or "").strip(), mean, sd, _unit(found["unit"], text), text
+    )
+
+
+SHIFTS = 401  # shifts among which the most favourable one is looked for: its p_c need only be within 1/400 of the top
+STEPS = 60  # of bisection, each of which halves the bracket: the last is 1e-18 of it
+FAR = 10.0  # standard deviations beyond which a normal distribution has 1e-23
+
+
+class Limits(NamedTuple):
+    """A tolerance or an acceptance interval, in the unit of the quantity; infinite where there is no limit."""
+
+    low: float
+    high: float
+
+    def hold(self, low: float, high: float) -> bool:
+        """Whether the values from `low` to `high` are inside."""
+        return self.low <= low and high <= self.high
+
+
+@dataclass(frozen=True)
+class DrawnQuantity:
+    """What the posterior says of a quantity that is limited.
+
+    Attributes:
+        low, high: lowest and highest value in the range that the limit names, (d,) each, by draw; one value twice for a
+            quantity at a single point.
+        estimate: the same of the posterior mean.
+        scatter: standard deviation of single readings about it; zero where it does not scatter.
+    """
+
+    low: Float[np.ndarray, "d"]
+    high: Float[np.ndarray, "d"]
+    estimate: tuple[float, float]
+    scatter: float = 0.0
+
+    def probability(self, limits: Limits, shift: float = 0.0) -> float:
+        """Probability of conformity, had the posterior stood higher by `shift`."""
+        low, high = self.low + shift, self.high + shift
+        if self.scatter == 0:
+            return float(np.mean((low >= limits.low) & (high <= limits.high)))
+        # As a function of y the probability of one reading has a single top: its least is at one of the two ends.
+        return float(np.mean(np.minimum(self._inside(low, limits), self._inside(high, limits))))
+
+    def _inside(self, value: Float[np.ndarray, "d"], limits: Limits) -> Float[np.ndarray, "d"]:
+        below, above = (limits.low - value) / self.scatter, (limits.high - value) / self.scatter
+        return ndtr(above) - ndtr(below)
+
+    def probability_error(self, p: float) -> float:
+        """Monte-Carlo standard error of a probability from so many draws; at most that where readings scatter."""
+        return float(np.sqrt(max(p * (1 - p), 1 / len(self.low)) / len(self.low)))
+
+
+def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Limits | None:
+    """The acceptance interval of a stated probability of false acceptance; None where no estimate has so small a one.
+
+    Args:
+        drawn: whose posterior, with its form, is moved along.
+        limits: the tolerance interval.
+        false_accept: α.
+    """
+    reach = FAR * drawn.scatter
+    # Below the first shift p_c is zero, as no draw is above T_L; so it is above the last.
+    first = limits.low - float(drawn.low.max()) - reach
+    last = limits.high - float(drawn.high.min()) + reach
+    best = _most_favourable(drawn, limits, first, last)
+    wanted = 1.0 - false_accept
+    if drawn.probability(limits, best) < wanted:
+        return None
+    down = first if np.isinf(first) else _edge(drawn, limits, wanted, best, first)
+    up = last if np.isinf(last) else _edge(drawn, limits, wanted, best, last)
+    return Limits(drawn.estimate[0] + down, drawn.estimate[1] + up)
+
+
+def _most_favourable(drawn: DrawnQuantity, limits: Limits, first: float, last: float) -> float:
+    """The shift with the largest p_c."""
+    if np.isinf(first) and np.isinf(last):
+        return 0.0
+    reach = FAR * drawn.scatter
+    if np.isinf(first):  # one limit: all draws inside it
+        return limits.high - float(drawn.high.max()) - reach
+    if np.isinf(last):
+        return limits.low - float(drawn.low.min()) + reach
+    shifts = np.linspace(first, last, SHIFTS)
+    # Of equally favourable ones the middle: about it p_c falls to both sides.
+    p = np.array([drawn.probability(limits, s) for s in shifts])
+    return float(np.median(shifts[p == p.max()]))
+
+
+def _edge(
+    drawn: DrawnQuantity, limits: Limits, wanted: float, inside: float, outside: float
+) -> float:
+    """Where p_c falls below what is wanted, between a shift where it does not and one where it is zero."""
+    for _ in range(STEPS):
+        middle = 0.5 * (inside + outside)
+        if drawn.probability(limits, middle) >= wanted:
+            inside = middle
+        else:
+            outside = middle
+    return inside
+
+
+@dataclass(frozen=True)
+class GlobalRisks:
+    """Of a population of items: how many conform, how many are accepted, and how many of each wrongly.
+
+    Attributes:
+        conforming: probability that an item conforms.
+        accepted: that it is accepted.
+        consumer: that it does not conform and is accepted.
+        producer: that it conforms and is not accepted.
+    """
+
+    conforming: float
+    accepted: float
+    consumer: float
+    producer: float
+
+
+def global_risks(
+    mean: float, sd: float, uncertainty: float, limits: Limits, accepted: Limits
+) -> GlobalRisks:
+    """Risks over items N(mean, sd²), each measured with a normal error of a standard uncertainty.
+
+    Args:
+        mean, sd: of the population.
+        uncertainty: of the measurement of one item.
+        limits: the tolerance interval.
+        accepted: estimates that are accepted.
+
+    Source: JCGM 106:2012, 9.5: item and estimate are normal together, with the covariance sd².
+    """
+    covariance = np.full((2, 2), sd**2) + np.diag([0.0, uncertainty**2])
+
+    def share(items: Limits, read: Limits) -> float:
+        """Probability that an item is among these, and what is read of it among those."""
+        ends = np.transpose([items, read])
+        both = multivariate_normal(np.full(2, mean), covariance, allow_singular=True)  # pyright: ignore[reportArgumentType]
+        return float(both.cdf(ends[1], lower_limit=ends[0]))
+
+    taken, conforming = share(limits, accepted), share(limits, Limits(-np.inf, np.inf))
+    below, above = Limits(-np.inf, limits.low), Limits(limits.high, np.inf)
+    wrongly = share(below, accepted) + share(above, accepted)
+    return GlobalRisks(conforming, taken + wrongly, wrongly, conforming - taken)
+
+
+def risks_of_curves(
+    devices: Float[np.ndarray, "n g"],
+    errors: Float[np.ndarray, "d g"],
+    limits: Limits,
+    accepted: Limits,
+    seed: int,
+) -> GlobalRisks:
+    """Risks of a quantity over a range, which conforms, and is accepted, where all of its curve is inside: by counting.
+
+    Args:
+        devices: true curves of devices of the population.
+        errors: of the measurement of one, drawn.
+        limits, accepted: tolerance interval, and estimates that are accepted.
+        seed: of the errors that devices get.
+    """
+    drawn = np.random.default_rng(seed).integers(len(errors), size=len(devices))
+    read = devices + errors[drawn]
+    good = (devices.min(axis=1) >= limits.low) & (devices.max(axis=1) <= limits.high)
+    taken = (read.min(axis=1) >= accepted.low) & (read.max(axis=1) <= accepted.high)
+    counted = (good, taken, taken & ~good, good & ~taken)
+    return GlobalRisks(*(float(one.mean()) for one in counted))
+
 
 READING, MEAN = "corrected reading", "corrected mean"
 ALL = 10**9  # draws: every one there is
@@ -150,7 +492,7 @@ class QuantityInUse(LimitedQuantity):
         def value(s, inputs):
             return equation.slot(self.limit.quantity, theta, s, inputs, reference)
 
-        live = inversion.live(value, jnp.ones(()), inputs)
+        live = operating_equation.live(value, jnp.ones(()), inputs)
         names = (self.chosen.stimulus, *sorted(inputs))
         return {n for n, acts in zip(names, live, strict=True) if acts}
 
@@ -218,10 +560,12 @@ class QuantityInUse(LimitedQuantity):
         start = inverse.equation, inverse.reference
         if not self.is_error:
             name = self.limit.quantity
-            found = inversion.slots_over_draws(*start, name, draws, stimulus, inputs)
+            found = operating_equation.slots_over_draws(*start, name, draws, stimulus, inputs)
             return np.asarray(found), 0.0
         mean = jnp.asarray(moments.mean)
-        found, inclination = inversion.errors_over_draws(*start, draws, mean, stimulus, inputs)
+        found, inclination = operating_equation.errors_over_draws(
+            *start, draws, mean, stimulus, inputs
+        )
         noise = chosen.noise * float(np.max(inclination)) if self.limit.quantity == READING else 0.0
         return np.asarray(found), noise
 

@@ -1,4 +1,4 @@
-"""A calibrated instrument in use: the equation of one reading, and what it needs.
+"""A calibrated instrument in use: the equation of one reading, what the posterior says of it, and its inverse.
 
 In use there is no test rig: slots that `Use.slots` leaves out do not act, and every run, cell or (unless it is
 named) device is a new one, whose deviation is drawn from its spread. What is left is one function of numbers,
@@ -7,22 +7,30 @@ named) device is a new one, whose deviation is drawn from its spread. What is le
 
 θ the coefficients and shapes that act, `inputs` the covariates of that reading; the past of a record enters as
 inputs too (`temperature_rate`, `temperature_lag`, `elapsed`).
+
+It is solved for the stimulus of each reading, for draws of θ or to first order: a straight line in the stimulus in
+closed form, anything else by optimistix' Newton, reading by reading.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 from jaxtyping import Array, Float
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.mixture import has_effect
 from bayescal._core.errors import InputError, ModelError
+from bayescal._core.jit import compiled
+from bayescal._data.column import UNCERTAINTY
 from bayescal._model import forward
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Use
@@ -309,3 +317,318 @@ def _theta(equation: OperatingEquation, calibration: Calibration) -> dict[str, A
         )
         for u in equation.unknowns()
     }
+
+
+class PosteriorMoments(NamedTuple):
+    """What the posterior says of θ: draws (d, p), mean (p,), covariance (p, p), reported units."""
+
+    draws: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
+def posterior_moments(
+    equation: OperatingEquation, calibration: Calibration, draws: int, seed: int = 0
+) -> PosteriorMoments:
+    """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all.
+
+    A deviation that is new in use is independent of everything measured: its draws are standardised, so that
+    they move no mean.
+    """
+    unknowns, blocks = equation.unknowns(), {b.name: b for b in equation.blocks}
+    size = calibration.posterior.sizes
+    total = size["chain"] * size["draw"]
+    random = np.random.default_rng(seed)
+    step = max(1, -(-total // draws))
+    values, mean, extra = np.zeros((total, len(unknowns))), np.zeros(len(unknowns)), {}
+    thin = values[::step].copy()
+    for i, unknown in enumerate(unknowns):
+        if unknown.kind == "new":
+            block = blocks[unknown.key]
+            centre = block.coefficient.mean
+            spread = _spread(calibration, block, total) * has_effect(calibration, block.effect.name)
+            normal = random.standard_normal(len(thin))
+            normal = (normal - normal.mean()) / (normal.std() or 1.0)
+            mean[i], extra[i] = centre, float(np.mean(spread**2))
+            thin[:, i] = centre + spread[::step] * normal
+        else:
+            values[:, i] = samples_in_use(equation, calibration, unknown)
+            mean[i] = values[:, i].mean()
+            thin[:, i] = values[::step, i]
+    covariance = np.atleast_2d(np.cov(values.T)) if len(unknowns) else np.zeros((0, 0))
+    for i, variance in extra.items():
+        covariance[i, i] = variance
+    return PosteriorMoments(thin, mean, covariance)
+
+
+def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np.ndarray:
+    """Draws of the standard deviation from which a new member is taken."""
+    c, fixed = block.coefficient, dict(calibration.model.fixed)
+    if c.group_sd is None:
+        return np.full(draws, c.size)
+    if block.group_sd_name in fixed:
+        return np.full(draws, fixed[block.group_sd_name])
+    return calibration.samples(block.group_sd_name)
+
+
+TIGHT = 1e-13  # of Newton's last step, relative
+NOISE_READINGS = 1000  # over which a noise that follows a column is averaged; the mean is known far better than it
+
+
+def live(function, *arguments: Any) -> list[bool]:
+    """Which leaves of the arguments the value of a function depends on, by its traced operations."""
+    jaxpr = jax.make_jaxpr(function)(*arguments).jaxpr
+    wanted = {id(v) for v in jaxpr.outvars}
+    for equation in reversed(jaxpr.eqns):
+        if any(id(v) in wanted for v in equation.outvars):
+            wanted |= {id(v) for v in equation.invars}
+    return [id(v) in wanted for v in jaxpr.invars]
+
+
+class AtPoint(NamedTuple):
+    """The equation at one operating point: expected output, its slope by the stimulus, its gradient by θ."""
+
+    expected: float
+    slope: float
+    gradient: np.ndarray
+
+
+@dataclass(frozen=True)
+class Inverse:
+    """The inverse of an equation in use.
+
+    Attributes:
+        equation: in use.
+        reference: constants of the bases.
+        names: all inputs that there could be.
+    """
+
+    equation: OperatingEquation
+    reference: Scalars
+    names: tuple[str, ...]
+
+    @cached_property
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs that the output depends on."""
+        theta, inputs = self.ones()
+        keep = live(
+            lambda inputs: self.equation.point(theta, jnp.ones(()), inputs, self.reference), inputs
+        )
+        return tuple(n for n, k in zip(sorted(inputs), keep, strict=True) if k)
+
+    @cached_property
+    def affine(self) -> bool:
+        """Whether the output is a straight line in the stimulus, by its traced derivative."""
+        theta, inputs = self.ones()
+        return not live(lambda s: jax.grad(self._at(theta, inputs))(s), jnp.ones(()))[0]
+
+    def ones(self) -> tuple[Scalars, Scalars]:
+        """θ by key, and the inputs by name, to trace the equation with."""
+        theta = {u.key: jnp.ones(()) for u in self.equation.unknowns()}
+        return theta, {n: jnp.ones(()) for n in self.names}
+
+    def at_point(self, mean: np.ndarray, point: Mapping[str, float]) -> AtPoint:
+        """The equation with its derivatives at θ = `mean` and one operating point: stimulus and inputs by name.
+
+        Inputs that are not in `point` are zero, since the equation makes no use of them.
+        """
+        stimulus, zeros = self.equation.use.stimulus, dict.fromkeys(self.names, jnp.zeros(()))
+        inputs = zeros | {n: jnp.asarray(v) for n, v in point.items() if n != stimulus}
+
+        def expected(theta, s):
+            return self._at(_named(self.equation, theta), inputs)(s)
+
+        at = jnp.asarray(mean), jnp.asarray(float(point[stimulus]))
+        value, (gradient, slope) = jax.value_and_grad(expected, argnums=(0, 1))(*at)
+        return AtPoint(float(value), float(slope), np.asarray(gradient))
+
+    def _at(self, theta: Scalars, inputs: Scalars):
+        return lambda s: self.equation.point(theta, s, inputs, self.reference)
+
+
+@compiled
+def over_draws(equation: OperatingEquation, reference, affine: bool, theta, output, inputs, record):
+    """Mean and variance of the stimulus over draws of θ, and the mean square of its slope, (n,) each."""
+
+    def add(state, one):
+        count, mean, square, slope = state
+        own = _with_lags(equation, one, inputs, record)
+        found, inclination = _invert(equation, reference, affine, one, output, own)
+        count = count + 1
+        step = found - mean
+        mean = mean + step / count
+        return (count, mean, square + step * (found - mean), slope + inclination**-2), None
+
+    zero = jnp.zeros_like(output)
+    (count, mean, square, slope), _ = jax.lax.scan(add, (0.0, zero, zero, zero), theta)
+    return mean, square / jnp.maximum(count - 1, 1), slope / count
+
+
+@compiled
+def first_order(
+    equation: OperatingEquation, reference, affine: bool, theta, covariance, output, inputs, record
+):
+    """Stimulus at θ, its variance by first-order propagation, and its squared slope by the output, (n,) each."""
+    own = _with_lags(equation, theta, inputs, record)
+    found, inclination = _invert(equation, reference, affine, theta, output, own)
+
+    def expected(theta):
+        own = _with_lags(equation, theta, inputs, record)
+        return jax.vmap(lambda s, i: equation.point(_named(equation, theta), s, i, reference))(
+            found, own
+        )
+
+    gradient = -jax.jacfwd(expected)(theta) / inclination[:, None]
+    return found, jnp.einsum("ni,ij,nj->n", gradient, covariance, gradient), inclination**-2
+
+
+@compiled
+def errors_over_draws(equation: OperatingEquation, reference, theta, mean, stimulus, inputs):
+    """Corrected reading minus stimulus where θ is what a draw says and the correction is made with its mean, (d, n).
+
+    With them 1/|slope| of the output by the stimulus, (n,). A reading has no noise here. Two of Newton's steps from the
+    stimulus itself: exact where the output is a straight line in it, else to the fourth order in the error.
+    """
+    middle = _named(equation, mean)
+
+    def error(one):
+        named = _named(equation, one)
+
+        def at(s, inputs):
+            target = equation.point(named, s, inputs, reference)
+            found = s
+            for _ in range(2):
+                value, slope = jax.value_and_grad(equation.point, argnums=1)(
+                    middle, found, inputs, reference
+                )
+                found = found - (value - target) / slope
+            return found - s
+
+        return jax.vmap(at)(stimulus, inputs)
+
+    slope = jax.vmap(jax.grad(lambda s, i: equation.point(middle, s, i, reference)))(
+        stimulus, inputs
+    )
+    return jax.vmap(error)(theta), 1 / jnp.abs(slope)
+
+
+@compiled
+def slots_over_draws(equation: OperatingEquation, reference, name: str, theta, stimulus, inputs):
+    """What a slot comes to at each place, for draws of θ, (d, n)."""
+
+    def values(one):
+        named = _named(equation, one)
+        return jax.vmap(lambda s, i: equation.slot(name, named, s, i, reference))(stimulus, inputs)
+
+    return jax.vmap(values)(theta)
+
+
+def _named(equation: OperatingEquation, theta: Float[Array, "p"]) -> Scalars:
+    return {u.key: theta[i] for i, u in enumerate(equation.unknowns())}
+
+
+def _with_lags(
+    equation: OperatingEquation, theta, inputs: Scalars, record: Frame | None
+) -> Scalars:
+    """The inputs with the lags of a record, for the time constants in θ."""
+    if record is None:
+        return inputs
+    named, found = _named(equation, theta), dict(inputs)
+    for lag in equation.lags:
+        if lag.name not in found:
+            tau = named[lag.shape] if lag.shape else jnp.asarray(lag.tau)
+            found[lag.name] = record.lag(tau, lag.column)
+            if lag.slope:
+                found[lag.slope] = jnp.zeros_like(found[lag.name])  # it is at this τ already
+    return found
+
+
+def _invert(equation: OperatingEquation, reference, affine: bool, theta, output, inputs):
+    """Stimulus and the slope of the output by it, reading by reading; NaN where Newton finds none."""
+    named = _named(equation, theta)
+
+    def one(target, inputs):
+        def miss(s, _):
+            return equation.point(named, s, inputs, reference) - target
+
+        at_zero, slope = jax.value_and_grad(miss)(0.0, None)
+        first = -at_zero / slope
+        if affine:
+            return first, slope
+        solver = optx.Newton(rtol=TIGHT, atol=1e-300)
+        found = optx.root_find(miss, solver, first, max_steps=40, throw=False)
+        _, slope = jax.value_and_grad(miss)(found.value, None)
+        settled = jnp.abs(miss(found.value, None)) <= 1e-9 * (jnp.abs(target) + jnp.abs(at_zero))
+        return jnp.where(settled, found.value, jnp.nan), slope
+
+    return jax.vmap(one)(output, inputs)
+
+
+def solved(
+    inverse: Inverse,
+    moments: PosteriorMoments,
+    given: Mapping[str, np.ndarray],
+    record: Frame | None,
+    *,
+    by_draws: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Stimulus, its variance from the calibration, and its squared slope by the output, (n,) each.
+
+    Args:
+        inverse, moments: the equation, and what the posterior says of θ.
+        given: output and inputs by name, (n,) each.
+        record: that lags follow from; None where they are given.
+        by_draws: over draws of θ; else to first order.
+    """
+    equation = inverse.equation
+    lags = [] if record is None else [lag.name for lag in equation.lags]
+    output = jnp.asarray(given["output"])
+    unused = jnp.zeros(len(given["output"]))
+    inputs = {
+        name: jnp.asarray(given[name]) if name in inverse.inputs else unused
+        for name in inverse.names
+        if name not in lags
+    }
+    start = equation, inverse.reference, inverse.affine
+    if by_draws:
+        found = over_draws(*start, jnp.asarray(moments.draws), output, inputs, record)
+    else:
+        mean, covariance = jnp.asarray(moments.mean), jnp.asarray(moments.covariance)
+        found = first_order(*start, mean, covariance, output, inputs, record)
+    value, variance, inclination = (np.asarray(f) for f in found)
+    return value, variance, inclination
+
+
+def noise_variance(calibration: Calibration) -> float:
+    """Mean over the posterior of the variance of one reading's noise, output unit squared.
+
+    Where it follows a column, it is also the mean over the readings of the calibration. What is known of the
+    uncertainty of each is not in it.
+    """
+    _, _, v = calibration.draws(2000)
+    layout, frame = calibration.layout, _seen_by_noise(calibration)
+
+    def variance(v):
+        parameters = forward.hyper_values(layout, v)
+        return jnp.mean(layout.model.noise.variance(parameters, frame))
+
+    return float(jnp.mean(jax.vmap(variance)(jnp.asarray(v))))
+
+
+def _seen_by_noise(calibration: Calibration) -> Frame:
+    """As many readings as a mean over them takes; a single one without columns where the noise needs none."""
+    whole, follows = calibration.frame, bool(calibration.layout.model.noise.needs)
+    rows = np.arange(whole.size)[:: -(-whole.size // NOISE_READINGS)]
+    columns = {n: c[rows] for n, c in whole.columns.items() if follows and n != UNCERTAINTY}
+    one = jnp.zeros(len(rows) if follows else 1)
+    return Frame(
+        columns=columns,
+        labels={},
+        rates={n: r[rows] for n, r in whole.rates.items() if follows},
+        codes={},
+        reference=whole.reference if follows else {},
+        order=one.astype(int),
+        step=one,
+        record={},
+        silence=whole.silence,
+    )

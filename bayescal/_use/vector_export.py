@@ -27,13 +27,11 @@ from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
 from bayescal._core.quoting import c_comment, identifier, number_text
 from bayescal._core.version import __version__
-from bayescal._data.unit_conversion import convert, same_dimension
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
-from bayescal._use.autopilots import AUTOPILOTS
-from bayescal._use.languages import template
+from bayescal._data.unit_conversion import STANDARD_GRAVITY, convert, same_dimension
+from bayescal._use.expression_graph import template
+from bayescal._use.firmware_parameters import AUTOPILOTS
 from bayescal._use.vector_correction import NEWTON, SIZES, VectorCorrection
 
-AXES = "xyz"
 SHAPE = {
     "made_by": str,
     "calibration": str,
@@ -184,10 +182,8 @@ def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
     return lines
 
 
-def autopilot_parameters(
-    correction: VectorCorrection, autopilot: str, sensor: int = 0
-) -> dict[str, float]:
-    """Parameters of PX4 ("px4-params") or ArduPilot ("ardupilot-params") at T0, by their names.
+def autopilot_parameters(correction: VectorCorrection, autopilot: str) -> dict[str, float]:
+    """Parameters of PX4 ("px4-params") or ArduPilot ("ardupilot-params") at T0, of its first sensor, by their names.
 
     Of an accelerometer misalignments are left out, for which these have no parameters, of a gyroscope all but offsets.
 
@@ -196,20 +192,17 @@ def autopilot_parameters(
     """
     if autopilot not in AUTOPILOTS:
         raise InputError(f"format {autopilot!r} is not one of {', '.join(AUTOPILOTS)}")
-    px4, number = autopilot == "px4-params", "" if sensor == 0 else str(sensor + 1)
+    px4 = autopilot == "px4-params"
     back = np.linalg.inv(correction.matrix)
     if same_dimension(correction.unit, "g") or same_dimension(correction.unit, "m/s^2"):
         factor, _ = _si(correction.unit)
-        off, scale = (
-            (f"CAL_ACC{sensor}_{{}}OFF", f"CAL_ACC{sensor}_{{}}SCALE")
-            if px4
-            else (f"INS_ACC{number}OFFS_{{}}", f"INS_ACC{number}SCAL_{{}}")
-        )
+        off = "CAL_ACC0_{}OFF" if px4 else "INS_ACCOFFS_{}"
+        scale = "CAL_ACC0_{}SCALE" if px4 else "INS_ACCSCAL_{}"
         found = {off.format(a): correction.offset[i] * factor for i, a in enumerate("XYZ")}
         return found | {scale.format(a): back[i, i] for i, a in enumerate("XYZ")}
     if same_dimension(correction.unit, "rad/s"):
         factor, _ = _si(correction.unit)
-        off = f"CAL_GYRO{sensor}_{{}}OFF" if px4 else f"INS_GYR{number}OFFS_{{}}"
+        off = "CAL_GYRO0_{}OFF" if px4 else "INS_GYROFFS_{}"
         return {off.format(a): correction.offset[i] * factor for i, a in enumerate("XYZ")}
     if same_dimension(correction.unit, "uT"):
         values, vectors = np.linalg.eigh(back.T @ back)
@@ -217,13 +210,12 @@ def autopilot_parameters(
         gauss = np.asarray(convert(correction.offset, correction.unit, "gauss"))
         beside = dict(zip("XYZ", (symmetric[0, 1], symmetric[0, 2], symmetric[1, 2]), strict=True))
         if px4:
-            name = f"CAL_MAG{sensor}_"
-            found = {f"{name}{a}OFF": gauss[i] for i, a in enumerate("XYZ")}
-            found |= {f"{name}{a}SCALE": symmetric[i, i] for i, a in enumerate("XYZ")}
-            return found | {f"{name}{a}ODIAG": v for a, v in beside.items()}
-        found = {f"COMPASS_OFS{number}_{a}": -1e3 * gauss[i] for i, a in enumerate("XYZ")}
-        found |= {f"COMPASS_DIA{number}_{a}": symmetric[i, i] for i, a in enumerate("XYZ")}
-        return found | {f"COMPASS_ODI{number}_{a}": v for a, v in beside.items()}
+            found = {f"CAL_MAG0_{a}OFF": gauss[i] for i, a in enumerate("XYZ")}
+            found |= {f"CAL_MAG0_{a}SCALE": symmetric[i, i] for i, a in enumerate("XYZ")}
+            return found | {f"CAL_MAG0_{a}ODIAG": v for a, v in beside.items()}
+        found = {f"COMPASS_OFS_{a}": -1e3 * gauss[i] for i, a in enumerate("XYZ")}
+        found |= {f"COMPASS_DIA_{a}": symmetric[i, i] for i, a in enumerate("XYZ")}
+        return found | {f"COMPASS_ODI_{a}": v for a, v in beside.items()}
     raise InputError(
         f"{autopilot}: there are parameters for accelerometers, gyroscopes and magnetometers, and these outputs are in "
         f"[{correction.unit}]"

@@ -11,13 +11,11 @@ import param
 from panel.custom import JSComponent
 
 from bayescal._data.unit_conversion import unit_label
-from bayescal._workbench.panes.error import ErrorPane
 from bayescal._workbench.panes.fails import Fails
 from bayescal._workbench.panes.missing import Missing
 from bayescal._workbench.panes.model_pane import ModelPane
-from bayescal._workbench.panes.tabs import ERROR, Tabs
-from bayescal._workbench.parts.pieces import choice, row, words
-from bayescal._workbench.parts.style import CSS, DARK, INSIDE, LIGHT
+from bayescal._workbench.panes.tabs import ERROR, ErrorPane, Tabs
+from bayescal._workbench.parts.pieces import CSS, DARK, INSIDE, LIGHT, choice, row, words
 from bayescal._workbench.parts.work import Work
 
 HERE = Path(__file__).parent

@@ -1,13 +1,15 @@
 """A session's folder: each state as a calibration and a script, whole or not at all, so that a killed server goes on.
 
-session.json               where the readings come from, the settings, which state is current
-state_000/                 the first state, and so on:
+session.json               where the readings come from, the settings of `calibrate`, which state is current
+state_000/                 the first state, and so on: one model with its fit; states form a tree
     calibration.nc         its fit, as `bayescal calibrate` saves one
     script.py              Python that leads to it, with the same numbers
     state.json             title, parent, time
     manifest.json          what belongs together
 drafts/                    effects of the user's own that were loaded, as code
 result_000/                reports and exports of a state, when they were asked for
+
+A state is a model; its script is the differences from each model to the next, in the words of the public functions.
 """
 
 from __future__ import annotations
@@ -15,12 +17,15 @@ from __future__ import annotations
 import json
 import re
 import tempfile
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
+from importlib.metadata import entry_points
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
+import bayescal
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
 from bayescal._calibration.fit import load
@@ -28,20 +33,297 @@ from bayescal._calibration.posterior_tree import build_tree
 from bayescal._calibration.storage import save
 from bayescal._core.atomic_file import to_disk, write_text
 from bayescal._core.errors import InputError
-from bayescal._core.json_shape import OneOf, mismatch, read_json
+from bayescal._core.json_shape import ANY, OneOf, mismatch, read_json
+from bayescal._core.quoting import one_line
+from bayescal._core.version import __version__
+from bayescal._data.header_matching import ReadOptions
+from bayescal._data.measurements import Measurements
+from bayescal._data.read import read
+from bayescal._data.set_aside import set_aside
+from bayescal._inference.method import Method
 from bayescal._model.effect import Effect
+from bayescal._model.frame import Reference
+from bayescal._model.installed import GROUP, installed_names
 from bayescal._model.instrument import Instrument
+from bayescal._model.model import Model
+from bayescal._model.noise_law import Noise
 from bayescal._report.whole_folder import AGAIN, MANIFEST, refuse_mixed, whole_folder
-from bayescal._workbench import origin
-from bayescal._workbench.origin import Origin, Settings
-from bayescal._workbench.state import FOLDER, State
+from bayescal._search.calibrate import QUICK
+from bayescal._search.discover import Discovery
+from bayescal._search.own_files import in_a_file, instrument_named, user_effects
+from bayescal._search.search_path import Step
+from bayescal._tables.mapping_file import MAPPING
+
+METHODS = ("LeastSquares", "Marginal", "NUTS")
+SHAPE = {  # of an `Origin`
+    "instrument": str,
+    **{"files": [str], "holdout": [str], "effect_files": [str], "channel?": str},
+    "read": {**MAPPING, "outputs?": [str]},
+    "average": OneOf(None, str),
+    "keep_spikes": bool,
+}
+SETTINGS_SHAPE = {  # of `Settings.data`
+    "method": OneOf(None, {str: ANY}),
+    **{"max_effects": int, "seed": int, "widen_noise": bool, "keep_spikes": bool},
+    "reference": OneOf(None, {str: OneOf(float, {str: float})}),
+    "time_limit": OneOf(None, float),
+    "accept_conflicts": [str],
+}
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What was opened. All of it is data: names of files are quoted where they stand in a script.
+
+    Attributes:
+        instrument: name of an installed one, or my.py:INSTRUMENT; empty where it was made in Python.
+        files, holdout: of readings, in full.
+        read: arguments of `bayescal.read` that are not its usual ones.
+        average: time over which means are taken; None for single readings.
+        keep_spikes: whether single readings far from both neighbours stay.
+        effect_files: Python files with effects of the user's own, in full.
+        channel: which of the outputs that `read` names; empty where there is one.
+    """
+
+    instrument: str
+    files: tuple[str, ...]
+    holdout: tuple[str, ...] = ()
+    read: Mapping[str, Any] = field(default_factory=dict)
+    average: str | None = None
+    keep_spikes: bool = False
+    effect_files: tuple[str, ...] = ()
+    channel: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        instrument: str,
+        files: Sequence[Path | str],
+        holdout: Sequence[Path | str] | None = None,
+        read: Mapping[str, Any] | None = None,
+        effect_files: Sequence[Path | str] = (),
+        **more: Any,
+    ) -> Origin:
+        """With paths in full, and no argument that is the usual one."""
+        if in_a_file(instrument):
+            file, _, name = instrument.rpartition(":")
+            instrument = f"{Path(file).resolve()}:{name}"
+        full = [tuple(str(Path(p).resolve()) for p in some) for some in (files, holdout or ())]
+        usual = vars(ReadOptions())
+        given = {k: v for k, v in (read or {}).items() if v != usual.get(k)}
+        given = {k: list(v) if isinstance(v, tuple) else v for k, v in given.items()}  # as JSON
+        own = tuple(str(Path(p).resolve()) for p in effect_files)
+        return cls(instrument, *full, read=given, effect_files=own, **more)
+
+    @classmethod
+    def kept(
+        cls,
+        instrument: Instrument,
+        readings: Measurements,
+        holdout: Measurements | None,
+        folder: Path,
+        keep_spikes: bool,
+    ) -> Origin:
+        """Of readings in memory, which are written to a folder.
+
+        Raises:
+            InputError: it cannot be written to.
+        """
+        files = [readings.write(folder / "readings.nc")]
+        apart = [] if holdout is None else [holdout.write(folder / "holdout.nc")]
+        name = instrument.name if instrument.name in installed_names() else ""
+        return cls.of(name, files, apart, keep_spikes=keep_spikes)
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> Origin:
+        """From plain JSON of its fields."""
+        lists = {n: tuple(data[n]) for n in ("files", "holdout", "effect_files")}
+        return cls(**{**data, **lists})
+
+    @property
+    def python_files(self) -> tuple[str, ...]:
+        """Those that are run where this is opened."""
+        file = self.instrument.rpartition(":")[0] if in_a_file(self.instrument) else ""
+        return (*([file] if file else []), *self.effect_files)
+
+    def open_holdout(self, instrument: Instrument) -> Measurements | None:
+        """The hold-out data as they were; None without."""
+        if not self.holdout:
+            return None
+        found = read(list(self.holdout), instrument, **self.read)
+        kept = found[self.channel] if self.channel else found
+        if self.average is not None:
+            kept = set_aside(kept, self.keep_spikes).average(self.average)
+        return kept
+
+    def open_instrument(self) -> Instrument | None:
+        """The instrument, not yet tailored; None where it was made in Python.
+
+        Raises:
+            InputError: it is no longer there.
+        """
+        return instrument_named(self.instrument) if self.instrument else None
+
+    def open_effects(self) -> dict[str, Effect]:
+        """Effects of the user's own, by name: their files are run.
+
+        Raises:
+            InputError: a file is gone, or fails.
+        """
+        return {e.name: e for path in self.effect_files for e in user_effects(Path(path))}
+
+    def code(self, tailored: bool) -> list[str]:
+        """Lines of Python that open the same: `instrument`, `readings`, `holdout`, `own`.
+
+        Args:
+            tailored: whether the instrument is made for the readings.
+        """
+        spikes = ", keep_spikes=True" if self.keep_spikes else ""
+        options = "".join(f", {name}={value!r}" for name, value in self.read.items())
+        lines = [*self._code_of_instrument(), *self._code_of_effects(), ""]
+        channel = f"[{self.channel!r}]" if self.channel else ""
+        parts = {"readings": self.files, "holdout": self.holdout}
+        for name, files in parts.items():
+            if not files:
+                lines.append(f"{name} = None")
+                continue
+            lines.append(f"{name} = bc.read({list(files)!r}, instrument{options}){channel}")
+            if self.average is not None:
+                lines.append(f"{name} = bc.set_aside({name}{spikes}).average({self.average!r})")
+        if tailored:
+            lines.append("instrument = instrument.for_readings(readings)")
+        done = [name for name, files in parts.items() if files]
+        return [*lines, *(f"{name} = bc.set_aside({name}{spikes})" for name in done)]
+
+    def _code_of_instrument(self) -> list[str]:
+        if not self.instrument:
+            return ["instrument = ...  # yours, made in Python: give it here"]
+        if in_a_file(self.instrument):
+            file, _, name = self.instrument.rpartition(":")
+            return [f"instrument = runpy.run_path({file!r})[{name!r}]"]
+        found = entry_points(group=GROUP)[self.instrument]
+        return [f"from {found.module} import {found.attr} as instrument"]
+
+    def _code_of_effects(self) -> list[str]:
+        if not self.effect_files:
+            return []
+        return [
+            "own = {}  # effects of your own, by name",
+            f"for path in {list(self.effect_files)!r}:",
+            "    defined = runpy.run_path(path)",
+            '    effects = defined.get("EFFECTS", tuple(defined.values()))',
+            "    effects = effects if isinstance(effects, tuple | list) else (effects,)",
+            "    own |= {e.name: e for e in effects if isinstance(e, bc.Effect)}",
+        ]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What `calibrate` is asked with, apart from model and readings; see there."""
+
+    method: Method | None = None
+    max_effects: int = 5
+    widen_noise: bool = True
+    keep_spikes: bool = False
+    seed: int = 0
+    reference: Reference | None = None
+    time_limit: float | None = None
+    accept_conflicts: Collection[str] = ()
+
+    @classmethod
+    def of(cls, **given: Any) -> Settings:
+        """Of keywords as `calibrate` takes them.
+
+        Raises:
+            InputError: there is no such setting.
+        """
+        known = cls.__dataclass_fields__
+        if strange := sorted(set(given) - set(known)):
+            raise InputError(
+                f"no setting is called {', '.join(strange)}: there are {', '.join(known)}"
+            )
+        return cls(**given)
+
+    def data(self) -> dict[str, Any]:
+        """As JSON has them; the method by its name and arguments."""
+        method = self.method and {"name": type(self.method).__name__, **vars(self.method)}
+        conflicts = sorted(self.accept_conflicts)
+        return {**vars(self), "method": method, "accept_conflicts": conflicts}
+
+    @classmethod
+    def from_data(cls, told: Mapping[str, Any]) -> Settings:
+        """What `data` gave.
+
+        Raises:
+            ValueError, TypeError: it did not give this.
+        """
+        method = told["method"]
+        if method is not None:
+            given = {k: tuple(v) if isinstance(v, list) else v for k, v in method.items()}
+            name = str(given.pop("name", ""))
+            if name not in METHODS:
+                raise ValueError(f"its method {name!r} is not one of {', '.join(METHODS)}")
+            method = getattr(bayescal, name)(**given)
+        return cls(**{**told, "method": method})
+
+
+FOLDER = "state_{:03d}"  # that a state is kept in, by its number
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """One model of the tree. Nothing in it changes; a look gives the same state with its discovery.
+
+    Attributes:
+        number: of the state, from 0.
+        parent: number of the state that it was made from; None for the first.
+        step: its fit by least squares, where it fails, its errors.
+        at: when it was made.
+        discovery: what is missing from it; None until it was looked for.
+    """
+
+    number: int
+    parent: int | None
+    step: Step
+    at: datetime
+    discovery: Discovery | None = None
+
+    @property
+    def title(self) -> str:
+        """What was done, in a few words: "baseline", "+ bias.thermal_lag"."""
+        return self.step.title
+
+    @property
+    def calibration(self) -> Calibration:
+        return self.step.calibration
+
+    @property
+    def model(self) -> Model:
+        return self.step.calibration.model
+
+    @property
+    def sized(self) -> dict[str, Effect]:
+        """What a look would add of the instrument's effects, by name, at the sizes likeliest beside each other."""
+        known = {e.name for e in self.model.instrument.candidates}
+        return {
+            e.name: e for e in (self.discovery.best if self.discovery else ()) if e.name in known
+        }
+
+
+def path_to(states: Mapping[int, Any], number: int) -> list[int]:
+    """Numbers of the states from the first to one."""
+    path = [number]
+    while (parent := states[path[0]].parent) is not None:
+        path.insert(0, parent)
+    return path
+
 
 SESSION, STATE, CALIBRATION, SCRIPT = "session.json", "state.json", "calibration.nc", "script.py"
 SCHEMA = "bayescal.workbench/1"
 SESSION_SHAPE = {
     "schema": str,
-    "origin": origin.SHAPE,
-    "settings": origin.SETTINGS_SHAPE,
+    "origin": SHAPE,
+    "settings": SETTINGS_SHAPE,
     "current": int,
 }
 STATE_SHAPE = {
@@ -200,3 +482,167 @@ def fresh_folder(parent: Path) -> Path:
                 continue
     except OSError as error:
         raise InputError(f"cannot write to the folder {parent}: {error.strerror}") from None
+
+
+HEAD = '''"""What was done in the bayescal workbench, up to step {number}. It needs bayescal {version} or later."""
+
+{imports}
+'''
+FITTED = '''
+calibrations = []
+
+
+def fitted(title, model, method, **start):
+    """Fit a model, and print its errors: as fitted, and of the hold-out data."""
+    calibration = bc.fit(model, readings, method, {settings}, **start)
+    calibrations.append(calibration)
+    errors = {{"as fitted": bc.check(calibration).rms}}
+    if holdout is not None:
+        errors["held out"] = bc.predict(calibration, holdout).rmse
+    print(title, errors, calibration.unit)
+    return calibration
+
+'''
+LAST = """
+print(calibration)
+print(bc.check(calibration))
+
+# The fit that the report and exports are of.
+final = bc.fit(model, readings, {method}, {settings})
+print(final)
+"""
+
+
+def script(path: Sequence[State], origin: Origin, settings: Settings, folder: Path) -> str:
+    """The script that leads from the first state of a path to its last.
+
+    Args:
+        path: states, each the parent of the next.
+        origin: of readings and effects.
+        settings: of the fits.
+        folder: that keeps the states' calibrations, for a model that no public function composes (departures of
+            effects from their forms).
+    """
+    how = f"seed={settings.seed}, strict=False"
+    how += f", reference={dict(settings.reference)!r}" if settings.reference else ""
+    runs = "runpy" if origin.effect_files or ".py:" in origin.instrument else ""
+    imports = "\n".join([*(["import runpy", ""] if runs else []), "import bayescal as bc"])
+    instrument = path[0].model.instrument
+    lines = [
+        HEAD.format(number=path[-1].number, version=__version__, imports=imports).rstrip("\n"),
+        *origin.code(tailored=instrument.tailor is not None),
+        FITTED.format(settings=how),
+    ]
+    line, before = _beginning(path[0].model)
+    lines.append(line)
+    for state in path:
+        lines += ["", f"# {state.number}: {one_line(state.title)}"] if state.number else []
+        changed = code_of(before, state.model)
+        lines += [_loaded(state, origin, folder)] if changed is None else changed
+        quick = method_code(QUICK if state.model.noise.gaussian else settings.method)
+        title = f"{state.number} {state.title}"
+        start = state.calibration.start
+        begun = f", start={start!r}" if start else ""
+        lines.append(f"calibration = fitted({title!r}, model, {quick}{begun})")
+        before = state.model
+    return "\n".join([*lines, LAST.format(method=method_code(settings.method), settings=how)])
+
+
+def _beginning(model: Model) -> tuple[str, Model]:
+    """The baseline, or the instrument's structure that a model is, or was made of."""
+    instrument = model.instrument
+    ways = [("model = instrument.baseline()", instrument.baseline())]
+    for name, make in instrument.structures:
+        ways.append((f"model = dict(instrument.structures)[{name!r}]()", make()))
+    able = [(way, edits) for way in ways if (edits := code_of(way[1], model)) is not None]
+    return min(able, key=lambda one: len(one[1]), default=(ways[0], []))[0]
+
+
+def method_code(method: Any) -> str:
+    return "bc.Marginal()" if method is None else f"bc.{method!r}"
+
+
+def _loaded(state: State, origin: Origin, folder: Path) -> str:
+    own = ", effects=tuple(own.values())" if origin.effect_files else ""
+    path = str(folder / FOLDER.format(state.number) / "calibration.nc")
+    return f"model = bc.load({path!r}{own}).model  # with departures of effects from their forms"
+
+
+def code_of(before: Model, after: Model) -> list[str] | None:
+    """Lines of Python that make one model of another; None where no public function does.
+
+    Each line is tried on the model itself: what comes of them all must be the other model.
+    """
+    edits = [("", before), *_edits(before, after)]
+    return [line for line, _ in edits[1:]] if edits[-1][1] == after else None
+
+
+def _edits(model: Model, after: Model) -> Iterator[tuple[str, Model]]:
+    """Each change with what it makes."""
+    for name in reversed(model.names[_shared(model, after) :]):
+        model = model - name
+        yield f"model = model - {name!r}", model
+    for effect in after.effects[len(model.effects) :]:
+        said, made = _effect_code(effect, after)
+        if made is None:
+            return
+        model = model + made
+        yield f"model = model + {said}", model
+    for now in after.effects:
+        size = now.coefficients[0].size
+        if model.effect(now.name) != now and not (now.is_placeholder or now.coefficients[0].flat):
+            model = model.resize(now.name, size)
+            yield f"model = model.resize({now.name!r}, {size!r})", model
+    if model.noise != after.noise:
+        said = noise_code(after.noise, after)
+        if said is None:
+            return
+        model = model.with_noise(after.noise)
+        yield f"model = model.with_noise({said})", model
+    if model.fixed != after.fixed:
+        if model.fixed:
+            model = model.free()
+            yield "model = model.free()", model
+        if after.fixed:
+            model = model.fix(dict(after.fixed))
+            yield f"model = model.fix({dict(after.fixed)!r})", model
+
+
+def _shared(before: Model, after: Model) -> int:
+    """How many effects at the beginning the two have in common; of other plausible sizes, they still are."""
+
+    def alike(both: tuple[Effect, Effect]) -> bool:
+        one, other = both
+        return one == other or (one.name == other.name and not one.is_placeholder)
+
+    return len(list(takewhile(alike, zip(before.effects, after.effects, strict=False))))
+
+
+def _effect_code(effect: Effect, model: Model) -> tuple[str, Effect | None]:
+    """An effect as it is added, at its own plausible size."""
+    name, instrument = effect.name, model.instrument
+    known = {e.name: e for e in (*instrument.effects, *instrument.candidates)}
+    if name in known:
+        return repr(name), known[name]
+    if name.startswith("unknown("):
+        made = instrument.effect(name)
+        ranges = {
+            s.name: (s.low, s.high)
+            for s, open_ in zip(effect.shapes, made.shapes, strict=True)
+            if open_ != s
+        }
+        if not ranges:
+            return repr(name), made
+        return f"instrument.effect({name!r}).ranging({ranges!r})", made.ranging(ranges)
+    if name.startswith("departure("):
+        return "", None
+    return f"own[{name!r}]", effect
+
+
+def noise_code(noise: Noise, model: Model) -> str | None:
+    """A noise law as Python; None where the public names do not make it."""
+    if noise == model.instrument.noise:
+        return "instrument.noise"
+    said = re.sub(r"\b(?=[A-Z]\w*\()", "bc.", repr(noise))
+    names = set(re.findall(r"bc\.(\w+)", said))
+    return said if names <= set(bayescal.__all__) else None

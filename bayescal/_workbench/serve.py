@@ -24,8 +24,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.quoting import html_text
 from bayescal._workbench import kept
 from bayescal._workbench.app import Workbench
-from bayescal._workbench.parts.pieces import words
-from bayescal._workbench.parts.style import INSIDE
+from bayescal._workbench.parts.pieces import INSIDE, words
 from bayescal._workbench.parts.work import in_words
 from bayescal._workbench.session import Session
 from bayescal._workbench.start import FIRST, Address, kept_sessions, skeleton

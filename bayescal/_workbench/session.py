@@ -1,4 +1,8 @@
-"""A session: what one person does to one set of readings. It knows no browser."""
+"""A session: what one person does to one set of readings. It knows no browser.
+
+What may be done to a model, each change by its name, in words; and what leaves a session, the report and exports, as
+the command line makes them.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +20,20 @@ from typing import Any
 
 import numpy as np
 
+from bayescal._calibration.compare import compare
+from bayescal._calibration.summary import summary
 from bayescal._core import deadline
 from bayescal._core.errors import BayescalError, InputError, ModelError
-from bayescal._core.formatting import WIDTH
+from bayescal._core.formatting import WIDTH, number, table, with_error
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import set_aside
+from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
+from bayescal._report.report import report
 from bayescal._report.save_search import save_search
+from bayescal._report.section import of_folder
 from bayescal._search.calibrate import Loop, step_of
 from bayescal._search.describe import Draft, describe
 from bayescal._search.discover import Discovery, discover, discovery_at
@@ -38,14 +47,77 @@ from bayescal._search.preview import Preview, Previews
 from bayescal._search.search_path import SearchPath, Step
 from bayescal._search.structures import Structure
 from bayescal._search.walk import path
+from bayescal._use import code_writer
 from bayescal._use.budget import Budget, budget
-from bayescal._use.decide import decide
-from bayescal._use.decision import Decisions
-from bayescal._workbench import kept, take_away
-from bayescal._workbench.change import Change, changed
-from bayescal._workbench.origin import Origin, Settings
-from bayescal._workbench.script import script
-from bayescal._workbench.state import State, path_to
+from bayescal._use.compensator import compensator
+from bayescal._use.decide import Decisions, decide
+from bayescal._use.firmware_parameters import AUTOPILOTS, axis_of, firmware_parameters
+from bayescal._workbench import kept
+from bayescal._workbench.kept import Origin, Settings, State, path_to, script
+
+KINDS = {"add": 1, "take_out": 1, "fix": 2, "free": 1, "resize": 2, "noise": 1}
+
+
+@dataclass(frozen=True)
+class Change:
+    """A model, and how it differs from the one before.
+
+    Attributes:
+        model: what comes of it.
+        added: effect that was added; None where something else was done.
+        in_words: that, in words; empty where an effect was added.
+    """
+
+    model: Model
+    added: str | None = None
+    in_words: str = ""
+
+
+def changed(
+    model: Model,
+    kind: str,
+    arguments: Sequence[Any],
+    own: Mapping[str, Effect],
+    laws: Mapping[str, Noise],
+) -> Change:
+    """A model with a change.
+
+    Args:
+        model: before it.
+        kind: one of `KINDS`.
+        arguments: as many as that says.
+        own: effects that are not as the instrument states them, by name.
+        laws: noise laws, by name.
+
+    Raises:
+        ModelError: the model cannot be changed so.
+        InputError: there is no such change, or it takes other arguments.
+    """
+    if KINDS.get(kind) != len(arguments):
+        takes = ", ".join(f"{name} ({count})" for name, count in KINDS.items())
+        raise InputError(f"{kind!r} with {len(arguments)} argument(s) is none of: {takes}")
+    name = str(arguments[0])
+    if kind == "add":
+        return Change(model + own.get(name, name), added=name)
+    if kind == "take_out":
+        return Change(model - name, in_words=f"− {name}")
+    if kind == "free":
+        return Change(model.free(name), in_words=f"{name} estimated again")
+    if kind == "noise":
+        if name not in laws:
+            raise ModelError(f"no noise law is called {name!r} here; there are: {', '.join(laws)}")
+        law = laws[name]
+        return Change(model.with_noise(law), in_words=f"noise: {law.in_words}")
+    value = float(arguments[1])
+    if kind == "fix":
+        return Change(model.fix({name: value}), in_words=f"{name} = {number(value, 6)} fixed")
+    unit = unit_label(model.effect(name).coefficients[0].unit)
+    size = f"{number(value)} {unit}".rstrip()
+    return Change(model.resize(name, value), in_words=f"{name} of plausible size {size}")
+
+
+SUFFIXES = {format: suffix for suffix, format in code_writer.FORMATS.items()}
+FORMATS = (*SUFFIXES, *AUTOPILOTS)
 
 
 @dataclass(eq=False)
@@ -389,8 +461,18 @@ class Session:
         return "\n\n".join([*(textwrap.fill(t, WIDTH) for t in told if t), str(trail)])
 
     def compare(self, number: int) -> str:
-        """The current model beside another step's: `bc.compare`, and their coefficients side by side."""
-        return take_away.side_by_side(self.current, self.states[number])
+        """The current model beside another step's: `bc.compare`, then coefficients, noise and shapes ± u.
+
+        Raises:
+            InputError: they were fitted to other readings.
+        """
+        both = self.current, self.states[number]
+        fits = {f"{s.number} {s.title}": s.calibration for s in both}
+        told = [[t for rows in summary(c) for t in rows] for c in fits.values()]
+        values = [{t["name"]: with_error(t["mean"], t["sd"]) for t in own} for own in told]
+        units = {t["name"]: unit_label(t["unit"]) for own in told for t in own}
+        rows = [[n, *(v.get(n, "–") for v in values), unit] for n, unit in units.items()]
+        return f"{compare(fits)}\n\n{table(['', *fits, 'unit'], rows)}"
 
     def budget(self, at: Mapping[str, float]) -> Budget:
         """`bc.budget` of the current model."""
@@ -409,7 +491,9 @@ class Session:
     def report(self) -> Path:
         """The report for sign-off, in the folder: what `bayescal report` writes of it, with what was decided."""
         folder, decided = self._result()[0], self._decisions.get(self.current.number)
-        return take_away.write_report(folder, self.origin, self.own, decided)
+        instrument, effects = self.origin.open_instrument(), tuple(self.own.values())
+        chapter = of_folder(folder, effects, () if instrument is None else (instrument,))
+        return report([chapter], folder / "report.html", effects=effects, decisions=decided)
 
     def export(self, what: str) -> Path:
         """An export of the current model, in the folder: what `bayescal export` writes; `what` is one of its formats.
@@ -417,10 +501,19 @@ class Session:
         Raises:
             InputError, ModelError: there is no such format, or the model cannot be exported so.
         """
-        if what not in take_away.FORMATS:
-            raise InputError(f"{what!r} is not one of {', '.join(take_away.FORMATS)}")
+        if what not in FORMATS:
+            raise InputError(f"{what!r} is not one of {', '.join(FORMATS)}")
         folder, trail = self._result()
-        return take_away.write_export(folder, trail, what)
+        made = compensator(trail.calibration)
+        if what in SUFFIXES:
+            return made.export(folder / f"compensation{SUFFIXES[what]}", what)
+        axis = axis_of(trail.final.calibration)
+        if axis is None:
+            raise InputError(
+                "these readings do not say of which axis they are, and an autopilot's parameters need it: export the "
+                f"calibration with bayescal export --format {what} --axis gyro_x=FILE"
+            )
+        return firmware_parameters({axis: made}, what).write(folder / f"{what}.txt")
 
     @property
     def _loop(self) -> Loop:

@@ -14,7 +14,7 @@ import bayescal as bc
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
-from bayescal._use.inversion import first_order
+from bayescal._use.operating_equation import first_order
 from benchmarks.accuracy.chunks import PROPOSALS, ROUNDS, fingerprint_of, promoted, seed_of
 from benchmarks.accuracy.ranks import draw_prior
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayescal._data.unit_parsing import STANDARD_GRAVITY
+from bayescal._data.unit_conversion import STANDARD_GRAVITY
 from bayescal_models import differential_pair, mems_gyro
 from bayescal_models.differential_pair.simulator import columns_and_truth
 from bayescal_models.inclinometer.campaign import X, Y

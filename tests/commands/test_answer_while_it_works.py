@@ -68,7 +68,7 @@ def test_other_readings_begin_anew(folder: Path, tmp_path: Path, interrupted: li
 
 
 def test_a_search_that_ended_is_not_taken_up(loop: Any, folder: Path) -> None:
-    from bayescal._report.under_way import earlier
+    from bayescal._report.result_json import earlier
     from bayescal_models import mems_gyro
 
     assert loop.data["complete"] is True

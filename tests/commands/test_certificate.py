@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._report import dcc
-from bayescal._report.certificate import read_certificate
-from bayescal._report.dcc import d_si
+from bayescal._report import certificate
+from bayescal._report.certificate import d_si, read_certificate
 from bayescal_models import still_sensor
 from tests.support.command_line import run
 
@@ -248,11 +247,11 @@ def test_no_digital_certificate_is_written_of_what_a_gate_was_shut_on(
     stated.write_text(STATED, "utf-8")
     doubted = calibration.judged(("The residuals still depend on run.",))
     with pytest.raises(bc.InputError, match="not reliable: The residuals still depend on run"):
-        dcc.dcc_text(doubted, stated)
+        certificate.dcc_text(doubted, stated)
 
 
 def test_what_is_positive_and_skewed_has_an_interval_and_no_multiple_of_its_uncertainty() -> None:
-    told = dcc.real(0.0172, "deg/s", 9.80665, 0.0141, (0.004, 0.056))
+    told = certificate.real(0.0172, "deg/s", 9.80665, 0.0141, (0.004, 0.056))
     assert told.form == "coverageInterval"
     assert list(told.spread.values()) == ["0.00025", "0.00007", "0.00098", "0.95"]
 

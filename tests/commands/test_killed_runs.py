@@ -17,7 +17,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.description import identity
-from bayescal._report.under_way import RESULT, UNDER_WAY
+from bayescal._report.result_json import RESULT, UNDER_WAY
 from bayescal._report.whole_folder import MANIFEST, files_of, refuse_mixed
 from tests.support.command_line import GYRO, QUICK, TABLE, needs_installation, run
 from tests.support.made_up.gyro_lot import table

@@ -10,7 +10,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._core.errors import InputError
-from bayescal._data.read_options import ReadOptions
+from bayescal._data.header_matching import ReadOptions
 from bayescal_models import mems_gyro, ng_accelerometer, quartz_beam_accelerometer
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
 

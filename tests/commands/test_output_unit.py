@@ -10,7 +10,7 @@ import pytest
 import bayescal as bc
 from bayescal._core.errors import InputError
 from bayescal._data.column import NominalScale
-from bayescal._report.tables import exchanged, output_factor
+from bayescal._report.report_text import exchanged, output_factor
 from bayescal._tables.write import write
 from bayescal_models import mems_gyro
 from tests.support.command_line import QUICK, needs_installation, run

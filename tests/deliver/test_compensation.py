@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._use.inputs import OutsideCalibration
+from bayescal._use.compensation_program import OutsideCalibration
 from bayescal_models import mems_gyro, still_sensor
 from benchmarks.accuracy.chunks import collect
 from benchmarks.instruments import compensation as campaigns
 from tests.support.made_up import bent_sensor
 
-pytestmark = pytest.mark.filterwarnings("ignore::bayescal._use.inputs.OutsideCalibration")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::bayescal._use.compensation_program.OutsideCalibration"
+)
 
 
 @pytest.fixture(scope="module")

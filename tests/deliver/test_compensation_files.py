@@ -18,7 +18,9 @@ from bayescal_models import mems_gyro
 from tests.support.command_line import run
 from tests.support.made_up import bent_sensor
 
-pytestmark = pytest.mark.filterwarnings("ignore::bayescal._use.inputs.OutsideCalibration")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::bayescal._use.compensation_program.OutsideCalibration"
+)
 TEXT = (
     b"\xef\xbb\xbf# logged by hand\r\nnote;when;board [degC];gyro x [deg/s]\r\n"
     b'"a;b";1;40.5;25.25\r\n\r\nsecond;2;1.0e2;-7.5\r\nthird;3;55;0'

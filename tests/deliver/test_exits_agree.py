@@ -26,7 +26,9 @@ from tests.support.export_check import needs_compiler, run_c, tilted
 from tests.support.made_up import bent_sensor, split_search
 
 TIGHT = 1e-12  # of the largest value in a record
-pytestmark = pytest.mark.filterwarnings("ignore::bayescal._use.inputs.OutsideCalibration")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::bayescal._use.compensation_program.OutsideCalibration"
+)
 
 
 def of(module: Any, *effects: str, members: dict[str, str] | None = None, **campaign: Any):

@@ -14,13 +14,14 @@ from bayescal._core.quoting import ascii_text
 from bayescal._use.code_writer import as_text
 from bayescal._use.compensation_program import program_of
 from bayescal._use.expression_graph import Graph
-from bayescal._use.inversion import Inverse
-from bayescal._use.posterior_moments import posterior_moments
+from bayescal._use.operating_equation import Inverse, posterior_moments
 from tests.support.export_check import needs_compiler, run_header, tilted
 from tests.support.made_up import bent_sensor, split_search
 
 ROWS = 10_000
-pytestmark = pytest.mark.filterwarnings("ignore::bayescal._use.inputs.OutsideCalibration")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::bayescal._use.compensation_program.OutsideCalibration"
+)
 
 
 MADE = {

@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._report.certificate import Certificate
-from bayescal._report.dcc import dcc_text
+from bayescal._report.certificate import Certificate, dcc_text
 from bayescal._use.firmware_parameters import FirmwareParameters
 from bayescal._use.vector_correction import VectorCorrection
 from bayescal._use.vector_export import as_text, data

@@ -16,7 +16,7 @@ import bayescal as bc
 from bayescal._calibration.description import identity
 from bayescal._core.atomic_file import sha256_of
 from bayescal._report import whole_folder as folders
-from bayescal._report.under_way import UNDER_WAY, Keeper
+from bayescal._report.result_json import UNDER_WAY, Keeper
 from bayescal._report.whole_folder import MANIFEST, files_of, refuse_mixed, whole_folder
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import run

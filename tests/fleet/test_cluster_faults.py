@@ -63,7 +63,7 @@ def when(out: Path, count: int, act) -> threading.Thread:
 
 
 def test_killed_workers_change_nothing(folder, expected, tmp_path) -> None:
-    from bayescal._fleet.open_cluster import open_cluster
+    from bayescal._fleet.engine import open_cluster
 
     out = tmp_path / "out"
     with open_cluster(2) as client:

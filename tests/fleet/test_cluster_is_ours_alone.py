@@ -15,7 +15,7 @@ pytest.importorskip("distributed", reason="needs Dask: pip install 'bayescal[fle
 
 from distributed import Client
 
-from bayescal._fleet.open_cluster import open_cluster
+from bayescal._fleet.engine import open_cluster
 from tests.support.open_ports import listening, needs_proc
 
 

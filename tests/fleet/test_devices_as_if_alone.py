@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import bayescal as bc
-from bayescal._fleet import closed_form
+from bayescal._fleet import fit_devices
 from bayescal_models import mems_gyro
 from tests.support.made_up.gyro_lot import MODEL, NOISE
 
@@ -46,7 +46,7 @@ def test_each_device_is_as_if_it_were_alone(readings, result) -> None:
 def test_the_quick_way_is_least_squares(readings, monkeypatch) -> None:
     few = {name: readings[name].select(np.arange(12)) for name in readings.names[:3]}
     fast = bc.fit_batch(MODEL, few)
-    monkeypatch.setattr(closed_form, "applies", lambda *_: False)
+    monkeypatch.setattr(fit_devices, "has_closed_form", lambda *_: False)
     ordinary = bc.fit_batch(MODEL, few)
     assert ordinary.ok.all()
     for one, other in zip(fast, ordinary, strict=True):

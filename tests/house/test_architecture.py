@@ -27,8 +27,6 @@ ROOMS = [
     *("_use", "_search", "_fleet", "_report", "plot", "_workbench", "_cli", "__main__"),
 ]
 FILES = ("plot", "__main__")  # that stand for themselves and hand on what a room has
-# Files that may be called as another one is: what they hold is the same thing, once for each of its kinds.
-SAME_NAME = {"take_away"}
 
 
 class Import(NamedTuple):
@@ -117,7 +115,7 @@ def test_names_are_unique() -> None:
         tree = parsed(file)
         classes.update(node.name for node in tree.body if isinstance(node, ast.ClassDef))
     twice = {name for name, count in (files + classes).items() if count > 1}
-    assert twice <= SAME_NAME, f"these names stand for two things: {sorted(twice - SAME_NAME)}"
+    assert not twice, f"these names stand for two things: {sorted(twice)}"
 
 
 def test_every_module_says_what_it_holds() -> None:

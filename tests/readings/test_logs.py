@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._tables.recorded import Sensor, columns_of
+from bayescal._tables.logs import Sensor, columns_of
 from bayescal_models import still_sensor
 from tests.support.log_files import write_bag, write_dataflash, write_ulog, write_ulog_topics
 

@@ -7,7 +7,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._data.dataset_checks import odd_numbers
-from bayescal._data.held_out import not_new, said_of
+from bayescal._data.set_aside import not_new, said_of
 from bayescal_models import still_sensor
 
 UNITS = {"time": "s", "temperature": "degC", "output": "ug"}

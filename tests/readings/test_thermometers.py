@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._data.covariate_checks import leaps, oddities, pieces
+from bayescal._data.dataset_checks import leaps, oddities, pieces
 from bayescal._data.set_aside import set_aside
 from bayescal_models import INSTRUMENTS, mems_gyro, still_sensor
 from benchmarks.hidden_effects.bank import instrument_named

@@ -16,10 +16,10 @@ from bayescal._data.unit_conversion import (
     coefficient_factor,
     convert,
     needs_gravity,
+    parse,
     pretty,
     same_dimension,
 )
-from bayescal._data.unit_parsing import parse
 
 FAMILIES = [
     ("s", "ms", "min", "h", "day"),

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import bayescal as bc
-from bayescal._report import figures
+from bayescal._report import report
 from bayescal_models import mems_gyro
 
 HIDDEN = "bias.thermal_lag"
@@ -25,7 +25,7 @@ def trail() -> bc.SearchPath:
 
 def unpaint(patch: pytest.MonkeyPatch) -> None:
     """Leave a report's pictures white, as long as the patch holds."""
-    patch.setattr(figures, "as_svg", lambda _: '<svg viewBox="0 0 1 1"></svg>')
+    patch.setattr(report, "as_svg", lambda _: '<svg viewBox="0 0 1 1"></svg>')
 
 
 class Page(HTMLParser):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import pytest
 
 import bayescal as bc
-from bayescal._workbench.origin import Origin
+from bayescal._workbench.kept import Origin
 from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.support.browser import chromium

@@ -14,7 +14,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.description import identity
-from bayescal._workbench.origin import Origin
+from bayescal._workbench.kept import Origin
 from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation, run
@@ -28,7 +28,7 @@ from pathlib import Path
 from tests.support.spoilt_runs import killed_at
 import bayescal as bc
 from bayescal._calibration.description import identity
-from bayescal._workbench.origin import Origin
+from bayescal._workbench.kept import Origin
 from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 

@@ -18,9 +18,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayescal._workbench.kept import SESSION
+from bayescal._workbench.kept import SESSION, State
 from bayescal._workbench.session import Session
-from bayescal._workbench.state import State
 from tests.support.command_line import needs_installation
 from tests.workbench.real_page import write_campaign
 from tests.workbench.test_serve import Server

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import bayescal as bc
-from bayescal._workbench.origin import Origin
+from bayescal._workbench.kept import Origin
 from bayescal._workbench.session import Session
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.workbench.conftest import Campaign

@@ -13,17 +13,12 @@ from bayescal._search.candidate import Candidate
 from bayescal._search.discover import Discovery
 from bayescal._search.posterior import Found
 from bayescal._workbench.app import Workbench
-from bayescal._workbench.panes.error import in_order
-from bayescal._workbench.panes.file import safe_name
+from bayescal._workbench.kept import path_to
+from bayescal._workbench.panes.fails import MANY, PIXELS, CutAxis, drawn_rows, sentence
 from bayescal._workbench.panes.missing import candidate_rows
-from bayescal._workbench.panes.tabs import ERROR
-from bayescal._workbench.parts.decimate import MANY, PIXELS, drawn_rows, sentence
-from bayescal._workbench.parts.gaps import CutAxis
-from bayescal._workbench.parts.pieces import words
-from bayescal._workbench.parts.rows import Rows
-from bayescal._workbench.parts.style import new_figure
+from bayescal._workbench.panes.tabs import ERROR, in_order, safe_name
+from bayescal._workbench.parts.pieces import Rows, new_figure, words
 from bayescal._workbench.session import Session
-from bayescal._workbench.state import path_to
 
 COUNT = 100_000
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import bayescal as bc
-from bayescal._workbench.origin import Origin
+from bayescal._workbench.kept import Origin
 from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation

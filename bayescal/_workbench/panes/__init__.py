@@ -1,1 +1,1 @@
-"""What the page shows, a file each: the model, where it fails, what is missing, the error, and what is behind tabs."""
+"""What the page shows: the model, where it fails, what is missing, and below them the error and what is behind tabs."""

@@ -1,27 +1,443 @@
-"""Where it fails: output with the fit, and residuals, over columns side by side, brushed together."""
+"""Where it fails: output with the fit, and residuals, over columns side by side, brushed together.
+
+What is drawn are plain arrays, one source of rows for all panels. Of more readings than a screen can show some are
+drawn; an axis of time leaves out the long gaps between runs. A panel has, over one column, the output with the fit,
+and residuals with the noise, the worst region, the curve of a preview.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from bokeh.events import Reset, SelectionGeometry
-from bokeh.models import ColumnDataSource
-
-from bayescal._workbench.panes.fails_data import ResidualsOfState
-from bayescal._workbench.panes.fails_panel import (
-    AT,
-    CURVE,
-    FIT,
-    OUTPUT,
-    WHAT,
-    ColumnPanel,
+from bokeh.models import (
+    BoxAnnotation,
+    ColumnDataSource,
+    CustomJSTickFormatter,
+    HoverTool,
+    PlainText,
+    Range1d,
+    Scatter,
+    Span,
 )
-from bayescal._workbench.panes.pane import Pane
-from bayescal._workbench.parts.decimate import drawn_rows, sentence
-from bayescal._workbench.parts.pieces import choice, column, row, several, words
-from bayescal._workbench.parts.style import Palette, range_over
+
+from bayescal._calibration.check import covariates_of
+from bayescal._calibration.check_result import Check, place_in_words
+from bayescal._data.unit_conversion import unit_label
+from bayescal._report.plot_colours import RED
+from bayescal._workbench.parts.pieces import (
+    MARKERS,
+    Palette,
+    Pane,
+    choice,
+    column,
+    dress,
+    new_figure,
+    plot,
+    range_over,
+    row,
+    several,
+    words,
+)
+
+# A step is a gap if it is longer than so many usual ones (their median), and than this share of the time in all shorter
+# steps: a pause within a run stays, and so do evenly spaced runs of one reading.
+STEPS, SHARE = 10.0, 0.1
+WASTED = 0.25  # of the axis that is left, about, which gaps may take up together
+
+LABEL = """
+let k = 0;
+while (k + 1 < starts.length && starts[k + 1] <= tick) k += 1;
+return tick > ends[k] ? "" : String(Number((tick + taken[k]).toPrecision(10)));
+"""
+
+
+@dataclass(frozen=True)
+class CutAxis:
+    """Stretches of a column, one after the other.
+
+    Attributes:
+        starts, ends: values at which each begins and ends, (k,), rising.
+        taken: what is left out of the axis before each, (k,), a round number each.
+    """
+
+    starts: np.ndarray
+    ends: np.ndarray
+    taken: np.ndarray
+
+    @classmethod
+    def of(cls, values: np.ndarray) -> CutAxis:
+        """Of values (n,) in any order; a single stretch where no gap is long."""
+        at = np.unique(values)
+        steps = np.diff(at)
+        rising = np.sort(steps)
+        usual, shorter = np.append(rising, 0.0)[rising.size // 2], np.cumsum(rising) - rising
+        long = (rising > STEPS * usual) & (rising > SHARE * shorter)
+        gaps = np.flatnonzero(steps >= rising[np.argmax(long)]) if long.any() else np.array([], int)
+        unit = _round(WASTED * np.delete(steps, gaps).sum() / gaps.size) if gaps.size else np.inf
+        taken = np.floor(steps[gaps] / unit - 1 / 3) * unit
+        gaps, taken = gaps[taken > 0], taken[taken > 0]
+        edges = np.r_[0, gaps + 1]
+        ends = np.r_[gaps, at.size - 1]
+        return cls(at[edges], at[ends], np.r_[0.0, np.cumsum(taken)])
+
+    def place(self, values: np.ndarray) -> np.ndarray:
+        """Where values stand on the axis."""
+        k = np.searchsorted(self.starts, values, side="right") - 1
+        return np.asarray(values, float) - self.taken[np.maximum(k, 0)]
+
+    def label(self, figure: Any, colour: str) -> None:
+        """Label a figure's axis with the values themselves, and draw where something is left out."""
+        if self.starts.size == 1:
+            return
+        starts, ends = self.place(self.starts), self.place(self.ends)
+        args = {"starts": starts.tolist(), "ends": ends.tolist(), "taken": self.taken.tolist()}
+        figure.xaxis.formatter = CustomJSTickFormatter(args=args, code=LABEL)
+        for middle in 0.5 * (ends[:-1] + starts[1:]):
+            cut: dict[str, Any] = {
+                "dimension": "height",
+                "line_dash": "dotted",
+                "line_color": colour,
+            }
+            figure.add_layout(Span(location=float(middle), line_width=2, **cut))
+
+
+def _round(value: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above a value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(power * m for m in (1, 2, 5) if power * m <= value * (1 + 1e-12)))
+
+
+MANY = 6000  # readings up to which every one is drawn: the browser moves these without a lag
+PIXELS = 300  # columns of pixels of a panel, about
+
+
+def drawn_rows(
+    covariates: Mapping[str, np.ndarray],
+    drawn: Sequence[np.ndarray],
+    views: Mapping[str, tuple[float, float]] | None = None,
+) -> np.ndarray:
+    """Rows to draw: all; or, of many, the lowest and the highest in each column of pixels, and evenly spaced ones
+    between them.
+
+    The same rows are drawn in every panel, so that what is brushed in one lights up in the others: the union over the
+    panels. Extremes are never lost; of what lies between them, an even share is drawn.
+
+    Args:
+        covariates: (n,) each, by panel.
+        drawn: what is drawn over them, (n,) each: residuals, output.
+        views: lowest and highest covariate in view, by panel; all of it where none is named.
+
+    Returns:
+        Indices in rising order.
+    """
+    size = drawn[0].size
+    if size <= MANY:
+        return np.arange(size)
+    rising = [np.argsort(values) for values in drawn]
+    chosen, seen = np.zeros(size, bool), np.ones(size, bool)
+    for name, values in covariates.items():
+        low, high = (views or {}).get(name, (float(values.min()), float(values.max())))
+        in_view = (values >= low) & (values <= high)
+        seen &= in_view if name in (views or {}) else True
+        if np.count_nonzero(in_view) <= MANY // len(covariates):
+            chosen |= in_view
+            continue
+        place = (values - low) / max(high - low, 1e-300)
+        pixel = np.where(in_view, np.clip(place * PIXELS, 0, PIXELS - 1), PIXELS).astype(int)
+        for order in rising:
+            end = np.full(PIXELS + 1, -1)  # of each column of pixels, and of what is out of view
+            for way in (order, order[::-1]):  # the last that is put there stays: highest, lowest
+                end[pixel[way]] = way
+                chosen[end[:PIXELS][end[:PIXELS] >= 0]] = True
+    between = np.flatnonzero(seen & ~chosen)
+    chosen[between[:: max(1, -(-between.size // (MANY - min(int(chosen.sum()), MANY // 2))))]] = (
+        True
+    )
+    return np.flatnonzero(chosen)
+
+
+def sentence(drawn: int, of: int) -> str:
+    """What is drawn, where it is not all; else empty."""
+    if drawn == of:
+        return ""
+    return f"{drawn:,} of {of:,} readings drawn: lowest and highest of every column of pixels, an even share between"
+
+
+AGAINST = "predicted output"  # over which the output is measured against predicted
+TIME = "time"  # the column whose long gaps are left out
+
+
+@dataclass(frozen=True)
+class ResidualsOfState:
+    """A state's residuals with everything that they can be laid against.
+
+    Attributes:
+        step: the state's fit with its check.
+        before: residuals of the step that it is compared with, output unit, (n,); None where there is none.
+    """
+
+    step: Any
+    before: np.ndarray | None
+
+    @property
+    def check(self) -> Check:
+        return self.step.check
+
+    @cached_property
+    def residual(self) -> np.ndarray:
+        return np.asarray(self.check.residuals, float)
+
+    @cached_property
+    def unit(self) -> str:
+        return unit_label(self.check.unit)
+
+    @cached_property
+    def measured(self) -> np.ndarray:
+        readings = self.step.calibration.readings
+        return np.asarray(readings[readings.output], float)
+
+    @cached_property
+    def _columns(self) -> list[Any]:
+        return covariates_of(self.step.calibration)
+
+    @cached_property
+    def covariates(self) -> Mapping[str, np.ndarray]:
+        """(n,) each, by name; a group's members as numbers 0, 1, …; at last what the model predicts."""
+        columns = {c.name: np.asarray(c.values, float) for c in self._columns}
+        return {**columns, AGAINST: self.measured - self.residual}
+
+    @cached_property
+    def cut(self) -> CutAxis | None:
+        """The axis of time; None without one."""
+        return CutAxis.of(self.covariates[TIME]) if TIME in self.covariates else None
+
+    @cached_property
+    def places(self) -> Mapping[str, np.ndarray]:
+        """(n,) each: where readings stand on the axis of a covariate."""
+        cut = {} if self.cut is None else {TIME: self.cut.place(self.covariates[TIME])}
+        return {**self.covariates, **cut}
+
+    @cached_property
+    def units(self) -> Mapping[str, str]:
+        return {**{c.name: unit_label(c.unit or "") for c in self._columns}, AGAINST: self.unit}
+
+    @cached_property
+    def levels(self) -> Mapping[str, tuple[str, ...]]:
+        """Members of the groups among them."""
+        return {c.name: c.levels for c in self._columns if c.levels}
+
+    @property
+    def numbers(self) -> dict[str, tuple[np.ndarray, str]]:
+        """Values (n,) and unit of every column that a region can be given in."""
+        return {n: (v, self.units[n]) for n, v in self.covariates.items() if n not in self.levels}
+
+    def same_readings(self, other: ResidualsOfState) -> bool:
+        """Whether another state is of the same readings, with the same columns to lay residuals against."""
+        own, others = self.covariates, other.covariates
+        same = self.measured is other.measured or np.array_equal(self.measured, other.measured)
+        return (
+            same
+            and [*own] == [*others]
+            and (self.units, self.levels, self.runs[0])
+            == (other.units, other.levels, other.runs[0])
+            and np.array_equal(self.runs[1], other.runs[1])
+            and all(np.array_equal(own[n], others[n]) for n in own if n != AGAINST)
+        )
+
+    def worst(self, name: str) -> tuple[float, float] | None:
+        """Where the worst region over a covariate begins and ends on its axis; None without evidence of one."""
+        entry = next((e for e in self.check.entries if e.against == name), None)
+        if entry is None or entry.log_bayes_factor <= 0:
+            return None
+        low, high = entry.worst.low, entry.worst.high
+        if entry.by_group:
+            low = high = float(self.levels[name].index(str(entry.worst.group)))
+        if name == TIME and self.cut is not None:
+            low, high = map(float, self.cut.place(np.array([low, high])))
+        wide = 0.02 * float(np.ptp(self.places[name])) if low == high else 0.0
+        return low - wide, high + wide
+
+    @cached_property
+    def runs(self) -> tuple[tuple[str, ...], np.ndarray]:
+        return self.step.calibration.readings.groups("run")
+
+    def colours(self, palette: Palette) -> np.ndarray:
+        """A colour a reading, by run."""
+        cycle = np.array(palette.cycle)
+        return cycle[self.runs[1] % len(cycle)]
+
+    def markers(self) -> np.ndarray:
+        """A shape a reading, by run: colour is never the only thing that tells them apart."""
+        return np.array(MARKERS)[self.runs[1] % len(MARKERS)]
+
+    def start(self, count: int = 2) -> list[str]:
+        """What is shown first: the continuous covariates with the strongest evidence, in the order of the columns."""
+        ranked = [e.against for e in self.check.entries if not e.by_group]
+        chosen = ranked[:count] or [n for n in self.covariates if n != AGAINST][:count]
+        return [n for n in self.covariates if n in chosen] or [AGAINST]
+
+    def sentence(self) -> str:
+        """The worst region of the strongest covariate, in a sentence."""
+        worst = max(self.check.entries, key=lambda e: e.log_bayes_factor, default=None)
+        if worst is None:
+            return "No column varies: there is nothing to lay the residuals against."
+        rms = f"Residuals {self.check.rms:.3g} {self.unit} rms, noise {self.check.noise:.3g} {self.unit}. "
+        if worst.log_bayes_factor < 0:
+            return rms + "No column says anything of them: no log Bayes factor is above zero."
+        side = "positive" if worst.worst.size > 0 else "negative"
+        return (
+            f"{rms}Against {worst.against} they are systematically {side}: {worst.worst.size:+.3g} {self.unit} on "
+            f"average, {place_in_words(worst)} (z = {worst.worst.z:+.1f}; log Bayes factor "
+            f"{worst.log_bayes_factor:.1f})."
+        ).replace("-", "−")
+
+
+TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
+SHORT = 48  # letters of a label
+FEW = 600  # readings up to which points are large
+NOISE, CURVE, FIT, AT = "#8a939b", "curve", "fit", "at "
+OUTPUT, RESIDUALS = WHAT = ["output", "residuals"]
+
+
+class ColumnPanel:
+    """One column's output and residuals, one above the other, zoomed together.
+
+    It is made once for the readings: of another state, only what is drawn in it changes. A new figure would cost the
+    browser a new layout of the whole page.
+
+    Attributes:
+        figures: of output and residuals.
+        x_range: of both.
+        room: what the page shows.
+    """
+
+    def __init__(
+        self,
+        shown: ResidualsOfState,
+        name: str,
+        source: ColumnDataSource,
+        curves: ColumnDataSource,
+        y_range: Range1d,
+    ) -> None:
+        """Args:
+        shown: the state.
+        name: of the column.
+        source: of all panels, whose readings are so brushed together; the column stands in it as `AT` and its name.
+        curves: the same of a preview's curve.
+        y_range: of the residuals, the same in all panels.
+        """
+        self._name, x = name, AT + name
+        self.x_range = range_over(shown.places[name])
+        measured = range_over(shown.measured)
+        output = _figure(shown, name, f"output [{shown.unit}]", self.x_range, measured)
+        output.xaxis.axis_label, output.xaxis.major_label_text_font_size = None, "0px"
+        _points(output, x, "measured", source)
+        _other(output, x, "fit before", source)
+        _dots(output, x, FIT, source)
+        made = _figure(shown, name, f"residual [{shown.unit}]", self.x_range, y_range)
+        plain: dict[str, Any] = {"level": "underlay", "fill_alpha": 0.16}
+        self._noise = BoxAnnotation(fill_color=NOISE, line_alpha=0.0, **plain)
+        self._worst = BoxAnnotation(fill_color=RED, line_color=RED, line_alpha=0.5, **plain)
+        zero = Span(location=0, dimension="width", line_color=NOISE, line_width=1)
+        for ground in (self._noise, zero, self._worst):
+            made.add_layout(ground)
+        _other(made, x, "before", source)
+        _points(made, x, "residual", source)
+        _dots(made, x, CURVE, curves)
+        self.figures = {OUTPUT: output, RESIDUALS: made}
+        self.room: Any = column(kinds=("stack",))
+        self.show(shown)
+
+    def show(self, shown: ResidualsOfState) -> None:
+        """Show another state of the same readings; a view of a part stays where its column does."""
+        range_over(shown.places[self._name], view=self.x_range)
+        self._noise.update(bottom=-shown.check.noise, top=shown.check.noise)
+        region = shown.worst(self._name)
+        self._worst.visible = region is not None
+        if region is not None:
+            self._worst.update(left=region[0], right=region[1])
+
+    def place(self, what: list[str]) -> None:
+        """Have output, residuals or both in the room; residuals where neither is asked for."""
+        wanted = [self.figures[w] for w in WHAT if w in (what or [RESIDUALS])]
+        if [pane.object for pane in self.room] != wanted:
+            self.room[:] = [plot(one) for one in wanted]
+
+    def wear(self, palette: Palette) -> None:
+        """Take the colours of a ground."""
+        for made in self.figures.values():
+            dress(made, palette)
+            for renderer in made.renderers:
+                if renderer.name in (CURVE, FIT):
+                    renderer.glyph.fill_color = renderer.nonselection_glyph.fill_color = palette.ink
+
+
+def _figure(
+    shown: ResidualsOfState, name: str, label: str, x_range: Range1d, y_range: Range1d
+) -> Any:
+    unit = shown.units[name]
+    made = new_figure(
+        name[:SHORT] if name in shown.levels else f"{name[:SHORT]} [{unit or '1'}]",
+        label,
+        tools=TOOLS,
+        active_drag="box_select",
+        active_scroll="xwheel_zoom",
+        x_range=x_range,
+        y_range=y_range,
+        # Their sum would be a property of the room of all, and a change of it one layout of the page more.
+        min_width=0,
+        min_height=0,
+    )
+    made.name = f"panel {name}"
+    if name == TIME and shown.cut is not None:
+        shown.cut.label(made, NOISE)
+    if levels := shown.levels.get(name):
+        made.xaxis.ticker = list(range(len(levels)))
+        made.xaxis.major_label_overrides = {k: PlainText(text=v[:12]) for k, v in enumerate(levels)}
+    return made
+
+
+def _other(made: Any, x: str, y: str, source: ColumnDataSource) -> None:
+    """Of the step that this one is compared with."""
+    hollow = {"fill_color": None, "line_color": NOISE, "line_alpha": 0.7, "size": 4}
+    _scatter(made, source, {"x": x, "y": y, **hollow}, {"line_alpha": 0.2})
+
+
+def _dots(made: Any, x: str, name: str, source: ColumnDataSource) -> None:
+    """A curve, a dot a reading."""
+    dot = {"size": 3.5 if name == CURVE else 2.5, "line_color": None}
+    _scatter(made, source, {"x": x, "y": name, **dot}, {"fill_alpha": 0.9}).name = name
+
+
+def _points(made: Any, x: str, y: str, source: ColumnDataSource) -> None:
+    size = 5 if len(source.data["row"]) <= FEW else 3.5
+    plain = {"marker": "marker", "fill_color": "colour", "line_color": None, "fill_alpha": 0.75}
+    drawn = {"x": x, "y": y, "size": size, **plain}
+    points = _scatter(made, source, drawn, {"fill_alpha": 0.12}, {"fill_alpha": 1.0})
+    told = [("reading", "@reading"), ("run", "@run"), (y, f"@{y}{{0.0000 a}}")]
+    made.add_tools(
+        HoverTool(renderers=[points], tooltips=told, point_policy="follow_mouse", limit=1)
+    )
+
+
+def _scatter(
+    made: Any,
+    source: ColumnDataSource,
+    drawn: dict[str, Any],
+    beside: dict[str, Any],
+    selected: dict[str, Any] | None = None,
+) -> Any:
+    """Points, what differs of those beside a selection and in it; `figure.scatter` makes twice as many models."""
+    glyphs = {"nonselection_glyph": Scatter(**{**drawn, **beside})}
+    if selected:
+        glyphs["selection_glyph"] = Scatter(**{**drawn, **selected})
+    return made.add_glyph(source, Scatter(**drawn), **glyphs)
+
 
 AFTER, BEFORE, BOTH = "after", "before", "both"  # this step, the one beside it
 MOST = 4  # panels side by side, at most

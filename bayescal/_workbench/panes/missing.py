@@ -8,9 +8,7 @@ from bayescal._core.formatting import number, probability, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import Discovery
-from bayescal._workbench.panes.pane import Pane
-from bayescal._workbench.parts.pieces import column, row, words
-from bayescal._workbench.parts.rows import Rows
+from bayescal._workbench.parts.pieces import Pane, Rows, column, row, words
 
 NOT_VISIBLE = "Not detectable in this experiment"
 NOT_TESTABLE = "Not testable with these readings"

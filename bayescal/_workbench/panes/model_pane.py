@@ -9,9 +9,7 @@ import panel as pn
 from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.formatting import probability, with_error
 from bayescal._data.unit_conversion import unit_label
-from bayescal._workbench.panes.pane import Pane
-from bayescal._workbench.parts.pieces import button, column, field, row, words
-from bayescal._workbench.parts.rows import Rows
+from bayescal._workbench.parts.pieces import Pane, Rows, button, column, field, row, words
 
 MOST = 6  # coefficients of one effect that stand in its row
 LEAST = 0.005  # probability of a noise law that is shown

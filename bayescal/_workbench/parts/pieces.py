@@ -1,15 +1,106 @@
-"""What the page is pieced together from: text (always text, never HTML, whatever a file or an effect is called),
-buttons, choices, rows and columns.
+"""What the page is pieced together from: its style, text, buttons, choices, rows and columns, figures, panes.
+
+Text is always text, never HTML, whatever a file or an effect is called. Colours that carry a meaning: Okabe and Ito,
+"Color universal design" (2008).
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import numpy as np
 import panel as pn
+import param
+from bokeh.models import Legend, PlainText, Range1d
+from bokeh.plotting import figure
+from panel.custom import JSComponent
 
 from bayescal._core.quoting import html_text
-from bayescal._workbench.parts.style import INSIDE, PLAIN, RADIO
+from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, ORANGE, PURPLE, RED, SKY
+
+YELLOW = "#F0E442"
+HERE = Path(__file__).parent
+CSS = (HERE / "page.css").read_text("utf-8")  # the grid and the colours, of the whole page
+INSIDE = (HERE / "inside.css").read_text("utf-8")  # Panel's own widgets within it
+PLAIN = (HERE / "plain.css").read_text("utf-8")  # text
+RADIO = (HERE / "radio.css").read_text("utf-8")  # choices
+
+
+class Palette(NamedTuple):
+    """Colours of what Bokeh draws, for one of the two grounds."""
+
+    ink: str
+    quiet: str
+    line: str
+    cycle: tuple[str, ...]
+    blue: str
+
+
+LIGHT = Palette(ink="#1c2126", quiet="#5a636b", line="#d9dde1", cycle=CYCLE, blue=BLUE)
+DARK = Palette(
+    ink="#e8eaed",
+    quiet="#a3acb5",
+    line="#3b424a",
+    cycle=(SKY, ORANGE, GREEN, RED, PURPLE, YELLOW),
+    blue=SKY,
+)
+MARKERS = ("circle", "square", "triangle", "diamond", "inverted_triangle", "hex")
+
+
+def new_figure(x_label: str, y_label: str, **settings: Any) -> Any:
+    """An empty Bokeh figure that fills its room, with the tools of all; `$$` in a label begins no formula."""
+    made: Any = figure(
+        **{
+            "sizing_mode": "stretch_both",
+            "min_width": 120,
+            "min_height": 110,
+            "toolbar_location": None,
+            "x_axis_label": PlainText(text=x_label),
+            "y_axis_label": PlainText(text=y_label),
+            **settings,
+        }
+    )
+    made.border_fill_alpha = made.background_fill_alpha = 0
+    made.outline_line_color = None
+    made.min_border = 6
+    for axis in made.axis:
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_label_text_font_size = "12px"
+        axis.major_label_text_font_size = "11px"
+        axis.minor_tick_line_color = None
+        axis.axis_label_standoff = 4
+    made.xaxis.ticker.desired_num_ticks = 5
+    made.yaxis.ticker.desired_num_ticks = 6
+    return made
+
+
+def dress(made: Any, palette: Palette) -> None:
+    """A figure in the colours of its ground."""
+    for axis in made.axis:
+        axis.axis_label_text_color = palette.ink
+        axis.major_label_text_color = palette.quiet
+        axis.axis_line_color = axis.major_tick_line_color = palette.quiet
+    for grid in made.grid:
+        grid.grid_line_color = palette.line
+        grid.grid_line_alpha = 0.6
+    if made.title is not None:
+        made.title.text_color = palette.ink
+    for legend in made.select(Legend):
+        legend.label_text_color = palette.ink
+        legend.background_fill_alpha = legend.border_line_alpha = 0
+
+
+def range_over(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
+    """A range with a little room at either end, to which a reset returns; one of the same ends keeps its view."""
+    low, high = float(min(v.min() for v in values)), float(max(v.max() for v in values))
+    room = 0.06 * (high - low) or abs(high) or 1.0
+    start, end = low - room, high + room
+    made = Range1d() if view is None else view
+    if (made.reset_start, made.reset_end) != (start, end):
+        made.update(start=start, end=end, reset_start=start, reset_end=end)
+    return made
 
 
 class Text(pn.pane.Str):
@@ -84,3 +175,80 @@ def several(options: list[str], value: list[str], label: str) -> pn.widgets.Chec
 
 def _boxes(kind: type[Any], label: str, **settings: Any) -> Any:
     return field(kind, label, inline=True, **{**settings, "stylesheets": [INSIDE, RADIO]})
+
+
+class Rows(JSComponent):
+    """A list of rows, or a table with a head.
+
+    Attributes:
+        rows: each {"id", "cells": [{"text", "bar", "kind", "title"}], "actions": [{"id", "label", "title",
+            "off"}], "group", "kind", "current", "note"}; `bar` from 0 to 1.
+        head: titles of a table's columns.
+        table: whether it is one.
+        pointing: whether pointing at a row, with the pointer or the keyboard, counts.
+        pointed: the row pointed at last; empty for none.
+        busy: whether its buttons are shut for now.
+        label: its name for those who hear the page.
+        kind: class of its style.
+    """
+
+    rows = param.List(default=[], item_type=dict)
+    head = param.List(default=[], item_type=str)
+    table = param.Boolean(default=False)
+    pointing = param.Boolean(default=False)
+    pointed = param.String(default="")
+    busy = param.Boolean(default=False)
+    label = param.String(default="")
+    kind = param.String(default="")
+
+    _esm = HERE / "rows.js"
+    _stylesheets = [(HERE / "rows.css").read_text("utf-8")]  # noqa: RUF012
+
+    def __init__(self, on_press: Callable[[str, str], None] | None = None, **settings: Any) -> None:
+        """As `JSComponent`; `on_press(row, action)` is called when a row's button is pressed."""
+        room = {"margin": 0, "sizing_mode": "stretch_both", "styles": {"min-height": "0"}}
+        super().__init__(**{**room, **settings})
+        self._on_press = on_press
+
+    def _handle_msg(self, data: Any) -> None:
+        """A press in the browser: taken only where the row and its action are there and open."""
+        if self.busy or self._on_press is None or not isinstance(data, dict):
+            return
+        for row in self.rows:
+            if row["id"] == data.get("row"):
+                open_now = {a["id"] for a in row.get("actions", ()) if not a.get("off")}
+                if (action := str(data.get("action"))) in open_now:
+                    self._on_press(row["id"], action)  # pyright: ignore[reportArgumentType]
+                return
+
+
+class Pane:
+    """A part of the page; what of this it has no use for, it leaves as it is here.
+
+    Attributes:
+        bench: the whole page (`app.Workbench`), through which a pane acts.
+        figures: Bokeh's, which take the colours of the ground.
+        view: what Panel shows.
+    """
+
+    view: Any
+
+    def __init__(self, bench: Any) -> None:
+        self.bench = bench
+        self.figures: list[Any] = []
+
+    @property
+    def session(self) -> Any:
+        """The bench's session, which another file may have replaced."""
+        return self.bench.session
+
+    def show(self, state: Any) -> None:
+        """Show another state, or forget what was of the one before."""
+
+    def wear(self, palette: Palette) -> None:
+        """Take the colours of a ground."""
+        for made in self.figures:
+            dress(made, palette)
+
+    def busy(self, busy: bool) -> None:
+        """Shut or open what changes the model."""

@@ -1,0 +1,644 @@
+"""Every picture: where a model fails, what is missing and how the error falls, what a fit knows, noise, poses.
+
+Pictures of the search are drawn from results, or from what `result.json` says of them. Those of a fit are its
+coefficients, how far the readings told them, their correlations, predictions. An Allan deviation stands beside that of
+the noise law: of a record, of residuals, of a sensor at rest. Poses stand on two hemispheres, z up and z down, as seen
+from outside, each an equal-area map (Lambert's azimuthal), so that poses that are spread evenly look so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.transforms import ScaledTranslation
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.check import check, covariates_of
+from bayescal._calibration.check_result import Check, Entry
+from bayescal._calibration.leave_group_out import scheme
+from bayescal._calibration.noise_in_time import AllanCheck, allan_check
+from bayescal._calibration.sensor_noise import SensorNoise
+from bayescal._calibration.summary import summary
+from bayescal._core.atomic_file import replacing_for_user
+from bayescal._core.errors import InputError, ModelError
+from bayescal._core.formatting import number
+from bayescal._data.allan_deviation import AllanDeviation
+from bayescal._data.pose_rows import ACROSS
+from bayescal._data.unit_conversion import unit_label
+from bayescal._model.frame import GROUPS
+from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE, RED
+from bayescal._report.result_json import is_quiet
+from bayescal._search.discover import Discovery
+from bayescal._search.search_path import SearchPath
+
+LONGEST = 32  # letters of a label; what is longer leaves no room for the picture
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure that no window knows of; inches."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def axes_of(ax: Any, width: float, height: float) -> Any:
+    """The axes to draw in: those given, or of a figure of their own, inches."""
+    return new_figure(width, height).subplots() if ax is None else ax
+
+
+def plain(text: str) -> str:
+    """A text from a file as a label: cut short, and its dollar signs begin no formula."""
+    return no_formula(text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…")
+
+
+def no_formula(text: str) -> str:
+    """A text as Matplotlib draws it: its dollar signs begin no formula."""
+    return text.replace("$", r"\$")
+
+
+def axis_label(name: str, unit: str) -> str:
+    """A name with its unit, "temperature [°C]"; a pure number is in units of one, "[1]"."""
+    return f"{plain(name)} [{unit_label(unit) or '1'}]"
+
+
+def open_sides(ax) -> None:
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a PNG, beside and then renamed.
+
+    Raises:
+        InputError: no such folder, or a place that cannot be written to.
+    """
+    path = Path(path)
+    with replacing_for_user(path) as partial:
+        figure.savefig(partial, dpi=150, format="png")
+    return path
+
+
+MOST_PANELS = 6  # of residuals
+MANY = 3000  # readings from which points become one image within a vector picture
+NO_UNIT = {"order": "row"}  # covariates that count
+
+
+def residuals(
+    calibration: Calibration, found: Check | None = None, against: str | None = None
+) -> Figure:
+    """Residuals against every covariate: runs by colour, the noise in grey, the worst region in red.
+
+    Args:
+        calibration: a fit.
+        found: its check, if it is at hand.
+        against: one covariate alone; at most six, the worst first, if none is named.
+    """
+    found = check(calibration) if found is None else found
+    entries = [e for e in found.entries if not e.by_group][:MOST_PANELS]
+    if against is not None:
+        entries = [e for e in found.entries if e.against == against]
+    columns = min(3, max(1, len(entries)))
+    rows = -(-len(entries) // columns) or 1
+    figure = new_figure(4.2 * columns, 3.0 * rows)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax in axes[len(entries) :]:
+        ax.set_visible(False)
+    for ax, entry in zip(axes, entries, strict=False):
+        residual_panel(ax, calibration, found, entry)
+    return figure
+
+
+def residual_panel(
+    ax: Any, calibration: Calibration, found: Check, entry: Entry, title: str = ""
+) -> None:
+    """Residuals against one covariate."""
+    values = next(b.values for b in covariates_of(calibration) if b.name == entry.against)
+    levels, codes = calibration.readings.groups("run")
+    for run in np.unique(codes):
+        own = codes == run
+        label = f"run {plain(levels[int(run)])}" if len(levels) > 1 else None
+        ax.plot(
+            values[own],
+            found.residuals[own],
+            ".",
+            ms=4,
+            color=CYCLE[int(run) % len(CYCLE)],
+            alpha=0.7,
+            label=label,
+            rasterized=len(values) > MANY,
+        )
+    ax.axhspan(-found.noise, found.noise, color=GREY, alpha=0.18, lw=0)
+    ax.axhline(0, color=GREY, lw=0.8)
+    if entry.log_bayes_factor > 0:
+        ax.axvspan(entry.worst.low, entry.worst.high, color=RED, alpha=0.13, lw=0)
+    unit = entry.worst.covariate_unit or NO_UNIT.get(entry.against, "")
+    name = f"{entry.against} [{unit}]" if unit == "row" else axis_label(entry.against, unit)
+    ax.set_xlabel(name)
+    ax.set_ylabel(axis_label("residual", found.unit))
+    factor = f"log Bayes factor {entry.log_bayes_factor:z.1f}".replace("-", "−")
+    ax.set_title(f"{title} ({factor})" if title else factor, fontsize=10, loc="left")
+    ax.locator_params(axis="x", nbins=6)
+    if 1 < len(levels) <= 4:
+        low, high = ax.get_ylim()
+        ax.set_ylim(low, high + 0.15 * (high - low))  # room for the legend
+        ax.legend(frameon=False, fontsize=8, ncols=len(levels), markerscale=2, loc="upper left")
+
+
+MOST_CANDIDATES = 12
+BELOW = 0.45  # inch, from an axis to its legend: its numbers and its label stand between
+# No line runs through the words.
+ON_GROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
+KINDS = {"finding": RED, "lead": ORANGE, "not visible": PALE}
+
+
+def trail(found: SearchPath | Mapping[str, Any], ax: Any = None) -> Figure:
+    """The error of each step, with the fall from the step before, and the noise floor.
+
+    Args:
+        found: a trail, or what its result.json holds.
+        ax: where to draw; a figure of its own if not given.
+    """
+    steps = [s.errors() for s in found.steps] if isinstance(found, SearchPath) else found["steps"]
+    left_out, last = [s["leave_one_group_out"] or {} for s in steps], steps[-1]
+    ax = axes_of(ax, 5.6, 0.75 + 1.0 * len(steps))
+    # Without an effect of a run there is no second bar.
+    runs = any(s["rmse"] > 1.001 * s["rmse_fitted"] for s in steps)
+    series = [
+        ("as fitted", [s["rmse_fitted"] for s in steps], BLUE),
+        ("new run", [s["rmse"] if runs else None for s in steps], PALE),
+        (scheme(left_out[-1].get("group", "group")), [s.get("rmse") for s in left_out], ORANGE),
+        ("held-out", [s["holdout_rmse"] for s in steps], GREEN),
+    ]
+    series = [s for s in series if any(v is not None for v in s[1])]
+    largest = max(v for _, values, _ in series for v in values if v is not None)
+    height = 0.66 / len(series)
+    for i, (label, values, colour) in enumerate(series):
+        at = np.arange(len(steps)) + (i + 0.5) * height
+        shown = np.array([np.nan if v is None else v for v in values], float)
+        ax.barh(at, shown, height * 0.9, label=no_formula(label), color=colour)
+        for y, value in zip(at, shown, strict=True):
+            if np.isfinite(value):
+                at = value + 0.01 * largest
+                ax.text(at, y, number(value), va="center", fontsize=7.5, bbox=ON_GROUND)
+    for i, step in enumerate(steps):
+        title = f"{i}  {plain(step['title'])}{_fall(steps, i)}"
+        ax.text(0.01 * largest, i - 0.03, title, va="bottom", bbox=ON_GROUND)
+    floor = last["noise_floor"]
+    ax.axvline(floor, color=RED, ls="--", lw=1.2, label=f"floor {number(floor)}")
+    ax.set(xlim=(0, 1.14 * max(largest, floor)), ylim=(len(steps) - 0.25, -0.35), yticks=[])
+    ax.set_xlabel(axis_label("rms error", last["unit"]))
+    handles, _ = ax.get_legend_handles_labels()
+    handles.sort(key=lambda h: h.get_label().startswith("floor"))  # the last, as in the tables
+    _legend_below(ax, handles, 2)
+    open_sides(ax)
+    return ax.figure
+
+
+def _legend_below(ax: Any, handles: list[Any], columns: int) -> None:
+    """A legend below the axis' label, however tall the axes are."""
+    below = ax.transAxes + ScaledTranslation(0, -BELOW, ax.figure.dpi_scale_trans)
+    ax.legend(
+        handles=handles,
+        frameon=False,
+        fontsize=8,
+        ncols=columns,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0),
+        bbox_transform=below,
+    )
+
+
+def _fall(steps: Sequence[Mapping[str, Any]], i: int) -> str:
+    """How much smaller the error as fitted is than one step before."""
+    now, before = steps[i]["rmse_fitted"], steps[i - 1]["rmse_fitted"]
+    if i == 0 or not before:
+        return ""
+    return f"   ({100 * (now / before - 1):+.0f} %)".replace("-", "−")
+
+
+def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
+    """Log Bayes factor of each candidate for being missing.
+
+    Args:
+        found: a discovery, or one entry of `missing` in result.json.
+        ax: where to draw; a figure of its own if not given.
+    """
+    everyone = (
+        [vars(c) for c in found.candidates] if isinstance(found, Discovery) else found["candidates"]
+    )
+    tested = [c for c in everyone if c["log_bayes_factor"] is not None]
+    ranked = sorted(
+        (c for c in tested if not is_quiet(c)),
+        key=lambda c: (c["kind"] == "finding", c["log_bayes_factor"]),
+    )
+    shown = ranked[-MOST_CANDIDATES:]
+    ax = axes_of(ax, 5.6, 0.3 * len(shown) + 1.3)
+    values = [c["log_bayes_factor"] for c in shown]
+    colours = [KINDS.get(c["kind"] or "", BLUE) for c in shown]
+    ax.barh([plain(c["effect"]) for c in shown], values, color=colours)
+    ax.set_xscale("symlog", linthresh=5)
+    ax.set_xticks(_ticks(min([0.0, *values]), max([0.0, *values])))
+    ax.minorticks_off()
+    ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
+    ax.axvline(0, color=GREY, lw=0.8)
+    ax.set_xlabel("log Bayes factor for being missing [1]")
+    kinds = list(dict.fromkeys(c["kind"] for c in shown[::-1]))
+    rest = "explained by the finding, or none" if "finding" in kinds else "no evidence"
+    names = [Patch(color=KINDS.get(k or "", BLUE), label=no_formula(k or rest)) for k in kinds]
+    if names:
+        _legend_below(ax, names, len(names))
+    open_sides(ax)
+    return ax.figure
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Zero and powers of ten on either side."""
+    powers = [10.0**k for k in range(1, 7)]
+    up = [p for p in powers if p <= high * 1.2] or [5.0]
+    return [-p for p in powers[::-1] if -p >= low * 1.2] + [0.0, *up]
+
+
+def loop(found: SearchPath) -> Figure:
+    """The loop in one picture: residuals before and after, what is missing, the error falling."""
+    lower = max(3.7, 0.9 + 0.8 * len(found.steps))  # inch: four bars and a title for each step
+    figure = new_figure(11.0, 3.7 + lower)
+    axes = figure.subplots(2, 2, height_ratios=(3.7, lower))
+    first, final = found.steps[0], found.final
+    entry = next((e for e in first.check.entries if not e.by_group), None)
+    if entry is not None:
+        title = "1  where the first model fails"
+        residual_panel(axes[0, 0], first.calibration, first.check, entry, title)
+        after = next(e for e in final.check.entries if e.against == entry.against)
+        title = "3  the same, with what was found"
+        residual_panel(axes[1, 0], final.calibration, final.check, after, title)
+        axes[1, 0].set_ylim(axes[0, 0].get_ylim())
+    if first.discovery is not None:
+        missing(first.discovery, axes[0, 1])
+    axes[0, 1].set_title("2  what is missing from it", fontsize=10, loc="left")
+    trail(found, axes[1, 1])
+    axes[1, 1].set_title("4  the error falls", fontsize=10, loc="left")
+    return figure
+
+
+DRAWS = 1000  # in a picture
+INTERVAL = 0.95
+MOST_UNKNOWNS = 24  # in one picture
+PAIRED = 4  # unknowns in a picture of pairs
+
+
+def coefficients(
+    calibration: Calibration, names: Sequence[str] | None = None, columns: int = 3
+) -> Figure:
+    """Posterior of each coefficient, its mean and its 95 % credible interval.
+
+    Args:
+        calibration: a fit.
+        names: which; the coefficients and shapes that have one value, if not given.
+        columns: panels in a row.
+
+    Raises:
+        InputError: no such unknown, or none at all.
+    """
+    data = _chosen(calibration, names)
+    across, down = min(columns, len(data)), -(-len(data) // columns)
+    figure = new_figure(2.8 * across, 2.0 * down + 0.3)
+    panels = figure.subplots(down, across, squeeze=False).ravel()
+    for ax in panels[len(data) :]:
+        ax.set_visible(False)
+    for ax, (name, unknown) in zip(panels, data.items(), strict=False):
+        draws = unknown.values.ravel()
+        _density(ax, draws)
+        ax.plot(_ends(draws, INTERVAL), [0, 0], color=ORANGE, lw=4, solid_capstyle="butt")
+        ax.plot(draws.mean(), 0, "o", color=RED, ms=5)
+        ax.set_xlabel(axis_label("", unknown.attrs["units"]).strip(), fontsize=9)
+        ax.set_title(plain(str(name)), fontsize=9)
+        ax.locator_params(axis="x", nbins=4)
+        ax.tick_params(labelsize=8)
+    return figure
+
+
+def _density(ax: Any, draws: np.ndarray) -> None:
+    """The density of draws, by a Gaussian kernel; a line where all are the same."""
+    from scipy.stats import gaussian_kde  # a third of a second that only a picture needs
+
+    if _moves(draws):
+        at = np.linspace(draws.min(), draws.max(), 200)
+        ax.plot(at, gaussian_kde(draws)(at), color=BLUE)
+    else:
+        ax.axvline(draws[0], color=BLUE)
+    ax.set_yticks([])
+    open_sides(ax)
+    ax.spines["left"].set_visible(False)
+
+
+def _ends(draws: np.ndarray, share: float) -> np.ndarray:
+    """Of the credible interval that holds this share of the draws along the last axis (2, …)."""
+    return np.quantile(draws, [0.5 - share / 2, 0.5 + share / 2], axis=-1)
+
+
+def members(calibration: Calibration, name: str) -> Figure:
+    """What each run, cell or device has of a coefficient, with 50 % and 95 % credible intervals.
+
+    Args:
+        calibration: a fit.
+        name: of a coefficient with one value for each member of a group.
+
+    Raises:
+        InputError: there is no such coefficient.
+    """
+    posterior = calibration.posterior
+    grouped = [n for n in map(str, posterior) if set(posterior[n].dims) & set(GROUPS)]
+    if name not in grouped:
+        raise InputError(
+            f"{name!r} has no value for each member of a group; these have: {', '.join(grouped) or 'none'}"
+        )
+    data = posterior[name].isel(draw=_thin(posterior))
+    (group,) = {str(d) for d in data.dims} - {"chain", "draw"}
+    draws = data.transpose(group, ...).values.reshape(data.sizes[group], -1)
+    at = np.arange(len(draws))
+    figure = new_figure(6.4, 1.0 + 0.25 * len(draws))
+    ax = figure.subplots()
+    for share, width in ((INTERVAL, 1.5), (0.5, 4.0)):
+        ax.hlines(at, *_ends(draws, share), color=BLUE, lw=width)
+    ax.plot(draws.mean(axis=1), at, "o", color=RED)
+    ax.set_yticks(at, [plain(f"{group} {label}") for label in data[group].values])
+    ax.invert_yaxis()
+    ax.set_xlabel(axis_label(name, data.attrs["units"]))
+    open_sides(ax)
+    return figure
+
+
+def pairs(calibration: Calibration, names: Sequence[str] | None = None) -> Figure:
+    """Joint draws of the unknowns, two by two, and the density of each.
+
+    Args:
+        calibration: a fit.
+        names: which; the four most correlated, if not given.
+
+    Raises:
+        InputError: no such unknown, or fewer than two.
+    """
+    data = _chosen(calibration, names)
+    if len(data) < 2:
+        raise InputError(f"a picture of pairs needs two unknowns or more, not {len(data)}")
+    if names is None:
+        data = data[most_correlated(data)]
+    draws = [unknown.values.ravel() for unknown in data.values()]
+    units = [axis_label("", unknown.attrs["units"]).strip() for unknown in data.values()]
+    said = [f"{plain(str(name))}\n{unit}" for name, unit in zip(data, units, strict=True)]
+    side = 1.0 + 1.5 * len(data)
+    figure = new_figure(side, side)
+    panels = figure.subplots(len(data), len(data), sharex="col")
+    for (row, column), ax in np.ndenumerate(panels):
+        ax.set_visible(column <= row)
+        if column == row:
+            _density(ax, draws[row])
+        elif column < row:  # thousands of points in a vector picture weigh too much
+            ax.plot(draws[column], draws[row], ".", color=BLUE, alpha=0.25, ms=3, rasterized=True)
+            ax.locator_params(axis="y", nbins=3)
+        ax.tick_params(labelsize=7)
+        ax.locator_params(axis="x", nbins=2)
+        if row == len(said) - 1:
+            ax.set_xlabel(said[column], fontsize=8)
+        if column == 0 and row > 0:
+            ax.set_ylabel(said[row], fontsize=8)
+    return figure
+
+
+def most_correlated(data: xr.Dataset) -> list[str]:
+    """The unknowns of the strongest correlations, in their own order."""
+    names = list(map(str, data))
+    correlation = np.abs(np.corrcoef([data[n].values.ravel() for n in names]))
+    order = np.dstack(
+        np.unravel_index(np.argsort(-np.triu(correlation, 1), axis=None), correlation.shape)
+    )
+    chosen: list[int] = []
+    for i, j in order[0]:
+        chosen += [k for k in (int(i), int(j)) if k not in chosen]
+        if len(chosen) >= min(PAIRED, len(names)):
+            break
+    return [names[i] for i in sorted(chosen[:PAIRED])]
+
+
+def predictive(calibration: Calibration) -> Figure:
+    """Whether readings fall where the model expects them (ArviZ's `plot_ppc_pit`).
+
+    The share of readings below each predictive probability, minus that probability: a model that is right stays
+    within the band.
+    """
+    from arviz_plots import plot_ppc_pit  # a second that only a picture needs
+    from matplotlib import pyplot
+
+    group = calibration.tree["posterior_predictive"].to_dataset()
+    tree = xr.DataTree.from_dict(
+        {
+            "posterior_predictive": group.isel(draw=_thin(group)),
+            "observed_data": calibration.tree["observed_data"].to_dataset(),
+        }
+    )
+    made = plot_ppc_pit(
+        tree,
+        visuals={"title": False, "xlabel": False, "ylabel": False, "ecdf_lines": {"color": BLUE}},
+        figure_kwargs={"figsize": (5.6, 3.0)},
+    )
+    figure = made.viz["figure"].item()
+    pyplot.close(figure)  # nothing is shown, nothing is kept
+    FigureCanvasAgg(figure)
+    figure.set_layout_engine("constrained")
+    ax = figure.axes[0]
+    ax.set_xlabel("predictive probability of the reading [1]")
+    ax.set_ylabel("share of readings below it,\nminus expected [1]")
+    open_sides(ax)
+    return figure
+
+
+def identifiability(calibration: Calibration, ax: Any = None) -> Figure:
+    """How much narrower than its prior each unknown became: posterior over prior standard deviation."""
+    found, hyperparameters = summary(calibration)
+    rows = [r for r in (*found, *hyperparameters) if r["contraction"] is not None]
+    rows = sorted(rows, key=lambda r: r["contraction"])[:MOST_UNKNOWNS][::-1]
+    ax = axes_of(ax, 5.6, 0.28 * max(len(rows), 3) + 1.0)
+    ratio = [float(np.sqrt(max(1 - r["contraction"], 1e-12))) for r in rows]
+    colours = [ORANGE if value > 0.7 else BLUE for value in ratio]
+    ax.barh([plain(r["name"]) for r in rows], ratio, color=colours)
+    ax.axvline(1, color=GREY, lw=1)
+    ax.set_xscale("log")
+    ax.xaxis.set_major_formatter(lambda value, _: number(value))
+    ax.xaxis.set_minor_formatter(lambda value, _: "")
+    for y, value in enumerate(ratio):
+        ax.text(value * 1.05, y, number(value, 2), va="center", fontsize=7.5)
+    if ratio:
+        ax.set_xlim(min(0.1, min(ratio)) / 2, max(2.0, 2 * max(ratio)))
+    ax.set_xlabel("posterior sd / prior sd [1]")
+    open_sides(ax)
+    return ax.figure
+
+
+def _chosen(calibration: Calibration, names: Sequence[str] | None) -> xr.Dataset:
+    """Draws of the named unknowns, thinned; of those with one value each, if none is named."""
+    posterior = calibration.posterior
+    single = [str(n) for n in posterior if set(posterior[n].dims) == {"chain", "draw"}]
+    unknown = [n for n in names or () if n not in single]
+    if unknown:
+        raise InputError(
+            f"no unknown with one value is called {', '.join(unknown)}; there are: {', '.join(single)}"
+        )
+    moving = [n for n in single if _moves(posterior[n].values)]
+    chosen = list(names or moving)[:MOST_UNKNOWNS]
+    if not chosen:
+        raise InputError("every unknown is held at a value: there is nothing to draw")
+    return posterior[chosen].isel(draw=_thin(posterior))
+
+
+def _moves(draws: np.ndarray) -> bool:
+    """Whether an unknown was drawn, and not held at an estimate."""
+    return float(np.std(draws)) > 1e-9 * abs(float(np.mean(draws)))
+
+
+def _thin(data: xr.Dataset) -> slice:
+    return slice(None, None, max(1, data.sizes["draw"] * data.sizes["chain"] // DRAWS))
+
+
+def allan(given: Check | Calibration | AllanDeviation) -> Figure:
+    """Allan deviation over averaging time with its 95 % intervals, the noise law's band in grey.
+
+    The averaging time at which the two differ the most is red, where they do.
+
+    Args:
+        given: a check, a fit, or what `bc.allan_deviation` returned, which has no noise law.
+
+    Raises:
+        InputError: the readings are not evenly spaced in time, or too few.
+    """
+    found = given.allan if isinstance(given, Check) else given
+    found = allan_check(found) if isinstance(found, Calibration) else found
+    if found is None:
+        raise InputError(
+            "there is no Allan deviation to draw: it needs runs of 30 readings or more, evenly spaced in time; "
+            "bc.allan_deviation(readings) says what these lack"
+        )
+    measured = found.measured if isinstance(found, AllanCheck) else found
+    ax = new_figure(5.2, 3.6).subplots()
+    tau, deviation = measured.tau, measured.deviation
+    if isinstance(found, AllanCheck):
+        seen = found.expected > 0
+        ax.fill_between(tau[seen], found.low[seen], found.high[seen], color=GREY, alpha=0.25, lw=0)
+        label = f"noise law ({found.law_name}), 95 %"
+        ax.plot(tau[seen], found.expected[seen], "--", color=GREY, lw=1.2, label=label)
+    what = "residuals" if isinstance(found, AllanCheck) else "readings"
+    _measured(ax, measured, fmt="o-", lw=1.2, label=what)
+    if isinstance(found, AllanCheck) and found.apart is not None:
+        ax.plot(tau[found.apart], deviation[found.apart], "o", ms=7, color=RED, zorder=3)
+    return _labelled(
+        ax, measured.unit, [f"{t.symbol} = {t}" for t in measured.terms if t.value is not None]
+    )
+
+
+def noise(found: SensorNoise) -> Figure:
+    """Allan deviation of the record with its 95 % intervals; the law's posterior band, and that of such records.
+
+    Args:
+        found: what `bc.noise` returned.
+    """
+    told = [
+        f"{f.symbol} = {number(f.value)} {unit_label(f.unit)}"
+        for f in found.figures
+        if f.symbol and not f.bound
+    ]
+    ax, tau = new_figure(5.2, 3.6).subplots(), found.measured.tau
+    bands = (
+        (found.estimate_low, found.estimate_high, GREY, 0.2, "95 % of such records"),
+        (found.low, found.high, ORANGE, 0.4, "law, 95 %"),
+    )
+    for low, high, colour, alpha, label in bands:
+        ax.fill_between(tau, low, high, color=colour, alpha=alpha, lw=0, label=label)
+    ax.plot(tau, found.expected, "--", color=ORANGE, lw=1.2, label=found.law)
+    _measured(ax, found.measured, fmt="o", lw=1, label="readings")
+    return _labelled(ax, found.unit, told)
+
+
+def _measured(ax: Any, m: AllanDeviation, **how: Any) -> None:
+    error = np.array([m.deviation - m.low, m.high - m.deviation])
+    ax.errorbar(m.tau, m.deviation, yerr=error, ms=4, capsize=2, color=BLUE, **how)
+
+
+def _labelled(ax: Any, unit: str, told: Sequence[str]) -> Figure:
+    """The figure of an Allan deviation in `unit`, with what is told of it above."""
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_xlabel(axis_label("averaging time τ", "s"))
+    ax.set_ylabel(axis_label("Allan deviation", unit))
+    ax.set_title(", ".join(told), fontsize=9, loc="left")
+    ax.legend(frameon=False, fontsize=8)
+    open_sides(ax)
+    return ax.figure
+
+
+LARGEST = 3.0  # standard deviations, at which the colour ends
+
+
+def sphere(calibration: Calibration) -> Figure:
+    """Residuals of the magnitudes of poses, in standard deviations, where on the sphere each pose is.
+
+    Raises:
+        ModelError: an instrument of one output, or one of which the magnitude is not what is read.
+    """
+    direction, residual = residuals_on_sphere(calibration)
+    figure = new_figure(8.4, 4.2)
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    points: Any = None
+    for ax, up in zip(panels, (1, -1), strict=True):
+        own = direction[:, 2] * up >= 0
+        x, y, z = direction[own].T
+        away = np.sqrt(1 / (1 + np.abs(z)))  # √(2(1 − |z|)) / √(2(1 − z²)), with 1 at the rim
+        points = ax.scatter(
+            *(np.stack([x, y]) * away),
+            c=residual[own],
+            cmap="RdBu_r",
+            vmin=-LARGEST,
+            vmax=LARGEST,
+            edgecolors=GREY,
+            linewidths=0.5,
+            s=36,
+        )
+        turn = np.linspace(0, 2 * np.pi, 200)
+        ax.plot(np.cos(turn), np.sin(turn), color=GREY, lw=0.8)
+        ax.set_title(f"z {'up' if up > 0 else 'down'}: {int(own.sum())} poses")
+        ax.set_xlabel("x")
+        ax.set_aspect("equal")
+        ax.set_xticks([])
+        ax.set_yticks([])
+    panels[0].set_ylabel("y")
+    figure.colorbar(points, ax=panels, label="residual [standard deviations]", shrink=0.8)
+    return figure
+
+
+def residuals_on_sphere(
+    calibration: Calibration,
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
+    """Directions of poses, by their outputs, and the residuals of their magnitudes in standard deviations.
+
+    Raises:
+        ModelError: as `sphere`.
+    """
+    vector, readings = calibration.model.instrument.vector, calibration.readings
+    if vector is None or vector.acting is not None:
+        raise ModelError(
+            f"instrument {calibration.model.instrument.name!r} reads no magnitudes of poses: "
+            "bayescal.plot.residuals draws its residuals"
+        )
+    outputs = np.stack([readings[name] for name in vector.outputs], axis=1)
+    own = np.ones(len(readings), dtype=bool)
+    if readings.has(ACROSS[0]):
+        own = ~np.any([readings[name] != 0 for name in ACROSS], axis=0)
+    linear = calibration.linear
+    residual = linear.settled / np.sqrt(linear.variance)
+    return outputs[own] / np.linalg.norm(outputs[own], axis=1)[:, None], residual[own]
