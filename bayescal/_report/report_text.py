@@ -173,7 +173,8 @@ def _unknowns(effect: Effect) -> list[str]:
             else _prior(c.prior)
         )
         if effect.weights is not None:
-            prior = f"prior 0 ± a part of {effect.name}.{effect.measure}"
+            sizes = [effect.measure] if effect.measure else effect.weight_shapes
+            prior = f"prior 0 ± a part of {' and '.join(f'{effect.name}.{s}' for s in sizes)}"
         per = f", one for each {c.per}" if c.per else ""
         found.append(f"{effect.coefficient_name(i)} [{unit_label(c.unit) or '1'}]: {prior}{per}")
     for s in effect.shapes:

@@ -26,7 +26,6 @@ SOURCE = "source 3; sizes ours"
 
 SENSITIVITY = "environment.shared[sensitivity]"
 DEPARTURE_SHARE = "departure.device.share"
-DEPARTURE_FALLING = "departure.device.falling"
 
 
 def order_sizes() -> NDArray[np.float64]:
@@ -64,14 +63,14 @@ def _shared(r: bc.Frame) -> Any:
     return _stack([1.0 + 0.0 * parts[0], *parts])
 
 
-def departure_weights(falling: Any) -> Any:
-    """Standard deviations of the orders of v in parts of its rms, (…, 6)."""
-    powers = falling[..., None] ** np.arange(ORDERS)
-    return powers / (powers**2).sum(axis=-1, keepdims=True) ** 0.5
+def _departure(r: bc.Frame) -> Any:
+    return _stack(polynomials(r.progress))
 
 
-def _departure(r: bc.Frame, share: Any, falling: Any) -> Any:
-    return share * departure_weights(falling) * _stack(polynomials(r.progress))
+def _departure_sizes(share: Any, falling: Any) -> Any:
+    """Standard deviations of the orders of v, in parts of u's rms: (6,), or (…, 6) of values (…, 1)."""
+    powers = falling ** np.arange(ORDERS)
+    return share * powers / (powers**2).sum(axis=-1, keepdims=True) ** 0.5
 
 
 SHARED = bc.Effect(
@@ -104,8 +103,11 @@ DEPARTURE = bc.Effect(
         bc.Coefficient("ug", bc.Normal(0.0, DISTURBANCE), part=f"order {n}", per="device")
         for n in range(ORDERS)
     ),
+    # Sizes of the coefficients, not shapes of the columns: estimated together with the coefficients, a size has its
+    # greatest density where it is large and they are small.
     shapes=(bc.Shape("share", "1", *SHARE), bc.Shape("falling", "1", *FALLING)),
+    weights=_departure_sizes,
     columns=("device", "time"),
-    equation="v[device](t) = share·Σ falling^n·c_n[device]·P_n(t), normalised",
+    equation="v[device](t) = Σ c_n[device]·P_n(t),  c_n ~ N(0, share·falling^n, normalised)",
     source="ours: 5 % of the shared disturbance; size and spectrum learned",
 )

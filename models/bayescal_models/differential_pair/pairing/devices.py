@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 import bayescal as bc
 from bayescal_models.differential_pair.environment import (
     DEPARTURE,
-    DEPARTURE_FALLING,
     DEPARTURE_SHARE,
     DISTURBANCE,
     SENSITIVITY,
     SHARED,
-    departure_weights,
     order_names,
     polynomials,
 )
@@ -174,8 +172,7 @@ def _departures(samples: Mapping[str, Array], table: _Table, basis: Array) -> tu
         return none[:, None, None], none
     share = np.asarray(samples[DEPARTURE_SHARE])
     own = np.stack([samples[n][:, table.order] for n in order_names(DEPARTURE.name)], axis=-1)
-    own = own * departure_weights(np.asarray(samples[DEPARTURE_FALLING]))[:, None, :]
-    return share[:, None, None] * (own @ basis), share * DISTURBANCE
+    return own @ basis, share * DISTURBANCE
 
 
 @dataclass(frozen=True)
