@@ -357,7 +357,12 @@ def gaussian_fit(
     # Laplace: log ∫p ≈ log p(φ̂) + ½·d·log 2π − ½·log|H|, H minus the curvature of log p at φ̂ (L. Tierney and J.
     # Kadane, JASA 81 (1986) 82).
     here = density.slope(v)[1] if quick else None
-    weights, vectors = np.linalg.eigh(curvature(lambda at: density.slope(at)[1], v, CURVED, here))
+    bends = curvature(lambda at: density.slope(at)[1], v, CURVED, here)
+    if not np.all(
+        np.isfinite(bends)
+    ):  # a step away the density is nowhere: no hill that a Gaussian describes
+        return np.full_like(bends, np.nan), -math.inf, True
+    weights, vectors = np.linalg.eigh(bends)
     # Coordinates are about standard normal a priori, so that H is of order one or more. Less than a twentieth is no
     # hill but the flank of one, such as a spread's way to zero: mended, its proposals stay finite.
     mended = np.maximum(weights, LEAST_CURVATURE)
