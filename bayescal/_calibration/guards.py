@@ -47,6 +47,7 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
             )
     return [
         *found,
+        *_too_different(calibration, coefficients),
         *_too_large(calibration, hyperparameters),
         *_beyond_the_known(calibration, accepted),
     ]
@@ -253,6 +254,30 @@ def _known_effects(calibration: Fitted) -> float:
     prior = assembly.prior(hyper, np.ones(assembly.size))
     slopes = assembly.linearise(assembly.start, hyper).jacobian * (prior.sd * prior.weight)
     return float(np.sqrt(np.sum(np.var(slopes, axis=0))))
+
+
+def _too_different(calibration: Fitted, coefficients: list[dict[str, Any]]) -> list[str]:
+    """Members of a group that differ far more than is plausible: the worst of each group.
+
+    A spread that is learned takes up any difference, so that a sign or a unit that is another in one of them shows
+    nowhere else. Its plausible size is known to an order of magnitude.
+    """
+    found, stands = [], {row["name"]: row["mean"] for row in coefficients}
+    for b in calibration.layout.blocks:
+        c = b.coefficient
+        own = [n for n in b.member_names(calibration.levels) if n in stands]
+        if c.group_sd is None or b.effect.weights is not None or not own:
+            continue
+        name = max(own, key=lambda n: abs(stands[n] - c.mean))
+        away = abs(stands[name] - c.mean) / c.size
+        if away > guarding().conflict * guarding().sizes:
+            found.append(
+                f"{name} stands {away:.0f} times its plausible size from the mean of such ({number(stands[name])} "
+                f"against {number(c.mean)} ± {number(c.size)} {unit_label(c.unit)}): check the sign, the units and the "
+                f"device of each {c.per}, give it a wider prior, or accept it (calibrate --accept-conflict "
+                f"{b.effect.name})."
+            )
+    return found
 
 
 def _too_large(calibration: Fitted, hyperparameters: list[dict[str, Any]]) -> list[str]:

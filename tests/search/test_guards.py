@@ -14,6 +14,7 @@ import bayescal as bc
 from bayescal._calibration import guards
 from bayescal._calibration.guards import conflicts
 from bayescal._search.gate import gate
+from bayescal.effects import deviation
 from bayescal_models import mems_gyro
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
@@ -73,6 +74,23 @@ def told_of(
     both = ([*coefficients, *more], spreads) if coefficient else (coefficients, [*spreads, *more])
     monkeypatch.setattr(guards, "summary", lambda _: both)
     return conflicts(line)
+
+
+@pytest.mark.parametrize(("sign", "count"), [(1.0, 0), (-1.0, 1)])
+def test_runs_that_differ_by_far_more_than_is_plausible(
+    sign: float, count: int, runs: bc.Calibration
+) -> None:
+    """A spread that is learned takes up any difference: that one run has the other sign shows nowhere else."""
+    given = runs.readings
+    first = given.groups("run")[1] == 0
+    columns: dict[str, Any] = {name: given[name] for name in ("time", "temperature", "run")}
+    output = np.where(first, sign, 1.0) * given["output"]
+    readings = bc.Measurements.from_arrays(INSTRUMENT, **columns, output=output)
+    between = deviation("bias", "run", 0.3, "deg/s", source="ours")
+    found = bc.fit(runs.model + between, readings, bc.LeastSquares(draws=200), strict=False)
+    told = [said for said in conflicts(found) if said.startswith("bias.run(")]
+    assert len(told) == count
+    assert not set(told) & set(conflicts(found, ["bias.run"]))
 
 
 def test_a_posterior_wider_than_its_prior(line, monkeypatch) -> None:
