@@ -670,7 +670,7 @@ def noise(
     """Noise density, bias instability and random walk of a sensor at rest, with 95 % intervals."""
     from bayescal._cli.request import open_channels
     from bayescal._core.atomic_file import write_text
-    from bayescal._report.whole_folder import folders_of
+    from bayescal._report.whole_folder import folders_of, whole_folder
     from bayescal._use.kalibr_file import kalibr_yaml
 
     if not 0 < quantile < 1:
@@ -696,9 +696,10 @@ def noise(
         if yaml is not None:
             written.append(write_text(kalibr_yaml(found, topic, quantile), yaml))
         if folder is not None:
-            written += [
-                bc.plot.save(bc.plot.noise(found[name]), folder / f"noise_{place}.png")
-                for name, place in folders_of(found).items()
-            ]
+            pictures = {f"noise_{place}.png": name for name, place in folders_of(found).items()}
+            with whole_folder(folder) as hidden:
+                for picture, name in pictures.items():
+                    bc.plot.save(bc.plot.noise(found[name]), hidden / picture)
+            written += [folder / picture for picture in pictures]
         if written and not json_:
             print(f"written: {', '.join(map(str, written))}")

@@ -31,7 +31,6 @@ from bayescal._core.errors import InputError, ModelError
 
 commands = Commands()
 MOST = 5  # effects that are added
-PARTS = ("accelerometer", "gyroscope", "magnetometer")  # folders of an IMU
 FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 
 
@@ -114,9 +113,16 @@ def triad(
             return
         if untold.add:
             print_notes([str(untold)])
-        trail, correction = _calibrated(model, readings, asked, folder)
+        trail, correction = _calibrated(model, readings, asked)
+        if folder is not None:
+            from bayescal._report.whole_folder import whole_folder
+
+            with whole_folder(folder) as hidden:
+                _write(hidden, trail, correction, readings)
         if asked.json_:
             print_result(data(correction))
+        elif folder is not None:
+            print(_written(folder))
     exit_unless(trail.ok, trail.gate.reason)
 
 
@@ -147,38 +153,36 @@ def imu(
     (force, forces), (turns, rates), *others = zip(instruments.values(), logs.values(), strict=True)
     long = {"shortest": asked.shortest}
     with result_folder(asked.out) as folder:
-        places = {name: None if folder is None else folder / name for name in PARTS}
         poses = bc.poses(forces, force, **long)
         print_notes(poses.flags)
-        trails = [_calibrated(force.baseline(), poses, asked, places["accelerometer"])]
-        (_, first) = trails[0]
+        (trail, first) = _calibrated(force.baseline(), poses, asked)
+        found = {"accelerometer": (trail, first, poses)}
         moves = bc.moves(rates, turns, forces, first, **long)
         print_notes(moves.flags)
         model = dict(turns.structures)["moves"]()
-        trails.append(_calibrated(model, moves, asked, places["gyroscope"]))
+        found["gyroscope"] = (*_calibrated(model, moves, asked), moves)
         for field, log in others:
 
             def turned(own: Any, log: Any = log) -> Any:
                 return bc.in_frame_of(own, log, first, forces, **long)
 
-            trails.append(
-                _calibrated(
-                    field.baseline(),
-                    bc.poses(log, field, **long),
-                    asked,
-                    places["magnetometer"],
-                    turned,
-                )
-            )
-        if asked.json_:
-            named = zip(PARTS, trails, strict=False)
-            print_result({name: data(correction) for name, (_, correction) in named})
+            its = bc.poses(log, field, **long)
+            found["magnetometer"] = (*_calibrated(field.baseline(), its, asked, turned), its)
         if folder is not None:
-            bc.export_vector(first, folder / "imu.yaml", others=[trails[1][1]])
-            bc.report([trail for trail, _ in trails], folder / "report.html")
-            if not asked.json_:
-                print(f"written: {folder}/imu.yaml, report.html")
-    for trail, _ in trails:
+            from bayescal._report.whole_folder import whole_folder
+
+            with whole_folder(folder) as hidden:
+                for name, one in found.items():
+                    _write(hidden / name, *one)
+                bc.export_vector(first, hidden / "imu.yaml", others=[found["gyroscope"][1]])
+                bc.report([one[0] for one in found.values()], hidden / "report.html")
+        if asked.json_:
+            print_result({name: data(correction) for name, (_, correction, _) in found.items()})
+        elif folder is not None:
+            for name in found:
+                print(_written(folder / name))
+            print(f"written: {folder}/imu.yaml, report.html, manifest.json")
+    for trail, _, _ in found.values():
         exit_unless(trail.ok, trail.gate.reason)
 
 
@@ -198,16 +202,14 @@ def _calibrated(
     model: Any,
     readings: Any,
     asked: TriadOptions,
-    folder: Path | None,
     turned: Callable[[Any], Any] = lambda correction: correction,
 ) -> tuple[Any, Any]:
-    """Search and correction, printed or to be printed as JSON, and written to a folder if there is one.
+    """Search and correction, printed or to be printed as JSON.
 
     Args:
         model: to begin with.
         readings: of poses or moves.
         asked: what is.
-        folder: for all that is written; made if need be.
         turned: takes the correction to other axes.
     """
     trail = bc.calibrate(
@@ -223,17 +225,25 @@ def _calibrated(
     print_notes(correction.notes)
     if not asked.json_:
         print(f"{trail}\n\n{calibration}")
-    if folder is not None:
-        folder.mkdir(exist_ok=True)
-        trail.save(folder)
-        bc.report(trail, folder / "report.html")
-        for name in FILES:
-            bc.export_vector(correction, folder / name)
-        readings.write(folder / "poses.csv")
-        if not asked.json_:
-            names = ("result.json", "calibration.nc", "report.html", "poses.csv")
-            print(f"written: {folder}/{', '.join((*FILES, *names))}")
     return trail, correction
+
+
+def _write(folder: Path, trail: Any, correction: Any, readings: Any) -> None:
+    """All that there is of three axes, to a folder that is not seen yet."""
+    from bayescal._report.save_search import write_search
+    from bayescal._report.whole_folder import list_files
+
+    write_search(trail, folder)
+    bc.report(trail, folder / "report.html")
+    for name in FILES:
+        bc.export_vector(correction, folder / name)
+    readings.write(folder / "poses.csv")
+    list_files(folder, None)
+
+
+def _written(folder: Path) -> str:
+    names = ("result.json", "calibration.nc", "report.html", "poses.csv", "manifest.json")
+    return f"written: {folder}/{', '.join((*FILES, *names))}"
 
 
 @commands.example("bayescal compensate result/calibration.nc flight.csv --out done.csv")

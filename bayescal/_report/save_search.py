@@ -22,7 +22,7 @@ from bayescal._report.whole_folder import (
     CHANNELS,
     channel_folders,
     folders_of,
-    remove_results,
+    list_files,
     whole_folder,
 )
 from bayescal._search.calibrate import calibrate as calibrate
@@ -45,16 +45,27 @@ def save_search(self: SearchPath, folder: Path) -> None:
     Raises:
         InputError: there is no such folder, or it cannot be written; what stood there is as it was.
     """
-    calibration = self.final.calibration
-    with whole_folder(Path(folder), identity(calibration), without=UNDER_WAY) as hidden:
-        calibration.save(hidden / "calibration.nc")
-        if self.average is not None:
-            self.average.save(hidden / AVERAGED)
-        if not deadline.current().over:
-            from bayescal._report.plots import loop, save
+    with whole_folder(Path(folder), without=UNDER_WAY) as hidden:
+        write_search(self, hidden)
 
-            save(loop(self), hidden / "loop.png")
-        write_json(result(self), hidden / RESULT)
+
+def write_search(trail: SearchPath, folder: Path) -> None:
+    """Write what `SearchPath.save` does to a folder that is not seen yet.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    calibration = trail.final.calibration
+    folder.mkdir(exist_ok=True)
+    calibration.save(folder / "calibration.nc")
+    if trail.average is not None:
+        trail.average.save(folder / AVERAGED)
+    if not deadline.current().over:
+        from bayescal._report.plots import loop, save
+
+        save(loop(trail), folder / "loop.png")
+    write_json(result(trail), folder / RESULT)
+    list_files(folder, identity(calibration))
 
 
 SearchPath.save = save_search
@@ -99,23 +110,23 @@ def channels_data(found: Channels) -> dict[str, Any]:
 
 
 def save_channels(self: Channels, folder: Path) -> None:
-    """Write a folder for each channel (as `SearchPath.save` does), then channels.json, to an existing folder.
+    """Write a folder for each channel (as `SearchPath.save` does) and channels.json to an existing folder.
 
-    Results of another unit's channels, of a run before, are removed, unless they were changed since.
+    All take their place in one step. Results of another unit's channels, of a run before, are removed, unless they were
+    changed since.
 
     Raises:
         InputError: there is no such folder, or it cannot be written.
     """
     folder = Path(folder)
-    before, now = set[str](), folders_of(self.trails)
-    with suppress(InputError):  # none were there, or none that can be read
-        before.update(channel_folders(folder))
-    for name, inner in now.items():
-        (folder / inner).mkdir(exist_ok=True)
-        save_search(self.trails[name], folder / inner)
-    write_json(channels_data(self), folder / CHANNELS)
-    for inner in before - set(now.values()):
-        remove_results(folder / inner)
+    with whole_folder(folder, without=UNDER_WAY) as hidden:
+        for name, inner in folders_of(self.trails).items():
+            write_search(self.trails[name], hidden / inner)
+        write_json(channels_data(self), hidden / CHANNELS)
+        with suppress(InputError):  # none were there, or none that can be read
+            for inner in channel_folders(folder):
+                if (folder / inner).is_dir() and not (folder / inner).is_symlink():
+                    (hidden / inner).mkdir(exist_ok=True)
 
 
 Channels.save = save_channels

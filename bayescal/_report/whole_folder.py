@@ -74,7 +74,8 @@ def is_inside(name: str) -> bool:
 def whole_folder(folder: Path, calibration: str | None = None, without: str = "") -> Iterator[Path]:
     """A hidden folder to write to, whose files take their place in `folder` in one step.
 
-    What else stands in `folder` stays, but for the unchanged results of a run before.
+    What else stands in `folder` stays, but for the unchanged results of a run before. The same holds in folders that
+    are made in the hidden one, each with a manifest of its own (`list_files`); one that ends empty is not there.
 
     Args:
         folder: an existing one.
@@ -93,9 +94,8 @@ def whole_folder(folder: Path, calibration: str | None = None, without: str = ""
     try:
         hidden.mkdir()
         yield hidden
-        _write_manifest(hidden, calibration)
-        gone = _unchanged(visible) | ({without} if without else set())
-        _take_its_place(hidden, visible, gone)
+        list_files(hidden, calibration)
+        _take_its_place(hidden, visible, without)
     except OSError as error:
         raise InputError(f"the folder {folder} cannot be written: {why(error)}") from error
     finally:
@@ -109,15 +109,6 @@ def files_of(folder: Path) -> dict[str, str]:
         InputError: the manifest cannot be read.
     """
     return {} if not (folder / MANIFEST).is_file() else _manifest(folder)["files"]
-
-
-def remove_results(folder: Path) -> None:
-    """Remove the results in a folder as their run left them, and the folder if nothing else stands in it."""
-    unchanged = _unchanged(folder)
-    for name in unchanged | {MANIFEST} if unchanged else ():
-        (folder / name).unlink(missing_ok=True)
-    if folder.is_dir() and not any(folder.iterdir()):
-        folder.rmdir()
 
 
 def refuse_mixed(folder: Path, *names: str) -> None:
@@ -154,7 +145,17 @@ def _manifest(folder: Path) -> dict[str, Any]:
         ) from None
 
 
-def _write_manifest(folder: Path, calibration: str | None) -> None:
+def list_files(folder: Path, calibration: str | None) -> None:
+    """Write the manifest of the files that stand in a folder, and have all of them put on the disk.
+
+    Args:
+        folder: whose files belong together.
+        calibration: identity of the calibration that they are of; None: as a manifest that stands there says.
+
+    Raises:
+        OSError: they cannot be written.
+        InputError: the manifest that stands there cannot be read.
+    """
     inner = folder / MANIFEST
     if calibration is None and inner.is_file():
         calibration = _manifest(folder)["calibration"]
@@ -176,35 +177,57 @@ def _identity(files: dict[str, str]) -> str:
     return hashlib.sha256(told.encode()).hexdigest()
 
 
-def _unchanged(folder: Path) -> set[str]:
-    """Results of a run before, as that run left them."""
+def _gone(folder: Path, without: str) -> set[str]:
+    """What another run replaces: results as the run before left them, and a file that has had its day."""
     try:
         files = files_of(folder)
     except InputError:
-        return set()
-    return {n for n, d in files.items() if (folder / n).is_file() and sha256_of(folder / n) == d}
+        files = {}
+    same = {n for n, d in files.items() if (folder / n).is_file() and sha256_of(folder / n) == d}
+    return {*same, *([MANIFEST] if same else []), *([without] if without else [])}
 
 
-def _take_its_place(hidden: Path, visible: Path, gone: set[str]) -> None:
-    new = {p.name for p in hidden.iterdir()}
-    for name in new:
-        if (visible / name).is_dir():
+def _take_its_place(hidden: Path, visible: Path, without: str) -> None:
+    places = [*(p.name for p in hidden.iterdir() if p.is_dir()), "."]
+    new = {place: {p.name for p in (hidden / place).iterdir()} for place in places}
+    for entry in (hidden / place / name for place in places for name in new[place]):
+        there = visible / entry.relative_to(hidden)
+        if there.is_symlink() or there.is_file() if entry.is_dir() else there.is_dir():
+            stands = "a file or a link" if entry.is_dir() else "a folder"
             raise InputError(
-                f"{visible / name} cannot be written: a folder stands in its place. Move it, or choose another --out"
+                f"{there} cannot be written: {stands} stands in its place. Move it, or choose another --out"
             )
+    settled = {place: new[place] | _gone(visible / place, without) for place in places}
     stays = hidden.parent == visible or visible.is_mount() or Path.cwd().is_relative_to(visible)
     if sys.platform == "linux" and not stays:
+        for place in places:
+            _complete(hidden / place, visible / place, settled[place])
+        if _swapped(hidden, visible):
+            for place in places:
+                _bring_late(hidden / place, visible / place, settled[place])
+            return
+    for place in places:
+        (visible / place).mkdir(exist_ok=True)
+        for name in settled[place] - new[place]:
+            (visible / place / name).unlink(missing_ok=True)
+        for name in sorted(new[place] - {*places}, key=lambda n: n == MANIFEST):
+            os.replace(hidden / place / name, visible / place / name)
+        _remove_if_empty(visible / place)
+
+
+def _complete(hidden: Path, visible: Path, settled: set[str]) -> None:
+    """Bring what stays of a folder to the one that takes its place."""
+    if visible.is_dir():
         for entry in visible.iterdir():
-            if entry.name not in new | gone:
+            if entry.name not in settled:
                 _carry(entry, hidden / entry.name)
         shutil.copystat(visible, hidden)
-        if _swapped(hidden, visible):
-            _bring_late(hidden, visible, new | gone)
-            return
-    for name in gone - new:
-        (visible / name).unlink(missing_ok=True)
-    for name in sorted(new, key=lambda n: n == MANIFEST):
-        os.replace(hidden / name, visible / name)
+    _remove_if_empty(hidden)
+
+
+def _remove_if_empty(folder: Path) -> None:
+    if not any(folder.iterdir()):
+        folder.rmdir()
 
 
 def _swapped(hidden: Path, visible: Path) -> bool:
@@ -231,8 +254,9 @@ def _link(entry: str | Path, to: str | Path) -> None:
 
 def _bring_late(old: Path, visible: Path, settled: set[str]) -> None:
     """What the user wrote to the folder while it was being swapped."""
-    for entry in old.iterdir():
+    for entry in old.iterdir() if old.is_dir() else ():
         there = visible / entry.name
         if entry.name in settled or (there.exists() and (entry.is_dir() or entry.samefile(there))):
             continue
+        visible.mkdir(exist_ok=True)
         os.replace(entry, there)

@@ -13,12 +13,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import bayescal as bc
 from bayescal._calibration.description import identity
 from bayescal._report.result_json import RESULT, UNDER_WAY
 from bayescal._report.whole_folder import MANIFEST, files_of, refuse_mixed
+from bayescal_models import gyro_triad
 from tests.support.command_line import GYRO, QUICK, TABLE, needs_installation, run
 from tests.support.made_up.gyro_lot import table
 
@@ -41,14 +43,22 @@ WRITES = """
 import sys
 from pathlib import Path
 from tests.support.spoilt_runs import killed_at
-from bayescal._report.whole_folder import whole_folder
+from bayescal._report.whole_folder import list_files, whole_folder
 
-folder = Path(sys.argv[1])
+folder, text, names = Path(sys.argv[1]), sys.argv[3], sys.argv[4:]
 killed_at(str(folder.parent), int(sys.argv[2]))
-with whole_folder(folder, "2") as hidden:
-    for name in ("a.json", "b.json", "c.json"):
-        (hidden / name).write_text("2")
+with whole_folder(folder, text) as hidden:
+    for name in names:
+        (hidden / name).parent.mkdir(exist_ok=True)
+        (hidden / name).write_text(text)
+    list_files(hidden / "x", text)
+    (hidden / "gone").mkdir(exist_ok=True)
 """
+ALIVE = 10_000  # things done to files, which nothing does
+OLD, NEW = (
+    ("a.json", "b.json", "x/a.json", "x/b.json"),
+    ("a.json", "c.json", "x/a.json", "x/c.json"),
+)
 
 
 def killed(*command: str) -> bool:
@@ -61,26 +71,24 @@ def killed(*command: str) -> bool:
 
 
 def test_a_folder_is_old_or_new_at_every_moment(tmp_path: Path) -> None:
-    from bayescal._report.whole_folder import whole_folder
-
     folder, seen = tmp_path / "place" / "out", set()
+    mine = [folder / place / "mine.txt" for place in ("", "x", "gone")]
     for count in range(1, 100):
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "mine.txt").write_text("mine")
-        with whole_folder(folder, "1") as hidden:
-            for name in ("a.json", "b.json"):
-                (hidden / name).write_text("1")
-        if not killed("-c", WRITES, str(folder), str(count)):
+        for file in mine:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text("mine")
+        assert not killed("-c", WRITES, str(folder), str(ALIVE), "1", *OLD)
+        if not killed("-c", WRITES, str(folder), str(count), "2", *NEW):
             break
-        names = {p.name for p in folder.iterdir()} - {MANIFEST, "mine.txt"}
-        texts = {(folder / name).read_text() for name in names}
-        assert (names, texts) in (
-            ({"a.json", "b.json"}, {"1"}),
-            ({"a.json", "b.json", "c.json"}, {"2"}),
-        )
-        assert (folder / "mine.txt").read_text() == "mine"
-        assert set(files_of(folder)) == names
+        there = {p for p in folder.rglob("*") if p.is_file() and p.name != MANIFEST} - {*mine}
+        names = {str(p.relative_to(folder)) for p in there}
+        texts = {p.read_text() for p in there}
+        assert (names, texts) in (({*OLD}, {"1"}), ({*NEW}, {"2"}))
+        assert {file.read_text() for file in mine} == {"mine"}
+        listed = {f"{place}{n}" for place in ("", "x/") for n in files_of(folder / place)}
+        assert listed == names
         refuse_mixed(folder)
+        refuse_mixed(folder / "x")
         seen |= texts
     else:
         pytest.fail("the writing never came to its end")
@@ -164,3 +172,31 @@ def test_files_of_commands_killed_at_each_moment_are_whole(
     assert readable(out / file)
     assert os.listdir(out) == [file], "what killed runs left is cleared away"
     assert met >= 3, "so many kills met it"
+
+
+@pytest.mark.slow
+def test_a_unit_killed_at_random_moments_is_of_one_run(tmp_path: Path) -> None:
+    """Accelerometers, gyroscopes and what is of both: the old unit or the new, whichever moment a kill meets."""
+    log, out, met = tmp_path / "log.csv", tmp_path / "out", 0
+    made = gyro_triad.simulate_log(seed=1, campaign=gyro_triad.MovesByHand(poses=14))
+    units = {"time": "s", "gyro": "deg/s", "accel": "g", "mag": "uT"}
+    named = {f"{n} [{units[n.partition('_')[0]]}]": values for n, values in made.items()}
+    pd.DataFrame(named).to_csv(log, index=False)
+    unit = out / "unit"
+    unit.mkdir(parents=True)
+    (unit / "notes.txt").write_text("mine")
+    words = ("--accelerometers", "accel_x,accel_y,accel_z", "--gyroscopes", "gyro_x,gyro_y,gyro_z")
+    command = ["imu", str(log), *words, "--baseline", "--out", str(unit)]
+    assert run(*command).status == 0
+    files = {p.relative_to(unit) for p in unit.rglob("*")}
+    for seed, count in enumerate(np.random.default_rng(2).integers(1, 130, 8).tolist(), 1):
+        met += spoilt(out, count, [*command, "--seed", str(seed)])
+        assert {p.relative_to(unit) for p in unit.rglob("*")} == files
+        parts = [unit / "accelerometer", unit / "gyroscope"]
+        seeds = {json.loads((p / RESULT).read_text("utf-8"))["seed"] for p in parts}
+        assert len(seeds) == 1, "parts of two runs stand side by side"
+        assert all(whole(part) for part in parts)
+        refuse_mixed(unit)
+    assert met >= 4, "so many kills met it"
+    assert run(*command).status == 0
+    assert os.listdir(out) == ["unit"], "what killed runs left is cleared away"
