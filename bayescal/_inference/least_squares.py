@@ -172,7 +172,7 @@ class _Given(NamedTuple):
 
     log_marginal: float
     theta: Float[np.ndarray, "q"]
-    covariance: Float[np.ndarray, "q q"]
+    root: Float[np.ndarray, "q q"]  # times its transpose, the covariance
     squares: float  # of the whitened residuals at the mean, without the prior's
     spent: float  # degrees of freedom
     slopes: Float[np.ndarray, "d"]  # of log_marginal by the scales' coordinates
@@ -207,11 +207,11 @@ def refine(assembly: Assembly, mode: Mode, full_hessian: bool) -> Solution:
             break
     given = fit.conditional(theta, v)(v)
     # What counts is whether a Gauss–Newton step would still move anything.
-    sd = np.sqrt(np.diag(given.covariance))
+    covariance = given.root @ given.root.T
+    sd = np.sqrt(np.diag(covariance))
     converged = converged or bool(np.max(np.abs(given.theta - theta) / sd, initial=0.0) < STILL)
-    covariance = given.covariance
     if (full_hessian or not fit.gaussian) and np.all(np.isfinite(covariance)):
-        covariance = np.linalg.inv(fit.hessian(theta, v, sd))
+        covariance = fit.curved(theta, v, given.root)
     point = Point(theta[: assembly.size], mode.point.rows)
     return Solution(mode._replace(point=point, v=v), covariance, converged)
 
@@ -378,7 +378,7 @@ class _Refinement:
             if sloped and isinstance(white, Whitening):
                 turned = table @ turn(root, theta - mean)
                 slopes += noise_slopes(self.assembly, v, white, turned)
-            return _Given(total, mean, root @ root.T, squares, spent, slopes)
+            return _Given(total, mean, root, squares, spent, slopes)
 
         return given
 
@@ -449,20 +449,31 @@ class _Refinement:
                 break
         return v
 
-    def hessian(self, theta: np.ndarray, v: np.ndarray, sd: np.ndarray) -> Float[np.ndarray, "q q"]:
-        """Curvature of the negative log density of θ, second derivatives of the expected output included."""
+    def curved(
+        self, theta: np.ndarray, v: np.ndarray, root: Float[np.ndarray, "q q"]
+    ) -> Float[np.ndarray, "q q"]:
+        """Covariance of θ from the curvature of its log density, second derivatives of the expected output included.
+
+        Args:
+            theta: the maximum.
+            v: coordinates of all φ.
+            root: of the covariance by Gauss–Newton.
+        """
         prior, extra = self.prior(v), self.table(theta, v)[1]
         # Slopes of ½·(eᵀΣ⁻¹e + zᵀWz) by θ; their differences hold the second derivatives that Gauss–Newton leaves
         # out.
         tightness = prior.weight / prior.sd**2
 
-        def slope(at: np.ndarray) -> np.ndarray:
+        def slope(steps: np.ndarray) -> np.ndarray:
+            at = theta + root @ steps
             table = self.table(at, v)[0]
             table = self.whiten(v, extra, table[:, -1])(table)
-            return tightness * (at - prior.mean) - table[:, :-1].T @ table[:, -1]
+            return root.T @ (tightness * (at - prior.mean) - table[:, :-1].T @ table[:, -1])
 
-        rows = differences(slope, theta, 1e-3 * sd)
-        return 0.5 * (rows + rows.T)
+        # Steps along what is independent a posteriori. Two coefficients of which the readings know the sum alone are
+        # each uncertain by far more than the noise, and steps of parts of that would differ in how they bend.
+        rows = differences(slope, np.zeros_like(theta), 1e-3)
+        return root @ np.linalg.inv(0.5 * (rows + rows.T)) @ root.T
 
 
 def _put(values: np.ndarray, places: list[int], v: np.ndarray) -> np.ndarray:

@@ -34,8 +34,8 @@ NEEDED_BY = {
     "programs.responses programs.slopes_of_draws density.Density.squares "
     "mode.mode_of_x mode.mode_of_x.<locals>.look mode._about_x "
     "least_squares._Refinement.from_afar least_squares._Refinement.from_afar.<locals>.residuals",
-    'LeastSquares(curvature="hessian"), or a law that is not Gaussian': "least_squares._Refinement.hessian "
-    "least_squares._Refinement.hessian.<locals>.slope",
+    'LeastSquares(curvature="hessian"), or a law that is not Gaussian': "least_squares._Refinement.curved "
+    "least_squares._Refinement.curved.<locals>.slope",
     "a basis that cannot be computed": "programs.columns_or_refusal",
     "a density that is nowhere": "gaussian._factors",
     "the module's own making": "programs.program",
