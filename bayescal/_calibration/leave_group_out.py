@@ -117,10 +117,11 @@ class _Fold(NamedTuple):
         estimated, its part of the noise from the readings kept, the rest at worst from a standard deviation between as
         many groups less one: so an F distribution.
         """
-        whole, noise = float(self.spectrum.sum()), float(len(self.residual))
-        own = whole**2 / float(np.sum(self.spectrum**2))
-        rest = (whole - noise) ** 2 / max(groups - 1, 1)
-        known = whole**2 / (noise**2 / readings + rest)
+        # In parts of Σλ, whose square may be no number.
+        whole = float(self.spectrum.sum())
+        own = 1 / float(np.sum((self.spectrum / whole) ** 2))
+        noise = len(self.residual) / whole
+        known = 1 / (noise**2 / readings + (1 - noise) ** 2 / max(groups - 1, 1))
         return float(fdtrc(own, known, self.squares / whole))
 
 
