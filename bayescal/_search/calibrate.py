@@ -49,7 +49,7 @@ from bayescal._search.discover import (
     walked,
     with_causes,
 )
-from bayescal._search.gate import judged, left_out_better, wrong_question
+from bayescal._search.gate import judged, left_out_better, refuse_noiseless, wrong_question
 from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search, ShownStructure
 from bayescal._search.search_path import Gate, SearchPath, Step
@@ -433,7 +433,11 @@ def step_of(
         calibration: the fit.
         holdout: hold-out data.
         accepted: coefficients or effects that may contradict their priors.
+
+    Raises:
+        InputError: the readings show no noise.
     """
+    refuse_noiseless(calibration)
     checked, floor, kept, test = check(calibration), noise_floor(calibration), None, None
     if holdout is not None:
         kept = predict(calibration, holdout)

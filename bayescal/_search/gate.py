@@ -11,6 +11,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.guards import conflicts, without_priors
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.settings import guarding
+from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
 from bayescal._data.dataset_checks import oddities, rounding_step
 from bayescal._data.record_settings import recording
@@ -80,6 +81,26 @@ def wrong_question(
             "a step can be known, and standard uncertainties are too small. Record it with more digits."
         )
     return tuple(found)
+
+
+def refuse_noiseless(calibration: Calibration) -> None:
+    """Readings that a model explains to their last digit: there is no noise to tell anything by, nor to check.
+
+    Raises:
+        InputError: they are; says how coarsely the output is rounded.
+    """
+    output, variance = calibration.readings["output"], calibration.linear.variance
+    if math.sqrt(float(np.median(variance))) > np.spacing(np.max(np.abs(output))):
+        return
+    grid = rounding_step(output)
+    rounded = (
+        f" It is rounded in steps of {grid:.3g} {unit_label(calibration.unit)}." if grid else ""
+    )
+    raise InputError(
+        f"{calibration.readings.file}: a model of {len(calibration.layout.blocks)} unknowns explains the output to its "
+        f"last digit in all {len(output)} readings, which then show no noise and no uncertainty.{rounded} Record it "
+        "with more digits"
+    )
 
 
 def _surprising(step: Step) -> list[str]:

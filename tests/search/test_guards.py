@@ -93,6 +93,18 @@ def test_runs_that_differ_by_far_more_than_is_plausible(
     assert not set(told) & set(conflicts(found, ["bias.run"]))
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of overflow, on the way to no noise
+def test_an_output_that_a_model_explains_to_the_last_digit() -> None:
+    """Its noise is zero, which no check can divide by."""
+    temperature = np.repeat([20.0, 30.0, 40.0], 6)
+    readings = bc.Measurements.from_arrays(
+        INSTRUMENT, time=60.0 * np.arange(18), temperature=temperature, output=temperature / 10 - 1
+    )
+    words = "of 2 unknowns explains the output to its last digit in all 18 readings.*steps of 1 °/s"
+    with pytest.raises(bc.InputError, match=words):
+        bc.calibrate(INSTRUMENT.baseline(), readings, method=bc.LeastSquares(draws=200))
+
+
 def test_a_posterior_wider_than_its_prior(line, monkeypatch) -> None:
     (reason,) = told_of(line, monkeypatch, coefficient=True, contraction=-1.5)
     assert reason.startswith("x is known worse than before the readings (contraction -1.5)")
