@@ -253,7 +253,8 @@ def _link(entry: str | Path, to: str | Path) -> None:
 
 
 def _bring_late(old: Path, visible: Path, settled: set[str]) -> None:
-    """What the user wrote to the folder while it was being swapped."""
+    """What the user wrote to the folder while it was being swapped; what another run wrote there goes with it."""
+    settled = settled | (_gone(old, "") if old.is_dir() else set())
     for entry in old.iterdir() if old.is_dir() else ():
         there = visible / entry.name
         if entry.name in settled or (there.exists() and (entry.is_dir() or entry.samefile(there))):

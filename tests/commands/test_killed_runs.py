@@ -10,6 +10,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -149,7 +150,36 @@ def test_a_calibration_killed_at_any_moment_is_whole(
             assert again.status in (0, 1), again.err
             assert {p.name for p in folder.iterdir()} == {*files_of(folder), MANIFEST, "notes.txt"}
             assert whole(folder)
+            assert calibration_of(folder) == unbroken(command, seed, tmp_path / f"unbroken_{seed}")
     assert met >= least, "so many kills met it"
+
+
+def calibration_of(folder: Path) -> str:
+    """Identity of the calibration: over its model, its readings, its seed and its draws."""
+    return json.loads((folder / MANIFEST).read_text("utf-8"))["calibration"]
+
+
+def unbroken(command: list[str], seed: int, folder: Path) -> str:
+    """The same of a run into a folder of its own, which nothing stopped."""
+    assert run(*command[:-1], folder, "--seed", seed).status in (0, 1)
+    return calibration_of(folder)
+
+
+@pytest.mark.slow
+def test_two_commands_into_one_folder_leave_the_results_of_one(tmp_path: Path) -> None:
+    out = tmp_path / "loop"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    words = [str(word).format(out=tmp_path) for word in CALIBRATE]
+    for seed, later in enumerate(np.random.default_rng(5).uniform(0.0, 0.4, 4)):
+        given = [[sys.executable, "-m", "bayescal", *words, "--seed", f"{seed}{n}"] for n in (1, 2)]
+        first = subprocess.Popen(given[0], cwd=ROOT, stdout=subprocess.DEVNULL)
+        time.sleep(later)
+        assert subprocess.run(given[1], cwd=ROOT, capture_output=True, check=False).returncode < 2
+        assert first.wait() < 2
+        assert whole(out)
+        assert {p.name for p in out.iterdir()} == {*files_of(out), MANIFEST, "notes.txt"}
+        assert os.listdir(tmp_path) == ["loop"]
 
 
 @pytest.mark.slow

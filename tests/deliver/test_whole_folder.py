@@ -181,6 +181,34 @@ def test_there_is_always_a_whole_folder(how, tmp_path, monkeypatch) -> None:
     assert os.listdir(tmp_path) == ["out"]
 
 
+OTHER = """
+import sys
+from pathlib import Path
+from bayescal._report.whole_folder import whole_folder
+
+with whole_folder(Path(sys.argv[1]), "other") as hidden:
+    for name in ("a.json", "c.json"):
+        (hidden / name).write_text("other")
+"""
+
+
+def test_another_run_that_ends_just_before_leaves_nothing_of_its_own(tmp_path, monkeypatch) -> None:
+    folder, swapped = tmp_path / "out", folders._swapped
+    folder.mkdir()
+
+    def late(hidden: Path, visible: Path) -> bool:
+        monkeypatch.setattr(folders, "_swapped", swapped)
+        subprocess.run([sys.executable, "-c", OTHER, str(folder)], check=True)
+        (folder / "mine.txt").write_text("mine")
+        return swapped(hidden, visible)
+
+    monkeypatch.setattr(folders, "_swapped", late)
+    write(folder, "1")
+    assert {p.name for p in folder.iterdir()} == {"a.json", "b.json", "mine.txt", MANIFEST}
+    assert {(folder / name).read_text() for name in ("a.json", "b.json")} == {"1"}
+    refuse_mixed(folder)
+
+
 def test_the_folder_that_one_works_in_stays_the_same(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     node = tmp_path.stat().st_ino
