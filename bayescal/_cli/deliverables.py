@@ -83,7 +83,8 @@ class TriadOptions:
 
 
 @commands.example(
-    "bayescal triad log.csv --columns output_x=ax,output_y=ay,output_z=az --out result"
+    "bayescal triad log.csv --columns output_x=ax --columns output_y=ay --columns output_z=az "
+    "--out result"
 )
 def triad(
     files: list[Path],
