@@ -228,4 +228,5 @@ def _in_time(
     )
 
 
-FORMS: dict[str, Callable[..., Effect]] = {"time, jump": jump, "time, cycle": cycle}
+JUMP = "time, jump"
+FORMS: dict[str, Callable[..., Effect]] = {JUMP: jump, "time, cycle": cycle}

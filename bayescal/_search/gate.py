@@ -16,7 +16,7 @@ from bayescal._core.formatting import number
 from bayescal._data.dataset_checks import oddities, rounding_step
 from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import unit_label
-from bayescal._model.unknown_effect import FORMS, FREED, covariate_in
+from bayescal._model.unknown_effect import FORMS, FREED, JUMP, covariate_in
 from bayescal._search.search_path import Gate, Step
 from bayescal._search.taken_over import TakenOver, taken_over
 
@@ -52,7 +52,7 @@ def against(steps: Sequence[Step]) -> list[str]:
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     """Steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
     reasons, last = against(steps), steps[-1]
-    if notes := [*_confounded(steps), *_not_decidable(last)]:
+    if notes := [*_confounded(steps), *_not_decidable(last), *_levels(last)]:
         last = last.noted(notes)
         steps = (*steps[:-1], last)
     if reasons and last.calibration.verdict.ok:
@@ -176,6 +176,22 @@ def _not_decidable(step: Step) -> list[str]:
         f"Not decidable from these readings: whether {' and '.join(in_time)} is of the sensor, or the thermometer "
         f"({', '.join(warm)}) or the output is late, slow or drifting alike in every run. Predictions hold with this "
         "thermometer and this logger; compare the thermometer once with one at the sensor."
+    ]
+
+
+def _levels(step: Step) -> list[str]:
+    """That coefficients are of the mean of two levels, where the output steps within the record, in words."""
+    calibration = step.calibration
+    if (name := f"unknown({JUMP})") not in calibration.model.names:
+        return []
+    readings, added = calibration.readings, calibration.linear.contribution(name)
+    order = np.argsort(readings["time"], kind="stable")
+    at = float(readings["time"][order][1 + int(np.argmax(np.abs(np.diff(added[order]))))])
+    return [
+        f"Not decidable from these readings: which of two levels, {number(np.ptp(added))} "
+        f"{unit_label(calibration.unit)} apart, is that in use: the output steps at {number(at)} s ({name}), and the "
+        "coefficients are of their mean. Look at what happened there; readings of another state belong in a file of "
+        "their own."
     ]
 
 

@@ -56,6 +56,11 @@ def test_a_jump_is_found_where_it_is_and_as_high_as_it_is(jumped: bc.SearchPath)
     height = final.samples("unknown(time, jump)[1]")
     assert abs(height.mean() - HEIGHT) < 4 * height.std()
     assert jumped.final.rmse == pytest.approx(0.05, rel=0.15)
+    told = [s for s in final.verdict.notes if "which of two levels" in s]
+    apart = drafted(r"which of two levels, (\S+) °/s apart", " ".join(told))
+    assert apart == pytest.approx(abs(float(height.mean())), rel=0.02)
+    assert len(told) == 1
+    assert "two levels" not in jumped.gate.reason, "a note shuts no gate"
 
 
 def test_a_cycle_is_found_with_its_period_and_amplitude(cycled: bc.SearchPath) -> None:
