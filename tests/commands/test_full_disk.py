@@ -30,6 +30,7 @@ COMMANDS = {
     "predict to Parquet": ("predict", "{saved}", TABLE, "--out", "{out}/new.parquet"),
     "predict to NetCDF": ("predict", "{saved}", TABLE, "--out", "{out}/new.nc"),
     "compensate": ("compensate", "{saved}", TABLE, "--out", "{out}/done.csv"),
+    "decide": ("decide", "{saved}", "--limit", "bias: ±500 °/s", "-o", "{out}/decisions.json"),
     "simulate": ("simulate", *GYRO, "--out", "{out}/made.csv"),
 }
 FEW = (0.0, 0.02, 0.97)  # of the largest file that a command writes
