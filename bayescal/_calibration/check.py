@@ -59,7 +59,9 @@ def check(calibration: Calibration) -> Check:
         rms=float(np.sqrt(np.mean(residual**2))),
         noise=noise,
         autocorrelation=autocorrelation(judged, white),
-        scatter_with={} if off else _scatter_with(covariates, white),
+        scatter_with={}
+        if off
+        else _scatter_with(covariates, white, calibration.readings["output"] - residual),
         outliers=tuple((i, z) for i, z in enumerate(loo.tolist()) if abs(z) > guarding().outlier),
         pit_p=_uniform(ndtr(loo)),
         one_sided=1.0 if off else _one_sided(loo),
@@ -217,15 +219,16 @@ def _of_independent_noise(directions: np.ndarray, first: np.ndarray) -> tuple[fl
     return expected, float(np.sqrt(2 * trace)) / squares
 
 
-def _scatter_with(covariates: list[Covariate], standardised: np.ndarray) -> dict[str, float]:
+def _scatter_with(
+    covariates: list[Covariate], standardised: np.ndarray, expected: np.ndarray
+) -> dict[str, float]:
     """Covariates along which the size of the residuals changes (rank correlation), with p-values."""
-    found, sizes = {}, _ranks(np.abs(standardised))
-    for block in covariates:
-        if not block.levels:
-            p = _uncorrelated(sizes, _ranks(block.values))
-            if p < guarding().significant:
-                found[block.name] = p
-    return found
+    along = {block.name: block.values for block in covariates if not block.levels}
+    # Noise in proportion to a signal of both signs grows on both sides, which a ranking along no column shows.
+    along["the output's distance from its median"] = np.abs(expected - np.median(expected))
+    sizes = _ranks(np.abs(standardised))
+    found = {name: _uncorrelated(sizes, _ranks(values)) for name, values in along.items()}
+    return {name: p for name, p in found.items() if p < guarding().significant}
 
 
 def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:

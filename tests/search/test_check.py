@@ -100,6 +100,22 @@ def test_outliers_on_one_side_are_told_from_outliers_on_both(seed: int) -> None:
     assert "stand on one side" not in str(found[1])
 
 
+def test_scatter_that_grows_on_both_sides_of_the_output_is_told() -> None:
+    """Noise in proportion to a signal of both signs: along no column does it grow from end to end."""
+    readings = mems_gyro.simulate({}, seed=5)
+    expected = np.array(readings["output"])
+    size = np.abs(expected - np.median(expected)) / np.ptp(expected)
+    tails = MODEL.with_noise(bc.StudentT(bc.HalfCauchy(0.1)))
+    random = np.random.default_rng(5).standard_normal(len(readings))
+    spoilt = readings.with_column("output", expected + 1.5 * size * random)
+    along = "the output's distance from its median"
+    for model in (MODEL, tails):
+        found = bc.check(bc.fit(model, spoilt, FAST, strict=False))
+        assert found.scatter_with[along] < 1e-5
+        assert min(found.scatter_with, key=found.scatter_with.__getitem__) == along
+        assert f"scatter changes with {along}" in str(found)
+
+
 def test_a_law_that_is_right_leaves_normal_scores() -> None:
     """Where the tails are those of the law, or the scatter follows what it says, no test of the noise objects."""
     readings = mems_gyro.simulate({}, seed=9)
