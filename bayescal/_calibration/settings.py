@@ -133,6 +133,8 @@ class GuardSettings(OutcomeSettings):
         tied: expected lag-1 autocorrelation, from which neighbours are what the fit leaves, such as two about a free
             level, and say nothing of the noise.
         farthest: share of the readings, those farthest from the model, whose signs are tested.
+        in_order: share of the steps of an input to a value that come from one value, above which it goes through its
+            values in one order: of ten such steps one may be another.
         few_in_group: readings, below which a group's error is a matter of chance: it is three times too large once in
             10⁷ groups of 5.
         run_region: readings that a run needs for a region of its own where a model fails.
@@ -177,6 +179,7 @@ class GuardSettings(OutcomeSettings):
     concerned: float = 0.1
     tied: float = 0.99
     farthest: float = 0.1
+    in_order: float = 0.9
     few_in_group: int = 5
     run_region: int = 8
     of_a_law: int = 2

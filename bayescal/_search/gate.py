@@ -18,7 +18,7 @@ from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.unknown_effect import FORMS, FREED, JUMP, covariate_in
 from bayescal._search.search_path import Gate, Step
-from bayescal._search.taken_over import TakenOver, taken_over
+from bayescal._search.taken_over import IN_TIME, TakenOver, taken_over
 
 
 def gate(steps: Sequence[Step]) -> Gate:
@@ -52,7 +52,8 @@ def against(steps: Sequence[Step]) -> list[str]:
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     """Steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
     reasons, last = against(steps), steps[-1]
-    if notes := [*_confounded(steps), *_not_decidable(last), *_levels(last)]:
+    notes = [*_confounded(steps), *_not_decidable(last), *_levels(last), *in_one_order(last)]
+    if notes:
         last = last.noted(notes)
         steps = (*steps[:-1], last)
     if reasons and last.calibration.verdict.ok:
@@ -193,6 +194,37 @@ def _levels(step: Step) -> list[str]:
         "coefficients are of their mean. Look at what happened there; readings of another state belong in a file of "
         "their own."
     ]
+
+
+def in_one_order(step: Step) -> list[str]:
+    """What has no name and follows an input that always comes from the same value before it, in words.
+
+    An output that is late or smoothed holds a part of the reading before. Where that was always at the same value of
+    the input, this is a function of the input.
+    """
+    calibration = step.calibration
+    readings, (order, since) = calibration.readings, calibration.assembly.record.in_time
+    found = []
+    for effect in (e for e in calibration.model.effects if e.is_placeholder):
+        column = effect.along or ""
+        if not readings.has(column) or readings.unit(column) == "degC" or column in IN_TIME:
+            continue
+        _, level = np.unique(readings[column], return_inverse=True)
+        here, before = level[order][1:][since[1:] >= 0], level[order][:-1][since[1:] >= 0]
+        moved = here != before
+        pairs = np.zeros(2 * (int(level.max()) + 1,))
+        np.add.at(pairs, (here[moved], before[moved]), 1)
+        visits = pairs.sum(axis=1)
+        again = visits >= guarding().few_in_group
+        if (
+            again.any()
+            and pairs[again].max(axis=1).sum() > guarding().in_order * visits[again].sum()
+        ):
+            found.append(
+                f"Not decidable from these readings: whether {effect.name} is of the sensor, or the output is late or "
+                f"smoothed: {column} goes through its values in one order. Take them in another order in one run."
+            )
+    return found
 
 
 def _thermometers(steps: Sequence[Step]) -> list[str]:

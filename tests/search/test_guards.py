@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,9 +13,9 @@ import pytest
 import bayescal as bc
 from bayescal._calibration import guards
 from bayescal._calibration.guards import conflicts
-from bayescal._search.gate import gate
+from bayescal._search.gate import gate, in_one_order
 from bayescal.effects import deviation
-from bayescal_models import mems_gyro
+from bayescal_models import mems_gyro, ng_accelerometer
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
 
@@ -91,6 +91,22 @@ def test_runs_that_differ_by_far_more_than_is_plausible(
     told = [said for said in conflicts(found) if said.startswith("bias.run(")]
     assert len(told) == count
     assert not set(told) & set(conflicts(found, ["bias.run"]))
+
+
+@pytest.mark.parametrize(("shuffled", "count"), [(False, 1), (True, 0)])
+def test_a_function_of_an_input_that_has_one_order(shuffled: bool, count: int) -> None:
+    """An output that is late holds a part of the reading before, which there is a function of the input."""
+    given = ng_accelerometer.simulate({}, seed=1)
+    if shuffled:
+        angle = np.array(given["position_angle"])
+        given = given.with_column("position_angle", np.random.default_rng(1).permutation(angle))
+    model = ng_accelerometer.INSTRUMENT.baseline() + "unknown(position_angle)"
+    found = bc.fit(model, given, bc.LeastSquares(draws=200), strict=False)
+    told = in_one_order(cast(Any, SimpleNamespace(calibration=found)))
+    assert len(told) == count
+    assert all(
+        "whether unknown(position_angle) is of the sensor, or the output is late" in t for t in told
+    )
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of overflow, on the way to no noise
