@@ -98,6 +98,8 @@ def whole_folder(folder: Path, calibration: str | None = None, without: str = ""
         _take_its_place(hidden, visible, without)
     except OSError as error:
         raise InputError(f"the folder {folder} cannot be written: {why(error)}") from error
+    except InputError as error:  # of a file in it, which the user knows by its place
+        raise InputError(str(error).replace(str(hidden), str(folder)), error.problems) from error
     finally:
         shutil.rmtree(hidden, ignore_errors=True)
 
