@@ -47,7 +47,6 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
             )
     return [
         *found,
-        *_too_different(calibration, coefficients),
         *_too_large(calibration, hyperparameters),
         *_beyond_the_known(calibration, accepted),
     ]
@@ -256,13 +255,23 @@ def _known_effects(calibration: Fitted) -> float:
     return float(np.sqrt(np.sum(np.var(slopes, axis=0))))
 
 
-def _too_different(calibration: Fitted, coefficients: list[dict[str, Any]]) -> list[str]:
-    """Members of a group that differ far more than is plausible: the worst of each group.
+def too_different(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
+    """Members of a group that differ far more than is plausible, in words: the worst of each group.
 
     A spread that is learned takes up any difference, so that a sign or a unit that is another in one of them shows
-    nowhere else. Its plausible size is known to an order of magnitude.
+    nowhere else. Its plausible size is known to an order of magnitude. Of a model that lacks an effect it says nothing:
+    members take up what is missing.
+
+    Args:
+        calibration: the fit.
+        accepted: names of coefficients or effects that may differ so.
     """
-    found, stands = [], {row["name"]: row["mean"] for row in coefficients}
+    rows, found = summary(calibration)[0], list[str]()
+    stands = {
+        row["name"]: row["mean"]
+        for row in rows
+        if row["name"] not in accepted and row["effect"] not in accepted
+    }
     for b in calibration.layout.blocks:
         c = b.coefficient
         own = [n for n in b.member_names(calibration.levels) if n in stands]

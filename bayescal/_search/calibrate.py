@@ -17,7 +17,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
 from bayescal._calibration.fit import fit
-from bayescal._calibration.guards import contradictions
+from bayescal._calibration.guards import contradictions, too_different
 from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
@@ -454,6 +454,7 @@ def step_of(
         check=checked,
         discovery=None,
         against=wrong_question(calibration, floor, accepted),
+        different=tuple(too_different(calibration, accepted)),
     )
 
 

@@ -39,6 +39,7 @@ def against(steps: Sequence[Step]) -> list[str]:
     """Why the last model is not to be used, in words; what was found against it earlier among them."""
     last = steps[-1]
     found = last.against or [
+        *last.different,
         *_of_noise(last),
         *_undecided(last),
         *_thermometers(steps),

@@ -111,9 +111,9 @@ def _further(further: dict[str, Rows]) -> list[str]:
         "## Sixty further kinds\n",
         "Faults of thermometer, clock, hold-out and logger, `benchmarks/spoilt_records/covariates.toml`, listed before "
         "any check of them was written. Three seeds of the inclinometer; of the other instruments as many records of "
-        f"the first seed, in random order, as there was time for. When first measured with this version {proportion(first, len(rows))} "
-        f"were wrong or ended in an error, which is the rate to expect of records not met before; {mended} of them are "
-        "counted here as they came out once that was mended.\n",
+        "the first seed, in random order, as there was time for. When first measured with this version "
+        f"{proportion(first, len(rows))} were wrong or ended in an error, which is the rate to expect of records not "
+        f"met before; {mended} of them are counted here as they came out once that was mended.\n",
         table(["instrument", "records", *VERDICTS], [*counts, ["all", len(rows), *_counted(rows)]]),
         *(
             [
