@@ -74,7 +74,12 @@ def test_results_of_channels_that_are_no_more_are_removed_but_nothing_of_the_use
     unit.save(tmp_path)
     (tmp_path / "weak" / "notes.txt").write_text("mine", encoding="utf-8")
     bc.Channels({"strong": unit.trails["strong"]}, unit.shared).save(tmp_path)
-    assert {p.name for p in tmp_path.iterdir()} == {"strong", "weak", "channels.json", "manifest.json"}
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "strong",
+        "weak",
+        "channels.json",
+        "manifest.json",
+    }
     assert [p.name for p in (tmp_path / "weak").iterdir()] == ["notes.txt"]
 
 
