@@ -14,10 +14,10 @@ from bayescal._core.errors import InputError, ModelError, NotConverged
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._data.measurements import Measurements
 from bayescal._inference.checkpoint import fingerprint, keeping
+from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method, Outcome
-from bayescal._inference.mode import NOTHING_KNOWN
 from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, build_frame, reference_of

@@ -14,9 +14,9 @@ from bayescal._calibration.on_readings import Vectors, pointwise
 from bayescal._core.errors import InputError
 from bayescal._data.measurements import Measurements
 from bayescal._inference.assembly import Assembly
+from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.method import Draws, Verdict
-from bayescal._inference.mode import Mode
 from bayescal._inference.programs import padded_length
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame, Reference, build_frame, reference_name

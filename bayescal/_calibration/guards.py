@@ -16,7 +16,7 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
-from bayescal._inference.mode import across, find_mode, prior_draws
+from bayescal._inference.laplace import across, find_mode, prior_draws
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind

@@ -21,7 +21,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Gram, Prior, condition
-from bayescal._inference.mode import Mode, climb
+from bayescal._inference.laplace import Mode, climb
 
 NOTHING_LEFT = 1e-10  # that a fold's φ̂ could still gain, nats: its score, unlike its density, is at no maximum there
 BLOCKS = 5  # of neighbouring readings, where there is no group to leave out

@@ -29,7 +29,7 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
 from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
-from bayescal._inference.mode import curvature
+from bayescal._inference.laplace import curvature
 from bayescal._inference.programs import padded_length
 from bayescal._model.noise_law import LOG_2PI, WHITE
 from bayescal._model.noise_terms import FLAT, TERMS

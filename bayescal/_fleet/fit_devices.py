@@ -41,11 +41,11 @@ from bayescal._fleet.partial_pooling import pooled
 from bayescal._fleet.population import Named
 from bayescal._inference import least_squares, sampled_products, trust
 from bayescal._inference.assembly import Assembly
+from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
-from bayescal._inference.mode import Mode, find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import WeightedDraws, weighted_draws
 from bayescal._model import forward

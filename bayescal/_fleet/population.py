@@ -51,7 +51,7 @@ from bayescal._core.parallel import over
 from bayescal._fleet.engine import Engine
 from bayescal._fleet.fleet_settings import fleet_settings
 from bayescal._inference import trust
-from bayescal._inference.mode import climb, gaussian_fit
+from bayescal._inference.laplace import climb, gaussian_fit
 from bayescal._inference.sampling import PriorShare, around_mode, propose
 from bayescal._model.effect import Coefficient
 from bayescal._model.model import Model

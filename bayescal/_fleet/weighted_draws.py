@@ -17,8 +17,8 @@ from bayescal._core.importance_weights import smoothed
 from bayescal._data.measurements import Measurements
 from bayescal._fleet.fit_devices import drawn
 from bayescal._inference import sampled_products
+from bayescal._inference.laplace import Mode
 from bayescal._inference.marginal import Marginal
-from bayescal._inference.mode import Mode
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, bind

@@ -11,7 +11,7 @@ from scipy.special import gammaln
 
 from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.gaussian import LOG_2PI, Drawn
-from bayescal._inference.mode import Mode, of_single_readings
+from bayescal._inference.laplace import Mode, of_single_readings
 from bayescal._inference.noise_on_record import total_log_density
 from bayescal._inference.terms import Term
 

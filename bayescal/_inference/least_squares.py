@@ -26,8 +26,8 @@ from bayescal._inference import trust
 from bayescal._inference.assembly import Assembly, Line, Point, differences
 from bayescal._inference.density import Density, noise_slopes, turn
 from bayescal._inference.gaussian import LOG_2PI, Prior
+from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
-from bayescal._inference.mode import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.noise_on_record import Independent, Whitening, whitening
 from bayescal._inference.record import Record
 from bayescal._model import forward

@@ -14,7 +14,7 @@ from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
 from bayescal._inference.assembly import Assembly, Line, Point
 from bayescal._inference.density import Density
-from bayescal._inference.mode import Mode
+from bayescal._inference.laplace import Mode
 from bayescal._inference.noise_on_record import (
     Independent,
     Whitening,

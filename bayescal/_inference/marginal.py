@@ -18,9 +18,9 @@ from bayescal._core.parallel import over
 from bayescal._core.progress import stage
 from bayescal._inference import nuts_chains, sampled_products, trust
 from bayescal._inference.assembly import Assembly
+from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.least_squares import LeastSquares, refine
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome
-from bayescal._inference.mode import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import PROPOSALS, WeightedDraws, weighted_draws
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from bayescal._inference.mode import NOTHING_KNOWN, Mode
+from bayescal._inference.laplace import NOTHING_KNOWN, Mode
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 

@@ -15,10 +15,10 @@ from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
 from bayescal._inference import trust
 from bayescal._inference.assembly import Assembly
+from bayescal._inference.laplace import NOTHING_KNOWN, find_mode
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Draws, Method, Outcome
-from bayescal._inference.mode import NOTHING_KNOWN, find_mode
 from bayescal._inference.nuts_chains import Chains, Plan, iterate
 from bayescal._inference.record import Record
 from bayescal._model import forward

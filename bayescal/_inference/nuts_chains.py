@@ -24,7 +24,7 @@ from bayescal._core.jit import ALWAYS, known
 from bayescal._inference import checkpoint
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
-from bayescal._inference.mode import Mode
+from bayescal._inference.laplace import Mode
 from bayescal._model import forward
 
 BLOCK = 100  # iterations between which a run can be stopped and taken up again, at most,

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from bayescal._core.errors import ModelError
 from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density
-from bayescal._inference.mode import NOTHING_KNOWN, Mode, find_mode
+from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.trust import sampling
 from bayescal._model.frame import Frame

@@ -25,7 +25,7 @@ from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import NOWHERE, Density, about
 from bayescal._inference.gaussian import Drawn, Gram, draw
 from bayescal._inference.joint import FREEDOM, draw_joint, linearise_draws, normal_numbers
-from bayescal._inference.mode import Mode, find_mode
+from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.noise_on_record import grams
 from bayescal._inference.products import Products
 from bayescal._inference.trust import sampling

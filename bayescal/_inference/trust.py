@@ -16,8 +16,8 @@ from jaxtyping import Float
 
 from bayescal._core.importance_weights import effective_size
 from bayescal._core.settings_in_force import OutcomeSettings, in_force
+from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Verdict
-from bayescal._inference.mode import Mode
 from bayescal._inference.nuts_chains import Chains
 
 NOT_CONVERGED = "Levenberg–Marquardt stopped before its tolerance was met."

@@ -31,10 +31,10 @@ from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import said_of, set_aside
 from bayescal._data.time_in_runs import going_on
+from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import NOT_SAMPLED
 from bayescal._inference.method import Method
-from bayescal._inference.mode import NOTHING_KNOWN
 from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference

@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from bayescal._calibration.settings import searching
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.gaussian import LOG_2PI
-from bayescal._inference.mode import curvature
+from bayescal._inference.laplace import curvature
 from bayescal._inference.noise_on_record import Whitening, total_log_density
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame

@@ -24,7 +24,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
 from bayescal._search.next_experiment import expected_readings
-from bayescal._use.limited_quantity import StatedLimit, limited_quantity, stated_limit
+from bayescal._use.conformity import StatedLimit, limited_quantity, stated_limit
 
 AGAIN = "the same again"
 OF_SCATTER = (

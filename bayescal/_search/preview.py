@@ -19,9 +19,9 @@ from bayescal._core.errors import ModelError
 from bayescal._core.formatting import Printed, number, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.assembly import Assembly
+from bayescal._inference.laplace import find_mode
 from bayescal._inference.least_squares import solution_on
 from bayescal._inference.linear_model import LinearModel, learned_size, linear_model, sized
-from bayescal._inference.mode import find_mode
 from bayescal._inference.record import Record
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable

@@ -23,8 +23,8 @@ from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._inference.assembly import Point
+from bayescal._inference.laplace import Mode
 from bayescal._inference.method import CHAINS, Draws
-from bayescal._inference.mode import Mode
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model

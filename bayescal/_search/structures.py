@@ -19,8 +19,8 @@ from bayescal._calibration.settings import searching
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import condition
+from bayescal._inference.laplace import Mode, at_mode, find_mode, flat_scales
 from bayescal._inference.linear_model import LinearModel, linear_model
-from bayescal._inference.mode import Mode, at_mode, find_mode, flat_scales
 from bayescal._inference.record import Record
 from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect

@@ -21,8 +21,8 @@ from bayescal._core.formatting import Printed
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, AXES, DIRECTION, MAGNITUDE, RATE, TURNED
 from bayescal._inference.assembly import Assembly
+from bayescal._inference.laplace import Mode, flat_scales
 from bayescal._inference.linear_model import LinearModel, linear_model
-from bayescal._inference.mode import Mode, flat_scales
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import Model

@@ -40,7 +40,7 @@ from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._use.compensation_program import averaged_over
-from bayescal._use.limited_quantity import (
+from bayescal._use.conformity import (
     DrawnQuantity,
     GlobalRisks,
     LimitedQuantity,

@@ -27,7 +27,7 @@ from bayescal._calibration.fitted import named
 from bayescal._core.importance_weights import smoothed
 from bayescal._inference import sampled_products
 from bayescal._inference.assembly import Assembly
-from bayescal._inference.mode import find_mode
+from bayescal._inference.laplace import find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import WeightedDraws, weighted_draws
 from bayescal._model.frame import build_frame, reference_of

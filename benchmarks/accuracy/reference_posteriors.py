@@ -29,7 +29,7 @@ from bayescal._calibration.posterior_tree import named
 from bayescal._core.parallel import over
 from bayescal._inference import nuts_chains, sampled_products
 from bayescal._inference.assembly import Assembly
-from bayescal._inference.mode import find_mode
+from bayescal._inference.laplace import find_mode
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind

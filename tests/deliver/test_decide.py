@@ -13,8 +13,8 @@ from scipy import stats
 
 import bayescal as bc
 from bayescal import effects
+from bayescal._use.conformity import GlobalRisks, LimitedRange, StatedLimit, stated_limit
 from bayescal._use.decide import DAY, first_below
-from bayescal._use.limited_quantity import GlobalRisks, LimitedRange, StatedLimit, stated_limit
 from bayescal._use.operating_equation import errors_over_draws
 from tests.support.made_up import bent_sensor
 

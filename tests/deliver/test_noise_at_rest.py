@@ -249,5 +249,6 @@ def test_pictures_of_channels_stand_in_the_folder_whatever_their_names(tmp_path)
     folder = tmp_path / "in" / "out"
     yaml = ("--yaml", folder / "imu.yaml", "--out", folder)
     assert run("noise", file, "--channels", "a/b,../c", *yaml).status == 0
-    assert sorted(p.name for p in folder.iterdir()) == ["imu.yaml", "noise_a_b.png", "noise_c.png"]
+    names = ["imu.yaml", "manifest.json", "noise_a_b.png", "noise_c.png"]
+    assert sorted(p.name for p in folder.iterdir()) == names
     assert [p.name for p in folder.parent.iterdir()] == ["out"]

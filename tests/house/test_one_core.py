@@ -15,24 +15,32 @@ import jax
 import pytest
 
 import bayescal as bc
-from bayescal._inference import gaussian, least_squares, mode, products, programs, record, sampling
+from bayescal._inference import (
+    gaussian,
+    laplace,
+    least_squares,
+    products,
+    programs,
+    record,
+    sampling,
+)
 from bayescal._model.correlated_noise import OrnsteinUhlenbeck, over_record
 from bayescal_models import mems_gyro, still_sensor
 
 GYRO = mems_gyro.INSTRUMENT
 CORE = (
-    "gaussian chebyshev programs terms column_products record assembly noise_on_record products density mode "
+    "gaussian chebyshev programs terms column_products record assembly noise_on_record products density laplace "
     "linear_model joint sampling least_squares"
 )
 LAWS = "independent_noise correlated_noise"
 # What only a named option or a kind of model needs, by that: each has tests of its own.
 NEEDED_BY = {
-    "noise in a column of the readings": "joint._draw_rows mode.of_single_readings "
+    "noise in a column of the readings": "joint._draw_rows laplace.of_single_readings "
     "record.Record.moved_columns_of_draws programs.moved_columns_along assembly.Assembly._responding",
     "a flat prior": "gaussian.column_scale",
     "a nonlinear response": "record.Record.response record.Record.responses "
     "programs.responses programs.slopes_of_draws density.Density.squares "
-    "mode.mode_of_x mode.mode_of_x.<locals>.look mode._about_x "
+    "laplace.mode_of_x laplace.mode_of_x.<locals>.look laplace._about_x "
     "least_squares._Refinement.from_afar least_squares._Refinement.from_afar.<locals>.residuals",
     'LeastSquares(curvature="hessian"), or a law that is not Gaussian': "least_squares._Refinement.curved "
     "least_squares._Refinement.curved.<locals>.slope",
@@ -145,7 +153,7 @@ BROKEN: list[tuple[object, str]] = [
     (gaussian, "condition"),
     (products.Products, "gram"),
     (products.Products, "slopes"),
-    (mode, "climb"),
+    (laplace, "climb"),
     (least_squares, "qr"),
     (record.Record, "columns"),
     (programs, "fixed_columns"),

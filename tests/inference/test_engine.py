@@ -15,8 +15,8 @@ from bayescal._inference import programs
 from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density, about
 from bayescal._inference.gaussian import LOG_2PI, column_scale
+from bayescal._inference.laplace import across, find_mode
 from bayescal._inference.linear_model import sized
-from bayescal._inference.mode import across, find_mode
 from bayescal._inference.noise_on_record import total_log_density, whitening
 from bayescal._inference.record import INTERPOLATED, Record
 from bayescal._inference.sampling import ManyPhi, weighted_draws

@@ -11,7 +11,7 @@ from bayescal import effects
 from bayescal._core.importance_weights import ALIKE, Corrections
 from bayescal._inference import sampling
 from bayescal._inference.assembly import Assembly
-from bayescal._inference.mode import find_mode
+from bayescal._inference.laplace import find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.sampled_products import is_nonlinear
 from bayescal._model.frame import build_frame, reference_of

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 
 import bayescal as bc
 from bayescal._inference.assembly import Assembly
-from bayescal._inference.mode import find_mode
+from bayescal._inference.laplace import find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model.frame import build_frame

@@ -13,8 +13,8 @@ import bayescal as bc
 from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._inference.assembly import Assembly
+from bayescal._inference.laplace import find_mode
 from bayescal._inference.linear_model import linear_model
-from bayescal._inference.mode import find_mode
 from bayescal._model.frame import reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library

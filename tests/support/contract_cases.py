@@ -20,7 +20,7 @@ import bayescal as bc
 import bayescal_models
 from bayescal._inference import sampled_products
 from bayescal._inference.assembly import Assembly
-from bayescal._inference.mode import find_mode
+from bayescal._inference.laplace import find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model import forward

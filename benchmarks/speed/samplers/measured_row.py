@@ -14,7 +14,7 @@ import numpy as np
 from bayescal._core.importance_weights import smoothed
 from bayescal._inference import sampled_products
 from bayescal._inference.assembly import Assembly
-from bayescal._inference.mode import find_mode
+from bayescal._inference.laplace import find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import weighted_draws
 from benchmarks import chains

@@ -16,7 +16,7 @@ from jax.flatten_util import ravel_pytree
 import bayescal as bc
 from bayescal._inference import nuts_chains, sampled_products
 from bayescal._inference.assembly import Assembly
-from bayescal._inference.mode import find_mode
+from bayescal._inference.laplace import find_mode
 from bayescal._inference.nuts import program
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
