@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from scipy.optimize import minimize
 from bayescal._calibration.settings import searching
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.gaussian import LOG_2PI
-from bayescal._inference.laplace import curvature
+from bayescal._inference.laplace import NOTHING_KNOWN, curvature
 from bayescal._inference.noise_on_record import Whitening, total_log_density
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
@@ -77,15 +78,22 @@ class OnResiduals(NamedTuple):
 
 
 @on_one_thread
-def on_residuals(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> OnResiduals:
+def on_residuals(
+    law: Noise,
+    record: Record,
+    left: Float[np.ndarray, "n"],
+    near: Mapping[str, float] = NOTHING_KNOWN,
+) -> OnResiduals:
     """A law of known expected output, by Laplace; no evidence where nothing is left of the readings.
 
     Args:
         law: which.
         record: the readings.
         left: what the expected output leaves of them.
+        near: coordinates of its parameters by name where the maximum may be, such as that of other residuals.
     """
-    found = (_independent if law.independent else _correlated)(law, record, left)
+    of_kind = _independent if law.independent else partial(_correlated, near=near)
+    found = of_kind(law, record, left)
     if found is None:
         return OnResiduals(-math.inf, {})
     value, v, bent = found
@@ -94,7 +102,9 @@ def on_residuals(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> On
     return OnResiduals(value + volume, dict(zip(law.parameters(), v.tolist(), strict=True)))
 
 
-def _correlated(law: Noise, record: Record, left: np.ndarray) -> _Maximum | None:
+def _correlated(
+    law: Noise, record: Record, left: np.ndarray, near: Mapping[str, float]
+) -> _Maximum | None:
     """Of a correlated Gaussian law, found along exact slopes."""
     priors = law.parameters()
     names, table = list(priors), left[:, None]
@@ -131,6 +141,7 @@ def _correlated(law: Noise, record: Record, left: np.ndarray) -> _Maximum | None
                 *([p.coordinate(values[n])] if n in values else LEVELS for n, p in priors.items())
             )
         ]
+        + ([[near[n] for n in names]] if near else [])
     )
     if not len(starts):
         return None
@@ -139,7 +150,8 @@ def _correlated(law: Noise, record: Record, left: np.ndarray) -> _Maximum | None
     found = minimize(
         down, starts[int(np.argmax(there))], jac=True, method="L-BFGS-B", tol=TOLERANCE
     )
-    return -float(found.fun), found.x, curvature(lambda at: -down(at)[1], found.x, CURVED)
+    bends = curvature(lambda at: -down(at)[1], found.x, CURVED, -down(found.x)[1])
+    return -float(found.fun), found.x, bends
 
 
 def _independent(law: Noise, record: Record, left: np.ndarray) -> _Maximum | None:

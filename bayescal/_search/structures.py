@@ -19,7 +19,7 @@ from bayescal._calibration.settings import searching
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import condition
-from bayescal._inference.laplace import Mode, at_mode, find_mode, flat_scales
+from bayescal._inference.laplace import NOTHING_KNOWN, Mode, at_mode, find_mode, flat_scales
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.record import Record
 from bayescal._model.departure import Departure
@@ -226,8 +226,17 @@ class Structures:
     @cached_property
     def law_on_residuals(self) -> Callable[[Weighed, str], OnResiduals]:
         """A noise law, by name, on what a structure's fit leaves of the readings; each asked for once."""
-        laws = {"": self.base.noise, **self.laws}
-        return cache(lambda w, name: on_residuals(laws[name], self.record, self.line(w).residual))
+        laws, latest = {"": self.base.noise, **self.laws}, dict[str, Mapping[str, float]]()
+
+        @cache
+        def found(weighed: Weighed, name: str) -> OnResiduals:
+            # Residuals of another structure are much alike: where their maximum is, the climb is shorter.
+            left, near = self.line(weighed).residual, latest.get(name, NOTHING_KNOWN)
+            made = on_residuals(laws[name], self.record, left, near)
+            latest[name] = made.hint
+            return made
+
+        return found
 
     def _refitted(self, structure, departures, near, hints) -> Weighed:
         assembly = self._assembled(structure, near, departures)
