@@ -115,6 +115,18 @@ def summarise() -> None:
         print(f"{name:6s} {counts}")
 
 
+def _stated_and_true(rows: list[dict[str, Any]], which: str) -> list[str]:
+    """By stated probability that nothing is missing: its mean, the share where nothing was hidden, and campaigns."""
+    stated = np.array([row[which]["nothing"] for row in rows])
+    true = np.array([not row["hidden"] for row in rows])
+    made = []
+    for low, high in pairwise((0.0, 0.05, 0.5, 0.8, 1.0)):
+        among = (stated > low) & (stated <= high)
+        if among.any():
+            made.append(f"{stated[among].mean():.2f}: {true[among].mean():.2f} of {among.sum()}")
+    return made
+
+
 def _counts(rows: list[dict[str, Any]], which: str) -> dict[str, Any]:
     empty = [row[which] for row in rows if not row["hidden"]]
     hidden = [(set(row["hidden"]), row[which]) for row in rows if row["hidden"]]
@@ -130,9 +142,13 @@ def _counts(rows: list[dict[str, Any]], which: str) -> dict[str, Any]:
         "something else beside it or in its place": proportion(
             sum(bool({*row["final"]} - names) for names, row in hidden), len(hidden)
         ),
-        "invented where nothing was hidden": proportion(
+        "in the likeliest model where nothing was hidden": proportion(
             sum(bool(row["final"]) for row in empty), len(empty)
         ),
+        "said to be missing where nothing was hidden": proportion(
+            sum(bool(row["sets"]) for row in empty), len(empty)
+        ),
+        "stated and true share of nothing hidden": _stated_and_true(rows, which),
         "noise law": {
             law: [row["noise"] for row in empty].count(law)
             for law in sorted({row["noise"] for row in empty})
