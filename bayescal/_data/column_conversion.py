@@ -85,7 +85,7 @@ def _converted(
 ) -> ConvertedColumns:
     file = MatchedFile(table, instrument, options, problems)
     offered, proposed = file.note_missing()
-    file.fix_units()
+    file.fix_units(offered)
     extra, flags = file.further_columns(proposed)
     table, expected, positions = file.table, file.expected, file.positions
     converted = ConvertedColumns((table,), flags=[*table.notes, *flags])

@@ -558,7 +558,7 @@ class MatchedFile:
                 channels = option(
                     "--channels", ",".join(h.name for h in alike if "," not in h.name)
                 )
-                advice += f"Together, as channels of one unit: calibrate {channels}. "
+                advice += f"Together, as channels of one unit: {channels}. "
         meaning = f" ({column.meaning})" if column.meaning else ""
         mapped = alike[0].raw if alike else "…"
         sentence = (
@@ -569,20 +569,23 @@ class MatchedFile:
         cure, given = f"{advice}Add such a column, or say which it is", chosen if one else ""
         self.problem(column.name, "no such column", asked, cure, given, sentence=sentence)
 
-    def fix_units(self) -> None:
-        """Give columns a unit in place of "any": the fixed unit of what the file has.
+    def fix_units(self, offered: Mapping[str, tuple[int, Header]]) -> None:
+        """Give columns a unit in place of "any": the fixed unit of what the file has, or of a header that is offered.
 
         A known uncertainty follows its output. What has no unit, or one that is none, is refused where
         the column is converted; a nominal scale for an output that may be anything is a problem here.
         """
-        for name, column in self.expected.items():
-            if column.unit != ANY or name not in self.positions:
+        headers = {n: self.header(n) for n in self.expected if n in self.positions}
+        headers |= {name: header for name, (_, header) in offered.items()}
+        for name, header in headers.items():
+            column = self.expected[name]
+            if column.unit != ANY:
                 continue
             if self.options.nominal_scale is not None:
                 came = "a nominal scale was given, but it is taken in the unit that it is in"
                 cure = "Leave the scale out, or choose an instrument whose output has a unit"
                 self.problem(name, came, cure=cure)
-            unit = unit_of(self.header(name), name, self.options)
+            unit = unit_of(header, name, self.options)
             if name == UNCERTAINTY:
                 self.expected[name] = replace(column, unit=self.expected["output"].unit)
             elif unit is not None:

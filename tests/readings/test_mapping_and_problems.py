@@ -82,6 +82,16 @@ def test_a_mapping_that_is_none_is_refused(tmp_path: Path, content, message) -> 
         ColumnOptions(mapping=path).for_read()
 
 
+def test_a_channel_that_looks_like_the_output_is_the_one_problem_of_its_file(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "still.csv"
+    path.write_text("time [s],gyro_x [deg/s]\n0,0.1\n1,0.2\n2,0.1\n", "utf-8")
+    done = run("noise", path)
+    assert done.status == 2
+    assert "output=gyro_x" in done.err and "[any]" not in done.err
+
+
 def test_a_still_sensor_needs_no_temperature(tmp_path: Path) -> None:
     path = tmp_path / "still.csv"
     path.write_text(text((HEAD[0], HEAD[2]), (TIME, NOISY)))
