@@ -188,7 +188,7 @@ HELP = {
     "instrument_file": "my.py:INSTRUMENT, if the calibration is of an instrument that is not installed.",
     "json_": "Print the result as JSON on stdout.",
     "k": "Coverage factor of the expanded uncertainty.",
-    "keep_spikes": "Keep single readings far from both neighbours.",
+    "keep_spikes": "Keep single readings far from both neighbours, and those of a wrong thermometer.",
     "limit": "Also decide whether it conforms, as `bayescal decide`; of one result.",
     "local_gravity": "Local gravity, m/s², for files in m/s²; 9.80665 if not given.",
     "mapping": "TOML file that --save-mapping wrote; options on the command line take precedence.",

@@ -88,11 +88,19 @@ MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 o
 
 
 class Oddity(NamedTuple):
-    """What is odd in a thermometer's column, in words, and in which rows."""
+    """What is odd in a thermometer's column.
+
+    Attributes:
+        column: the thermometer's.
+        said: what is odd, in words.
+        rows: in which it is.
+        wrong: of these, where the temperature was surely another than the column says; none where that is not known.
+    """
 
     column: str
     said: str
     rows: np.ndarray
+    wrong: np.ndarray
 
 
 def oddities(
@@ -111,9 +119,12 @@ def oddities(
     with np.errstate(all="ignore"):  # of numbers that no temperature is
         own = pieces(columns)
         for name in names:
-            for find, said in _RECORDED.items():
-                if len(rows := find(columns[name], own)):
-                    found.append(Oddity(name, said.format(len(rows)), rows))
+            if len(rows := held_rows(columns[name], own)):
+                said = "repeats a value until the next leap: it was held, or asked seldom"
+                found.append(Oddity(name, said, rows, repeats(columns[name], own, rows)))
+            if len(rows := leaps(columns[name], own)):
+                said = f"leaps faster than a body can follow at {len(rows)} reading(s)"
+                found.append(Oddity(name, said, rows, rows))
             found += _at_an_end(name, columns[name], own)
             found += _jumps(name, columns, {*thermometers, output}, own)
         return [*found, *_unlike(columns, names)]
@@ -196,10 +207,10 @@ def held_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
     return np.concatenate(held) if pairs >= given.held_times else held[0]
 
 
-_RECORDED = {
-    leaps: "leaps faster than a body can follow at {} reading(s)",
-    held_rows: "repeats a value until the next leap: it was held, or asked seldom",
-}
+def repeats(values: np.ndarray, own: Sequence[np.ndarray], rows: np.ndarray) -> np.ndarray:
+    """Those of some rows that repeat the value before them in their stretch."""
+    again = [piece[1:][values[piece[1:]] == values[piece[:-1]]] for piece in own]
+    return np.intersect1d(rows, np.concatenate([np.zeros(0, int), *again]))
 
 
 def _jumps(
@@ -248,7 +259,7 @@ def _jumps(
         f"goes on from another level, {jump[np.isin(at, rows)].max():.2g} °C away, from one reading to the next, and "
         "nothing else does: re-seated, exchanged, or a counter that wrapped?"
     )
-    return [Oddity(name, said, np.sort(rows))]
+    return [Oddity(name, said, np.sort(rows), rows[:0])]  # on which side of it, is not known
 
 
 def _unexplained(values: np.ndarray, time: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
@@ -289,7 +300,7 @@ def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list
             continue
         rows = np.flatnonzero(at)
         said = f"stands exactly at its {end} {level:g} in {len(rows)} readings, and hardly still elsewhere: saturated?"
-        found.append(Oddity(name, said, rows))
+        found.append(Oddity(name, said, rows, rows))
     return found
 
 
@@ -325,14 +336,42 @@ def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
         alone = [
             r for r in runs if (own := [v for pair, v in odd.items() if r in pair]) and all(own)
         ]
-        if alone:
+        if alone := _told_apart(columns, one, other, runs, alone):
             named = " or ".join(alone)
             said = (
                 f"does not repeat in run {named} what it did in the others, {max(odd.values()):.2g} °C rms apart, "
                 f"where {other!r} does: one of the two was different there"
             )
-            found.append(Oddity(one, said, np.concatenate([runs[run] for run in alone])))
+            rows = np.concatenate([runs[run] for run in alone])
+            found.append(Oddity(one, said, rows, rows if len(alone) == 1 else rows[:0]))
     return found
+
+
+def _told_apart(
+    columns: Columns, one: str, other: str, runs: Mapping[str, np.ndarray], suspects: list[str]
+) -> list[str]:
+    """That one of some runs without which a thermometer follows its sibling in all others alike; else all of them.
+
+    Of two runs of one profile that differ, a third run of another profile tells which is right: of the sibling and its
+    rate the thermometer is the same function in all that are.
+    """
+    if len(suspects) < 2 or len(runs) < 3:
+        return suspects
+    bases, values = {}, columns[one]
+    for run, rows in runs.items():
+        beside, since = columns[other][rows], columns["time"][rows]
+        if len(rows) < 3 or np.any(np.diff(since) <= 0):
+            return suspects
+        bases[run] = np.column_stack([np.ones(len(rows)), beside, np.gradient(beside, since)])
+    left = {}
+    for run in suspects:
+        rest = [r for r in runs if r != run]
+        basis = np.concatenate([bases[r] for r in rest])
+        scale = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
+        found = np.concatenate([values[runs[r]] for r in rest])
+        left[run] = _rms(found - basis / scale @ np.linalg.lstsq(basis / scale, found)[0])
+    best, second, *_ = sorted(left, key=left.__getitem__)
+    return [best] if left[second] > recording().unlike * left[best] else suspects
 
 
 def _siblings(columns: Columns, one: str, other: str, runs: Iterable[np.ndarray]) -> bool:

@@ -2,11 +2,13 @@
 
 Spikes of the output, single readings far from both of their neighbours, are faults of the record and not of the sensor,
 and one of them can outweigh thousands of readings. At spikes of a thermometer it is not known what the output belongs
-to. Hold-out data that are fitted already say nothing of new readings.
+to; nor where one that the model needs repeats an old value, stands at its end, or was another's for a run. Hold-out
+data that are fitted already say nothing of new readings.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -17,15 +19,20 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
 
 
-def set_aside(readings: Measurements, keep_spikes: bool = False) -> Measurements:
+def set_aside(
+    readings: Measurements, keep_spikes: bool = False, needed: Collection[str] = ()
+) -> Measurements:
     """The readings without clipped and stuck ones and spikes, named in flags; the same readings where there is none.
 
     Args:
         readings: as recorded.
-        keep_spikes: leave spikes in.
+        keep_spikes: leave spikes in, and wrong temperatures.
+        needed: columns that a model needs: without readings, too, at which a thermometer among them was wrong.
     """
     readings = _without_stuck(_without_clipped(_once(readings)))
-    return readings if keep_spikes else _without_spikes(_without_leaps(readings))
+    if keep_spikes:
+        return readings
+    return _without_spikes(_without_wrong(_without_leaps(readings), needed))
 
 
 def _without(readings: Measurements, rows: np.ndarray, said: str) -> Measurements:
@@ -81,9 +88,7 @@ def _held(readings: Measurements) -> np.ndarray:
     if not readings.has("time"):
         return np.zeros(0, int)
     output, own = readings["output"], checks.pieces({n: readings[n] for n in readings.columns})
-    held = checks.held_rows(output, own)
-    again = [piece[1:][output[piece[1:]] == output[piece[:-1]]] for piece in own]
-    return np.intersect1d(held, np.concatenate([np.zeros(0, int), *again]))
+    return checks.repeats(output, own, checks.held_rows(output, own))
 
 
 def _without_leaps(readings: Measurements) -> Measurements:
@@ -104,6 +109,35 @@ def _without_leaps(readings: Measurements) -> Measurements:
         f"follow, {'; '.join(notes)}; keep_spikes keeps them"
     )
     return _without(readings, np.flatnonzero(gone), said)
+
+
+def _without_wrong(readings: Measurements, needed: Collection[str]) -> Measurements:
+    """Without readings at which a thermometer that is needed was surely wrong, one kind of fault after the other.
+
+    Where too much would go, or a device's readings or all temperatures but one, they stay, and the fault is a reason
+    not to believe the result.
+    """
+    warm, begun = [n for n in readings.columns if readings.unit(n) == "degC"], len(readings)
+    while True:
+        columns = {n: readings[n] for n in readings.columns}
+        found = checks.oddities(columns, warm, readings.output)
+        wrong = (o for o in found if o.column in needed and _can_go(columns, o, begun))
+        if (odd := next(wrong, None)) is None:
+            return readings
+        said = f"{len(odd.wrong)} reading(s) set aside, column {odd.column!r} {odd.said}; keep_spikes keeps them"
+        readings = _without(readings, odd.wrong, said)
+
+
+def _can_go(columns: checks.Columns, odd: checks.Oddity, begun: int) -> bool:
+    """Whether enough is left without what is wrong: half of the readings; of a held column, each value once."""
+    count = len(columns[odd.column])
+    kept, held = np.setdiff1d(np.arange(count), odd.wrong), len(odd.wrong) < len(odd.rows)
+    least = recording().few_changes if held and count == begun else 0.5 * begun
+    if not len(odd.wrong) or len(kept) < least:
+        return False
+    labels = [n for n in checks.RECORD if n != "run" and n in columns]
+    whole = all(set(columns[n][kept]) == set(columns[n]) for n in labels)
+    return whole and bool(np.ptp(columns[odd.column][kept]) > recording().temperature_span)
 
 
 def _without_spikes(readings: Measurements) -> Measurements:

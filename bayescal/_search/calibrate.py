@@ -100,7 +100,8 @@ def calibrate(
         method: of the last fit; `Marginal()` if not given. Steps on the way are fitted by least squares.
         max_effects: most effects to add.
         widen_noise: False leaves the noise law as given, whatever the residuals look like.
-        keep_spikes: False sets single readings far from both neighbours aside, and flags them; clipped ones always.
+        keep_spikes: False sets single readings far from both neighbours aside, and those at which a thermometer that
+            the model needs was wrong, and flags them; clipped ones always.
         seed: of every random number.
         reference: constants of the bases to use in place of the readings' own.
         time_limit: seconds for everything; the search gets six tenths of them, and what was left out is said. Ctrl-C
@@ -119,8 +120,10 @@ def calibrate(
     """
 
     def run() -> SearchPath:
-        used = set_aside(with_causes(readings, model.instrument, ignore, covariates), keep_spikes)
-        kept = None if holdout is None else set_aside(holdout, keep_spikes)
+        needed = {n for e in model.effects for n in (*e.columns, *e.varies)}
+        causes = with_causes(readings, model.instrument, ignore, covariates)
+        used = set_aside(causes, keep_spikes, needed)
+        kept = None if holdout is None else set_aside(holdout, keep_spikes, needed)
         used, accepted = _said_of_holdout(used, kept), frozenset(accept_conflicts)
         loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
         loop, first = loop.begin(model)

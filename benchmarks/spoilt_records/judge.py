@@ -9,8 +9,9 @@ times the oracle's counts, for a model can also be so wide that it says nothing.
 
 *Said*: the file is refused, or the search refuses it and names the cause; or `trail.ok` is False; or a flag of the
 readings, a note that terms are confounded, or an effect that was added, names the cause. *Wrong*: neither. A right
-answer that is also said counts as
-right. *Crash*: the search ends in an error that is no refusal, or in one whose sentence is of something else.
+answer that is also said counts as right; where a sentence is what is asked for, as of a hold-out that is training data,
+only with that sentence. *Crash*: the search ends in an error that is no refusal, or in one whose sentence is of
+something else.
 """
 
 from __future__ import annotations
@@ -143,7 +144,8 @@ def _verdict(
     carried = kind.noise(subject) * subject.noise
     due = float(np.sqrt(due**2 + carried**2 + min(stated, WIDE * np.hypot(known, carried)) ** 2))
     right = all(abs(z) < AWAY for z in away.values()) and error <= WORSE * due
-    verdict = "right" if right and not kind.must_say else "said" if told else "wrong"
+    right &= bool(named) or not kind.must_say
+    verdict = "right" if right else "said" if told else "wrong"
     return {
         "verdict": verdict,
         "refused": "",

@@ -31,7 +31,7 @@ class Kind:
         of_holdout: the record is as it was, and the file that is spoilt is the hold-out given beside it.
         of_training: that hold-out is made of the record itself, in place of a second campaign.
         renamed: columns are called by other names, alike in the second campaign: no coefficient keeps its meaning.
-        must_say: nothing right can come of it: only a sentence will do.
+        must_say: a right answer counts only beside a sentence that names the cause.
     """
 
     name: str

@@ -11,7 +11,7 @@ Each kind is a table of
 - `finds`, the same for the name of an effect that was added: one that names the cause says it;
 - `needs`: "runs" where the records are runs, "sibling" where a second thermometer stands in the unit;
 - `of`: "record" (the default), or "hold-out from the record": a hold-out made of the training data is given beside it;
-- `must_say`: true where only a sentence will do;
+- `must_say`: true where a right answer counts only beside a sentence that names the cause;
 - `steps`, done one after the other, each a table of `do`, a function of `STEPS`; `column`: "thermometer" (the default),
   "sibling", "output", "input", or a column's name; `where`: a name of `_where`; and the function's own numbers.
 

@@ -140,23 +140,53 @@ def test_leaps_are_found_where_they_are_and_set_aside_by_name() -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "named"),
     [
-        lambda t: t + 3.0,
-        lambda t: 1.8 * t + 32.0,
-        lambda t: 1.1 * t,
-        lambda t: np.r_[np.full(10, t[0]), t[:-10]],
-        lambda t: t[::-1],
+        (lambda t: t + 3.0, "1 or 3"),
+        (lambda t: 1.8 * t + 32.0, "3"),
+        (lambda t: 1.1 * t, "3"),
+        (lambda t: np.r_[np.full(10, t[0]), t[:-10]], "3"),
+        (lambda t: t[::-1], "3"),
     ],
     ids=["re-seated", "Fahrenheit", "gain", "late", "backwards"],
 )
-def test_a_run_in_which_one_of_two_thermometers_was_different(siblings: Columns, change) -> None:
-    """The first and the third run have one profile; the second has another, and is no reason for a word."""
+def test_a_run_in_which_one_of_two_thermometers_was_different(
+    siblings: Columns, change, named: str
+) -> None:
+    """The first and the third run have one profile; the second, which has another, tells which of them is right.
+
+    A thermometer re-seated by 3 °C differs less than its sibling's lag makes of it on the way down.
+    """
     last, warm = siblings["run"] == "3", siblings[TEMPERATURE].copy()
     warm[last] = change(warm[last])
     (said,) = said_of(siblings, temperature=warm)
-    assert said.startswith("temperature does not repeat in run 1 or 3 what it did in the others")
+    assert said.startswith(f"temperature does not repeat in run {named} what it did in the others")
     assert "'board_temperature' does" in said
+
+
+def test_readings_of_a_wrong_thermometer_are_set_aside_where_the_model_needs_it() -> None:
+    """Of a held one the first of each value stays, of a run of its own none; nothing where half or more would go."""
+    record = mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(average=60))
+    columns, needed = columns_of(record), {TEMPERATURE}
+    held = in_runs(columns, lambda t: t[np.arange(len(t)) // 5 * 5])
+    kept = set_aside(record.with_column(TEMPERATURE, held), needed=needed)
+    runs = [int(np.sum(record["run"] == run)) for run in np.unique(record["run"])]
+    assert len(kept) == sum(-(-n // 5) for n in runs)
+    assert "column 'temperature' repeats a value until the next leap" in kept.flags[-1]
+    assert kept[TEMPERATURE] == pytest.approx(
+        columns[TEMPERATURE][np.isin(record["time"], kept["time"])]
+    )
+    gain = columns[TEMPERATURE].copy()
+    gain[columns["run"] == "3"] *= 1.1
+    spoilt = record.with_column(TEMPERATURE, gain)
+    kept = set_aside(spoilt, needed=needed)
+    assert set(kept["run"]) == {"1", "2"}
+    assert len(kept) == sum(runs[:2])
+    assert "does not repeat in run 3" in kept.flags[-1]
+    for whole in (set_aside(spoilt), set_aside(spoilt, keep_spikes=True, needed=needed)):
+        assert len(whole) == len(record)
+    two = spoilt.select(np.flatnonzero(spoilt["run"] != "2"))
+    assert len(set_aside(two, needed=needed)) == len(two)  # which of both is right is not known
 
 
 def test_the_flag_names_file_and_row(tmp_path) -> None:
