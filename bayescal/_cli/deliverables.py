@@ -5,10 +5,10 @@ Heavy modules load inside the commands.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -29,8 +29,16 @@ from bayescal._cli.options import (
 from bayescal._core.as_json import write_json
 from bayescal._core.errors import InputError, ModelError
 
+if TYPE_CHECKING:
+    from bayescal._tables.raw_table import Problem
+
 commands = Commands()
 MOST = 5  # effects that are added
+SENSORS = {
+    "accelerometer_triad": "accelerometers",
+    "gyro_triad": "gyroscopes",
+    "magnetometer_triad": "magnetometers",
+}
 FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 
 
@@ -138,18 +146,23 @@ def imu(
 ) -> None:
     """Calibrate accelerometers by poses, gyroscopes by moves between them, magnetometers: one log, one frame."""
     from bayescal._cli.request import instrument_named
+    from bayescal._tables.raw_table import Problems
     from bayescal._use.vector_export import data
 
     how = columns.for_read()
-    given = {"accelerometer_triad": accelerometers, "gyro_triad": gyroscopes}
+    given = dict(zip(SENSORS, (accelerometers, gyroscopes), strict=False))
     given |= {"magnetometer_triad": magnetometers} if magnetometers else {}
     instruments = {name: instrument_named(name) for name in given}
-    logs = {
-        name: bc.read(
-            list(files), instruments[name], **{**how, "columns": _three(three) | how["columns"]}
-        )
-        for name, three in given.items()
-    }
+    logs, problems = {}, Problems()
+    for name, three in given.items():
+        named = {**how, "columns": _three(three) | how["columns"]}
+        try:
+            logs[name] = bc.read(list(files), instruments[name], **named)
+        except InputError as error:
+            if not error.problems:
+                raise
+            problems += _of_sensor(SENSORS[name], instruments[name], error.problems)
+    problems.refuse()
     columns.keep()
     (force, forces), (turns, rates), *others = zip(instruments.values(), logs.values(), strict=True)
     long = {"shortest": asked.shortest}
@@ -197,6 +210,24 @@ def _three(given: str | None) -> dict[str, str]:
     if len(names) not in (0, 3):
         raise InputError(f"{given!r} names {len(names)} columns: give three, as ax,ay,az")
     return dict(zip((f"output_{a}" for a in "xyz"), names, strict=False))
+
+
+def _of_sensor(sensors: str, instrument: Any, problems: Sequence[Problem]) -> Sequence[Problem]:
+    """Problems of a log, with one sentence in place of three where it has none of a sensor's three columns."""
+    from bayescal._tables.raw_table import Problem
+
+    three = {f"output_{axis}" for axis in "xyz"}
+    missing = [p for p in problems if p.column in three]
+    if len(missing) < len(three):
+        return problems
+    columns = ",".join(f"{sensors[0]}{axis}" for axis in "xyz")
+    return [
+        Problem(
+            missing[0].file,
+            f"holds no three columns called as those of {sensors} are, in a unit that converts to {instrument.unit}",
+            cure=f"Say which they are (--{sensors} {columns}), or take a log that has them",
+        )
+    ]
 
 
 def _calibrated(

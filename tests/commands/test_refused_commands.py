@@ -157,6 +157,17 @@ def test_a_refusal_is_one_sentence(command: str, words: str, places: dict[str, P
     assert sorted(places["folder"].rglob("*")) == before
 
 
+def test_a_log_without_the_sensors_of_a_unit_is_asked_for_them(tmp_path: Path) -> None:
+    done = run("imu", TABLE, "--out", tmp_path / "unit")
+    said = " ".join(done.err.split())
+    assert (done.status, done.out) == (2, "")
+    assert "2 problems with 'zero_rate_table.csv'" in said
+    for sensors, columns in (("accelerometers", "ax,ay,az"), ("gyroscopes", "gx,gy,gz")):
+        assert f"holds no three columns called as those of {sensors} are" in said
+        assert f"(--{sensors} {columns})" in said
+    assert "output_x" not in said
+
+
 def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     out = tmp_path / "full"
     (out / "calibration.nc").mkdir(parents=True)  # in the way

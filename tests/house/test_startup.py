@@ -118,6 +118,32 @@ def test_importing_bayescal_imports_nothing_heavy() -> None:
     assert loaded.strip() == "[]"
 
 
+BLOCKED = f"""
+import sys
+
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {HEAVY!r}:
+            raise AssertionError(f"imports {{name}}")
+
+sys.meta_path.insert(0, Blocked())
+from bayescal._cli.main import main
+for words in (["--help"], ["calibrate", "--help"], ["imu", "--help"]):
+    sys.argv[1:] = words
+    try:
+        main()
+    except SystemExit as left:
+        assert not left.code, left.code
+"""
+
+
+def test_help_needs_nothing_that_computes() -> None:
+    """Of the commands and of two of them; each import of what computes is an error there."""
+    printed = run_python(BLOCKED)
+    assert "calibrate" in printed
+    assert "--gyroscopes" in printed
+
+
 HEADER = "rate_input [deg/s],temperature [degC],output [deg/s]\n"
 BAD_FILES = {  # what is said of every kind of bad file: tests/readings
     "no bytes": (b"", "is empty"),
