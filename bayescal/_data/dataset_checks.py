@@ -313,7 +313,8 @@ def _longest(same: np.ndarray, own: Sequence[np.ndarray]) -> int:
 def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
     """Runs in which one thermometer does not repeat what it did in another run, although its sibling does.
 
-    Siblings are thermometers that go together: on one body, or in one chamber, with whatever lag.
+    Or each does what the other did: they are exchanged there. Siblings are thermometers that go together: on one body,
+    or in one chamber, with whatever lag.
     """
     runs, found, given = _runs(columns), [], recording()
     if not 2 <= len(names) <= MOST_SIBLINGS or len(runs) > MOST_RUNS:
@@ -322,15 +323,20 @@ def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
         (a, b, _same_moments(columns["time"], runs[a], runs[b])) for a, b in combinations(runs, 2)
     ]
     for one, other in permutations(names, 2):
-        odd = {}
+        odd, exchanged = {}, False
         for a, b, (here, there) in pairs:
             if len(here) < max(
                 given.few_changes, given.same_times * min(len(runs[a]), len(runs[b]))
             ):
                 continue
             apart, its = (_rms(columns[n][here] - columns[n][there]) for n in (one, other))
-            if its < given.repeats * float(np.ptp(columns[other])):
-                odd[a, b] = apart if apart > max(given.unlike * its, given.unlike_least) else 0.0
+            pair = (one, other), (other, one)
+            crossed = max(_rms(columns[m][here] - columns[n][there]) for m, n in pair)
+            repeats_to = min(its, crossed)
+            if repeats_to < given.repeats * float(np.ptp(columns[other])):
+                far = apart > max(given.unlike * repeats_to, given.unlike_least)
+                odd[a, b] = apart if far else 0.0
+                exchanged |= far and crossed < its
         if not any(odd.values()) or not _siblings(columns, one, other, runs.values()):
             continue
         alone = [
@@ -338,13 +344,45 @@ def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
         ]
         if alone := _told_apart(columns, one, other, runs, alone):
             named = " or ".join(alone)
+            how = "does: one of the two was different there"
+            if exchanged:
+                how = "does it there: they are exchanged"
             said = (
                 f"does not repeat in run {named} what it did in the others, {max(odd.values()):.2g} °C rms apart, "
-                f"where {other!r} does: one of the two was different there"
+                f"where {other!r} {how}"
             )
             rows = np.concatenate([runs[run] for run in alone])
-            found.append(Oddity(one, said, rows, rows if len(alone) == 1 else rows[:0]))
+            known = len(alone) == 1 and _of_that_run_alone(columns, one, alone[0], pairs, odd, runs)
+            found.append(Oddity(one, said, rows, rows if known else rows[:0]))
     return found
+
+
+def _of_that_run_alone(
+    columns: Columns,
+    name: str,
+    run: str,
+    pairs: Iterable[tuple[str, str, tuple[np.ndarray, np.ndarray]]],
+    odd: Collection[tuple[str, str]],
+    runs: Mapping[str, np.ndarray],
+) -> bool:
+    """Whether a column that does not repeat in a run may be trusted in the others.
+
+    If it does after a while what it does in a later run, it was changed in the midst of this one, and before it it may
+    never have been right; likewise after it, if it did so at first. Runs that were compared are known to be alike.
+    """
+    compared = [(a, b, rows) for a, b, rows in pairs if (a, b) in odd and run in (a, b)]
+    known = {r for a, b, _ in compared for r in (a, b)}
+    begins = {r: float(columns["time"][rows].min()) for r, rows in runs.items()}
+    before = any(begins[r] < begins[run] for r in runs if r not in known)
+    after = any(begins[r] > begins[run] for r in runs if r not in known)
+    for _, _, (here, there) in compared:
+        apart, part = columns[name][here] - columns[name][there], max(1, len(here) // 4)
+        quiet = [
+            _rms(end) * recording().unlike < _rms(apart) for end in (apart[:part], apart[-part:])
+        ]
+        if quiet[0] != quiet[1] and (after if quiet[0] else before):
+            return False
+    return True
 
 
 def _told_apart(

@@ -204,9 +204,22 @@ def test_files_of_commands_killed_at_each_moment_are_whole(
     assert met >= 3, "so many kills met it"
 
 
+UNITS = {  # command, and folders of its parts
+    "imu --accelerometers accel_x,accel_y,accel_z --gyroscopes gyro_x,gyro_y,gyro_z": (
+        "accelerometer",
+        "gyroscope",
+    ),
+    "triad --columns output_x=accel_x --columns output_y=accel_y --columns output_z=accel_z": ("",),
+}
+
+
 @pytest.mark.slow
-def test_a_unit_killed_at_random_moments_is_of_one_run(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("given", "of_unit"), UNITS.items(), ids=["imu", "triad"])
+def test_a_unit_killed_at_random_moments_is_of_one_run(
+    given: str, of_unit: tuple[str, ...], tmp_path: Path
+) -> None:
     """Accelerometers, gyroscopes and what is of both: the old unit or the new, whichever moment a kill meets."""
+    told, *words = given.split()
     log, out, met = tmp_path / "log.csv", tmp_path / "out", 0
     made = gyro_triad.simulate_log(seed=1, campaign=gyro_triad.MovesByHand(poses=14))
     units = {"time": "s", "gyro": "deg/s", "accel": "g", "mag": "uT"}
@@ -215,18 +228,17 @@ def test_a_unit_killed_at_random_moments_is_of_one_run(tmp_path: Path) -> None:
     unit = out / "unit"
     unit.mkdir(parents=True)
     (unit / "notes.txt").write_text("mine")
-    words = ("--accelerometers", "accel_x,accel_y,accel_z", "--gyroscopes", "gyro_x,gyro_y,gyro_z")
-    command = ["imu", str(log), *words, "--baseline", "--out", str(unit)]
+    command = [told, str(log), *words, "--baseline", "--out", str(unit)]
     assert run(*command).status == 0
     files = {p.relative_to(unit) for p in unit.rglob("*")}
     for seed, count in enumerate(np.random.default_rng(2).integers(1, 130, 8).tolist(), 1):
         met += spoilt(out, count, [*command, "--seed", str(seed)])
         assert {p.relative_to(unit) for p in unit.rglob("*")} == files
-        parts = [unit / "accelerometer", unit / "gyroscope"]
+        parts = [unit / part for part in of_unit]
         seeds = {json.loads((p / RESULT).read_text("utf-8"))["seed"] for p in parts}
         assert len(seeds) == 1, "parts of two runs stand side by side"
         assert all(whole(part) for part in parts)
         refuse_mixed(unit)
-    assert met >= 4, "so many kills met it"
+    assert met >= 2 * len(of_unit), "so many kills met it"
     assert run(*command).status == 0
     assert os.listdir(out) == ["unit"], "what killed runs left is cleared away"

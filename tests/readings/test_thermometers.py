@@ -164,6 +164,37 @@ def test_a_run_in_which_one_of_two_thermometers_was_different(
     assert "'board_temperature' does" in said
 
 
+def test_two_thermometers_exchanged_in_a_run(siblings: Columns) -> None:
+    last, board = siblings["run"] == "3", "board_temperature"
+    changed = {n: siblings[n].copy() for n in (TEMPERATURE, board)}
+    for name, other in ((TEMPERATURE, board), (board, TEMPERATURE)):
+        changed[name][last] = siblings[other][last]
+    one, other = said_of(siblings, **changed)
+    assert one.startswith("board_temperature does not repeat in run 1 or 3")
+    assert other.startswith("temperature does not repeat in run 3 what it did in the others")
+    assert other.endswith("where 'board_temperature' does it there: they are exchanged")
+
+
+def test_a_thermometer_changed_in_the_midst_of_a_run_is_not_trusted_before_it(
+    ramps: Columns,
+) -> None:
+    """From half of the first of three equal runs on it reads 1 °C lower: so a run of another profile may be right."""
+    first, count = np.flatnonzero(ramps["run"] == "1"), int(np.sum(ramps["run"] == "1"))
+    sibling = 0.98 * ramps[TEMPERATURE] + 1.0
+    warm = ramps[TEMPERATURE] - 1.0
+    warm[first[: count // 2]] += 1.0
+    columns = {**ramps, TEMPERATURE: warm, "case": sibling}
+    (odd,) = (o for o in oddities(columns, [TEMPERATURE, "case"]) if "does not repeat" in o.said)
+    assert odd.column == TEMPERATURE
+    assert odd.wrong.tolist() == odd.rows.tolist() == first.tolist()
+    earlier = {n: values[first][::-1] for n, values in columns.items()}
+    earlier |= {"run": np.full(count, "0"), "time": ramps["time"][first] - 10_000.0}
+    both = {n: np.concatenate([earlier[n], columns[n]]) for n in columns}
+    (odd,) = (o for o in oddities(both, [TEMPERATURE, "case"]) if "does not repeat" in o.said)
+    assert set(both["run"][odd.rows]) == {"1"}
+    assert len(odd.wrong) == 0
+
+
 def test_readings_of_a_wrong_thermometer_are_set_aside_where_the_model_needs_it() -> None:
     """Of a held one the first of each value stays, of a run of its own none; nothing where half or more would go."""
     record = mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(average=60))
