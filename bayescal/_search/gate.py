@@ -89,15 +89,20 @@ def refuse_noiseless(calibration: Calibration) -> None:
     """Readings that a model explains to their last digit: there is no noise to tell anything by, nor to check.
 
     Raises:
-        InputError: they are; says how coarsely the output is rounded.
+        InputError: they are, and how coarsely the output is rounded; or the fit found no finite noise at all.
     """
     output, variance = calibration.readings["output"], calibration.linear.variance
-    if math.sqrt(float(np.median(variance))) > np.spacing(np.max(np.abs(output))):
+    noise, unit = math.sqrt(float(np.median(variance))), unit_label(calibration.unit)
+    if noise > np.spacing(np.max(np.abs(output))):
         return
+    if math.isnan(noise):
+        raise InputError(
+            f"{calibration.readings.file}: no fit of the model to these readings is finite: the output covers "
+            f"{number(np.ptp(output))} {unit}, which the model cannot be. Check its unit, the nominal zero and scale "
+            "(--unit, --nominal-zero, --nominal-scale)"
+        )
     grid = rounding_step(output)
-    rounded = (
-        f" It is rounded in steps of {grid:.3g} {unit_label(calibration.unit)}." if grid else ""
-    )
+    rounded = f" It is rounded in steps of {grid:.3g} {unit}." if grid else ""
     raise InputError(
         f"{calibration.readings.file}: a model of {len(calibration.layout.blocks)} unknowns explains the output to its "
         f"last digit in all {len(output)} readings, which then show no noise and no uncertainty.{rounded} Record it "

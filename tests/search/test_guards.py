@@ -15,7 +15,7 @@ from bayescal._calibration import guards
 from bayescal._calibration.guards import conflicts
 from bayescal._search.gate import gate, in_one_order
 from bayescal.effects import deviation
-from bayescal_models import mems_gyro, ng_accelerometer
+from bayescal_models import mems_gyro, ng_accelerometer, quartz_beam_accelerometer
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
 
@@ -122,6 +122,19 @@ def test_an_output_that_a_model_explains_to_the_last_digit() -> None:
     words = "of 2 unknowns explains the output to its last digit in all 18 readings.*steps of 1 °/s"
     with pytest.raises(bc.InputError, match=words):
         bc.calibrate(INSTRUMENT.baseline(), readings, method=bc.LeastSquares(draws=200))
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of overflow, on the way to no finite fit
+def test_an_output_that_no_fit_is_finite_for_is_asked_for_its_unit() -> None:
+    given = quartz_beam_accelerometer.simulate({}, seed=1)
+    huge = given.with_column("output", 1e12 * np.array(given["output"]))
+    words = r"no fit of the model.*the output covers 2\.01e\+18 µg.*--nominal-scale"
+    with pytest.raises(bc.InputError, match=words):
+        bc.calibrate(
+            quartz_beam_accelerometer.INSTRUMENT.for_readings(huge).baseline(),
+            huge,
+            method=bc.LeastSquares(draws=200),
+        )
 
 
 def test_a_posterior_wider_than_its_prior(line, monkeypatch) -> None:
