@@ -11,7 +11,12 @@ from typing import Any
 import xarray as xr
 
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.guards import conflicts, effects_off_scale, too_different
+from bayescal._calibration.guards import (
+    conflicts,
+    effects_off_scale,
+    following_members,
+    too_different,
+)
 from bayescal._calibration.posterior_tree import build_tree, with_log_likelihood
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import calibration_text, summary
@@ -65,7 +70,7 @@ class Calibration(Printed, Fitted):
     @cached_property
     def conflicts(self) -> tuple[str, ...]:
         """Where readings and priors contradict each other, and what else a fit may not be, in words."""
-        return (*conflicts(self), *too_different(self))
+        return (*conflicts(self), *too_different(self), *following_members(self))
 
     @cached_property
     def off_scale(self) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import stdtr
 
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.settings import guarding
@@ -17,6 +18,7 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import across, find_mode, prior_draws
+from bayescal._inference.terms import ColumnsOf
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
@@ -287,6 +289,57 @@ def too_different(calibration: Fitted, accepted: Collection[str] = ()) -> list[s
                 f"{b.effect.name})."
             )
     return found
+
+
+def following_members(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
+    """Deviations of a group's members that follow what a term of the same slot follows, in words.
+
+    A term has one coefficient, within members as between them. Where a thermometer is late or noisy, the readings of
+    a member deny what the members' means show, and their deviations take it up: the coefficient is of within alone,
+    small and with a small uncertainty, and no residual is left. Deviations that are by chance follow nothing.
+    Source: Y. Mundlak, Econometrica 46 (1978) 69.
+
+    Args:
+        calibration: the fit.
+        accepted: names of coefficients or effects whose members may follow something.
+    """
+    means = {row["name"]: row["mean"] for row in summary(calibration)[0]}
+    codes, found = calibration.assembly.record.codes, list[str]()
+    blocks = [b for b in calibration.layout.blocks if b.coefficient.per in codes]
+    for b in blocks:
+        names = b.member_names(calibration.levels)
+        plain = b.coefficient.group_sd is not None and b.effect.weights is None
+        if not plain or b.effect.name in accepted or not means.keys() >= {*names}:
+            continue
+        own, values = codes[str(b.coefficient.per)], np.array([means[name] for name in names])
+        for term in calibration.model.effects:
+            one = len(term.coefficients) == 1 and not (term.shapes or term.coefficients[0].per)
+            if not (one and term.varies) or term.slot != b.effect.slot or term.name in accepted:
+                continue
+            column = calibration.assembly.record.columns(ColumnsOf.of(term), ())[:, 0]
+            count = np.bincount(own[own >= 0], minlength=len(values))
+            total = np.bincount(own[own >= 0], column[own >= 0], minlength=len(values))
+            there = count > 0
+            r, p = _correlation(total[there] / count[there], values[there])
+            if p < guarding().rare:
+                along = " and ".join(term.varies)
+                found.append(
+                    f"The coefficient {term.name} is not measured: {b.effect.name} follows {along} from one "
+                    f"{b.coefficient.per} to the next (correlation {r:.2f} over {int(there.sum())}, p = {p:.1g}), and "
+                    f"within each the readings deny it. Look at the column {along}: late, held, smoothed or noisy? Or "
+                    f"accept it (calibrate --accept-conflict {b.effect.name})."
+                )
+    return found
+
+
+def _correlation(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """Of two columns, and its p-value by Student's t; 0 and 1 where one is constant or there are too few."""
+    free = len(one) - 2
+    if free < 1 or np.ptp(one) == 0 or np.ptp(other) == 0:
+        return 0.0, 1.0
+    r = float(np.corrcoef(one, other)[0, 1])
+    left = max(1.0 - r**2, float(np.finfo(float).tiny))
+    return r, float(2 * stdtr(free, -abs(r) * math.sqrt(free / left)))
 
 
 def _too_large(calibration: Fitted, hyperparameters: list[dict[str, Any]]) -> list[str]:

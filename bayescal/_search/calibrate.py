@@ -17,7 +17,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
 from bayescal._calibration.fit import fit
-from bayescal._calibration.guards import contradictions, too_different
+from bayescal._calibration.guards import contradictions, following_members, too_different
 from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
@@ -457,7 +457,10 @@ def step_of(
         check=checked,
         discovery=None,
         against=wrong_question(calibration, floor, accepted),
-        different=tuple(too_different(calibration, accepted)),
+        different=(
+            *too_different(calibration, accepted),
+            *following_members(calibration, accepted),
+        ),
     )
 
 

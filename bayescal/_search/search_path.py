@@ -40,7 +40,7 @@ class Step:
         holdout_rmse: of the hold-out data; None without them.
         holdout_test: what they say against this model.
         against: why nothing can be learnt from this model, in words; empty for most.
-        different: members of groups that differ far more than is plausible, in words.
+        different: members of groups that differ far more than is plausible, or along a column, in words.
         left_out: each group predicted from the others.
         noise_floor: from neighbouring readings alone, whatever the model.
         check: where this model fails.

@@ -112,6 +112,25 @@ def test_a_function_of_an_input_that_has_one_order(shuffled: bool, count: int) -
     )
 
 
+def test_members_that_follow_the_column_that_their_readings_deny() -> None:
+    """A thermometer late by five readings changes within a cell as the output does not."""
+    given = ng_accelerometer.simulate({}, seed=3)
+    warm = np.array(given["temperature"])
+    for one in np.unique(given["run"]):
+        own = np.flatnonzero(given["run"] == one)
+        warm[own] = np.interp(np.arange(len(own)) - 5.0, np.arange(len(own)), warm[own])
+    model = ng_accelerometer.INSTRUMENT.for_readings(given).baseline()
+    told = []
+    for readings in (given, given.with_column("temperature", warm)):
+        found = bc.fit(model, readings, bc.LeastSquares(draws=200), strict=False)
+        told.append(guards.following_members(found))
+    assert told[0] == []
+    said = told[1][0]
+    assert said.startswith("The coefficient bias.temperature is not measured: bias.cell follows")
+    assert said in found.conflicts
+    assert guards.following_members(found, ["bias.cell", "scale.cell"]) == []
+
+
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of overflow, on the way to no noise
 def test_an_output_that_a_model_explains_to_the_last_digit() -> None:
     """Its noise is zero, which no check can divide by."""
