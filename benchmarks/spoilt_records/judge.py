@@ -7,11 +7,11 @@ fitted to the record as it was before it was spoilt, of the rows that are left) 
 standard uncertainty of the output: a model that knows little, and says so, is right. Of that uncertainty at most 30
 times the oracle's counts, for a model can also be so wide that it says nothing.
 
-*Said*: the file is refused, or the search refuses it and names the cause; or `trail.ok` is False; or a flag of the
-readings, a note that terms are confounded, or an effect that was added, names the cause. *Wrong*: neither. A right
-answer that is also said counts as right; where a sentence is what is asked for, as of a hold-out that is training data,
-only with that sentence. *Crash*: the search ends in an error that is no refusal, or in one whose sentence is of
-something else.
+*Said*: the file is refused, or the search refuses it and that, or a flag, names the cause; or `trail.ok` is False; or
+a flag of the readings, a note that terms are confounded, or an effect that was added, names the cause. *Wrong*:
+neither. A right answer that is also said counts as right; where a sentence is what is asked for, as of a hold-out that
+is training data, only with that sentence. *Crash*: the search ends in an error that is no refusal, or in one whose
+sentence is of something else.
 """
 
 from __future__ import annotations
@@ -57,9 +57,10 @@ def judged(subject: Subject, kind: Kind, seed: int) -> dict[str, Any]:
     try:
         trail = _calibrated(*files)
     except bc.BayescalError as refusal:
-        named = re.search(kind.says, str(refusal))
-        row |= {"verdict": "said" if named else "crash", "refused": type(refusal).__name__}
-        return row | {"says": [str(refusal)], "seconds": time.perf_counter() - begun}
+        # What is odd in a file is said when it is read, before a search refuses it.
+        told = [s for s in (str(refusal), *files[0].flags) if re.search(kind.says, s)]
+        row |= {"verdict": "said" if told else "crash", "refused": type(refusal).__name__}
+        return row | {"says": told or [str(refusal)], "seconds": time.perf_counter() - begun}
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(place.filename).name}, {place.name}"
