@@ -126,6 +126,7 @@ FACTORS = {
     ("nrad", "rad"): 1e-9,
     ("ppm*s/deg", "s/deg"): 1e-6,
     ("ppm/g", "1"): 1e-6 * 1e-6,
+    ("ppm/g^2", "1"): 1e-6 * 1e-12,
     ("ppm/(degC/min)", "1"): 1e-6 * 60,
     ("ppm/degC/(degC/min)", "1"): 1e-6 * 60,
     ("ug/degC/(degC/min)", "ug"): 60.0,

@@ -10,11 +10,14 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.fitted import named
+from bayescal._calibration.summary import summary
 from bayescal._inference import sampling
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.environment import SHARED, order_names
+from bayescal_models.differential_pair.noise import NoiseWhileChanging
 from bayescal_models.differential_pair.pairing import criteria
 from bayescal_models.differential_pair.pairing.best_pair_probability import judge
+from bayescal_models.differential_pair.simulator import columns_and_truth
 from benchmarks.accuracy import coverage
 from benchmarks.accuracy.chunks import seed_of
 from benchmarks.accuracy.ranks import drawn
@@ -81,6 +84,33 @@ def test_every_candidate_can_be_hidden_under_the_same_noise() -> None:
 
 
 @needs_installation
+def test_a_second_order_is_told_from_the_scale_though_the_arm_changes_its_speed() -> None:
+    """Readings are means: over a ramp the mean of the square is not the square of the mean, and is no noise of all."""
+    plan = dp.Campaign(samples=80)
+    columns, truth = columns_and_truth({"scale.second_order": 1000.0}, seed=11, campaign=plan)
+    whole = bc.Measurements.from_arrays(dp.INSTRUMENT, **columns)
+    readings = whole.select(np.arange(0, len(whole), 2))
+    base = dp.INSTRUMENT.for_readings(readings).baseline() + "scale.second_order"
+    fits = [
+        bc.fit(
+            bc.Model(base.instrument, base.effects, noise, base.fixed),
+            readings,
+            bc.LeastSquares(draws=200),
+            strict=False,
+        )
+        for noise in (base.noise, NoiseWhileChanging())
+    ]
+    evidence = [found.log_evidence[0] for found in fits if found.log_evidence]
+    assert evidence[1] - evidence[0] > 20.0
+    rows, hypers = summary(fits[1])
+    own = {row["name"]: row for row in rows}
+    scales = [own[f"scale.device({name})"] for name in truth.names]
+    true = 1e6 * (truth.scale - 1.0)
+    assert max(abs(r["mean"] - t) / r["sd"] for r, t in zip(scales, true, strict=True)) < 3.3
+    (white,) = (row["mean"] for row in hypers if row["name"] == "noise.white")
+    assert white == pytest.approx(plan.noise / np.sqrt(plan.duration / plan.samples), rel=0.15)
+
+
 @pytest.mark.slow
 def test_the_command_answers_in_json_and_in_text(batch, tmp_path: Path) -> None:
     own = tmp_path / "pair.py"

@@ -13,13 +13,14 @@ commanded acceleration along the arm (µg, outward):
 | `environment.shared[sensitivity]`, baseline | `sensitivity` λd, 1 | 0.2 about 1: one per device, spread learned |
 | `departure.device[order 0]` … `[order 5]`, baseline | `departure` v, µg | 0.05 of u; size and spectrum learned |
 | `environment.temperature` | `environment` | 100 µg/°C |
-| `scale.second_order` | `scale`: K2·s·a | 1000 ppm/g per device |
+| `scale.second_order` | `scale`: K2·s·a + K3·a² | 1000 ppm/g and 1 ppm/g² per device |
 | `misalignment.device` | `misalignment` ε, rad | 5 mrad per device; its g is an alias of a bias, r·dΩ/dt is not |
 | `input.radius` | `input` ρ = δr/r, 1 | 10⁻² per device; an exact alias of `scale.device`, hence untestable |
 | `timing.skew` | `timing` δ, s | 10 ms per device |
 | `bias.device`, `bias.drift` | `bias`, µg | 10 mg; 100 µg over the record; both per device |
 
-The radius of the arm, where dΩ/dt is needed, is 1 m (`RADIUS`). Noise: white, 100 µg.
+The radius of the arm, where dΩ/dt is needed, is 1 m (`RADIUS`). Noise: white, 100 µg; or, where the readings say so,
+larger while the arm changes its speed (`noise.py`).
 
 λd·u is a product of unknowns: one factor is sampled with the hyper-parameters. The framework takes the orders of u,
 which stay six however many devices there are; λd, whose spread is learned, would make a funnel with it. A constant
@@ -42,6 +43,7 @@ from bayescal_models.differential_pair.effects import (
     tangential,
 )
 from bayescal_models.differential_pair.environment import DEPARTURE
+from bayescal_models.differential_pair.noise import NoiseWhileChanging
 from bayescal_models.differential_pair.simulator import simulated_columns
 from bayescal_models.simulated import readings_of
 
@@ -76,6 +78,7 @@ INSTRUMENT = bc.Instrument(
     effects=BASELINE,
     candidates=CANDIDATES,
     noise=bc.White(bc.HalfCauchy(100.0)),
+    noise_laws=(NoiseWhileChanging(),),
     nominal_scale=NOMINAL_SCALE,
     structures=(
         ("shared", lambda: INSTRUMENT.baseline()),
