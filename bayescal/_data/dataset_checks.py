@@ -661,7 +661,7 @@ def odd_numbers(columns: Columns, units: Mapping[str, str | None], output: str) 
     """
     found = _of_size(columns[output], units[output] or "1", output) if output in columns else []
     if "time" in columns:
-        found += _of_time(columns)
+        found += [*_of_time(columns), *_of_pauses(columns)]
     if "run" in columns and len(columns["run"]) >= recording().counted_runs:
         runs = columns["run"]
         if len(set(runs.tolist())) == len(runs):
@@ -704,6 +704,27 @@ def _of_time(columns: Columns) -> list[str]:
         f"column 'time' has too few digits, or a coarse clock: {share:.0%} of the readings have the time of the one "
         f"before.{step} Rates and lags within that are lost: record it with more digits"
     ]
+
+
+def _of_pauses(columns: Columns) -> list[str]:
+    """A pause in one record that no other of as many readings, hence of one plan, makes there: the clock was set."""
+    time, found = columns["time"], list[str]()
+    records = {n: r[np.argsort(time[r], kind="stable")] for n, r in _runs(columns).items()}
+    pauses = {}
+    for name, rows in records.items():
+        steps = np.diff(time[rows])
+        usual = float(np.median(steps)) if len(steps) else 0.0
+        pauses[name] = set(np.flatnonzero(steps > recording().pause * usual).tolist())
+    for name, rows in records.items():
+        alike = [pauses[n] for n, own in records.items() if n != name and len(own) == len(rows)]
+        alone = pauses[name].difference(*alike) if alike else set()
+        if len(alone) == 1:
+            last, following = time[rows[(at := alone.pop()) : at + 2]]
+            found.append(
+                f"column 'time' makes a pause of {following - last:.3g} s in {name!r}, after {last:.12g} s, and in no "
+                "other record of as many readings: was the clock set there? Lags, rates and drifts hang on it"
+            )
+    return found
 
 
 def _of_first_readings(columns: Columns, output: str) -> list[str]:

@@ -12,6 +12,7 @@ Each kind is a table of
 - `needs`: "runs" where the records are runs, "sibling" where a second thermometer stands in the unit;
 - `of`: "record" (the default), or "hold-out from the record": a hold-out made of the training data is given beside it;
 - `must_say`: true where a right answer counts only beside a sentence that names the cause;
+- `alike`: true where the second campaign, which judges the result, is spoilt in the same way;
 - `steps`, done one after the other, each a table of `do`, a function of `STEPS`; `column`: "thermometer" (the default),
   "sibling", "output", "input", or a column's name; `where`: a name of `_where`; and the function's own numbers.
 
@@ -150,7 +151,7 @@ STEPS: dict[str, Callable[..., Any]] = {
     "renamed": lambda p: [f"later {a}" for a in p.cells],
 }
 ON_WHOLE_FILES = ("halved", "kept", "exchanged")
-_NAMES = {"name", "true", "says", "finds", "needs", "of", "must_say", "steps"}
+_NAMES = {"name", "true", "says", "finds", "needs", "of", "must_say", "alike", "steps"}
 _OF = ("record", "hold-out from the record")
 THERMOMETER = "temperature|thermometer"
 
@@ -195,6 +196,7 @@ def _kind(table: dict[str, Any]) -> Kind:
         of_holdout=hold_out,
         of_training=hold_out,
         must_say=table.get("must_say", False),
+        alike=table.get("alike", False),
     )
 
 
