@@ -53,7 +53,7 @@ def against(steps: Sequence[Step]) -> list[str]:
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     """Steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
     reasons, last = against(steps), steps[-1]
-    notes = [*_confounded(steps), *_not_decidable(last), *_levels(last), *in_one_order(last)]
+    notes = [*_confounded(steps), *_not_decidable(steps), *_levels(last), *in_one_order(last)]
     if notes:
         last = last.noted(notes)
         steps = (*steps[:-1], last)
@@ -163,26 +163,29 @@ def _followed(steps: Sequence[Step]) -> list[TakenOver]:
     return sorted(found, key=lambda one: -one.moved)
 
 
-def _not_decidable(step: Step) -> list[str]:
-    """What the last model holds that a thermometer or a logger would make as well, alike in every run, in words.
+def _not_decidable(steps: Sequence[Step]) -> list[str]:
+    """What the last model holds that a thermometer or a logger would make as well, in words.
 
-    A thermometer that is late by τ turns c·T into c·T − c·τ·dT/dt, and so does an output that is early; one that drifts
-    in every run makes a warm-up. Which of them it is no reading of the file tells.
+    A thermometer that is late by τ, alike in every run, turns c·T into c·T − c·τ·dT/dt, and so does an output that is
+    early; one that drifts in every run makes a warm-up, and one that drifts over the record, or is slow in one run, an
+    effect in time that was not expected. Which of them it is no reading of the file tells.
     """
-    readings, model = step.calibration.readings, step.calibration.model
+    readings, model = steps[-1].calibration.readings, steps[-1].calibration.model
     needed = {n for e in model.effects for n in (*e.columns, *e.varies)}
     warm = sorted(n for n in needed if readings.has(n) and readings.unit(n) == "degC")
+    had = {e.name for e in steps[0].calibration.model.effects}
     in_time = [
         e.name
         for e in model.effects
-        if e.along == "elapsed" or ("time" in e.columns and not set(warm).isdisjoint(e.columns))
+        if e.along == "elapsed"
+        or ("time" in e.columns and (e.name not in had or not set(warm).isdisjoint(e.columns)))
     ]
     if not (warm and in_time):
         return []
     return [
         f"Not decidable from these readings: whether {' and '.join(in_time)} is of the sensor, or the thermometer "
-        f"({', '.join(warm)}) or the output is late, slow or drifting alike in every run. Predictions hold with this "
-        "thermometer and this logger; compare the thermometer once with one at the sensor."
+        f"({', '.join(warm)}) or the output is late, slow or drifting. Predictions hold with this thermometer and this "
+        "logger; compare the thermometer once with one at the sensor."
     ]
 
 

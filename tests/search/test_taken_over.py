@@ -131,6 +131,16 @@ def test_what_a_late_thermometer_would_make_is_said_to_be_open() -> None:
     assert not any("Not decidable" in n for n in steps[-1].calibration.verdict.notes)
 
 
+def test_a_drift_that_was_not_expected_may_be_the_thermometers() -> None:
+    """One of the first model is expected, and says nothing of the thermometer."""
+    base, last = fits(still_sensor.simulate({"bias.drift": 300.0}, seed=1), "bias.drift")
+    for first, count in ((base, 1), (last, 0)):
+        steps, _ = judged([step_of(first), step_of(last)])
+        notes = [n for n in steps[-1].calibration.verdict.notes if n.startswith("Not decidable")]
+        assert len(notes) == count
+        assert all("bias.drift is of the sensor, or the thermometer" in n for n in notes)
+
+
 def test_a_group_of_one_reading_says_nothing() -> None:
     readings = still_sensor.simulate(seed=6, interval=300)
     single = readings.with_column("run", np.arange(len(readings)).astype(str))
