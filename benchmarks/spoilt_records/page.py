@@ -17,6 +17,7 @@ Rows = list[dict[str, Any]]
 NOTHING = "nothing"  # the kind that is not spoilt
 VERDICTS = ("right", "said", "wrong", "crash")
 PLANNED = 882  # of the sixty kinds that fit five instruments, three seeds each
+BY_JUDGE = 2  # milliseconds, judged as minutes are; a search that took too long, with what was said of its file
 LONGEST = 160  # characters of a sentence on the page
 
 
@@ -115,8 +116,9 @@ def _further(further: dict[str, Rows]) -> list[str]:
         f"(`random.Random(20261125)`) before any was run; these are the {len(rows)} of {PLANNED} that there was time "
         "for. A hold-out that is training data counts as right where the calibration is right and the sentence is "
         f"there. As first measured {proportion(first, len(rows))} were wrong or ended in an error, which is the rate "
-        f"to expect of records not met before; {mended} of them are counted here as they came out once that was "
-        "mended.\n",
+        f"to expect of records not met before; {mended} of them are counted here as they came out once the cause was "
+        f"mended ({BY_JUDGE} of them: once they were judged as their like are). What a change touches was measured "
+        "again; the rest is of the version before it.\n",
         table(["instrument", "records", *VERDICTS], [*counts, ["all", len(rows), *_counted(rows)]]),
         *(
             [
