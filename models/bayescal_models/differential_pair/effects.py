@@ -51,7 +51,11 @@ def _softening(r: bc.Frame) -> Any:
     import jax.numpy as jnp
 
     outward = direction(r) * r["acceleration"]
-    return jnp.stack([outward, outward**2], axis=1)
+    # Of a reading, which is a mean, k·⟨a²⟩ = k·(⟨a⟩² + var a): the variance within it goes with the change squared, by
+    # a share that hangs on how long a reading is.
+    change = difference(r, r["acceleration"])
+    within = direction(r) * change**2 / (12.0 * jnp.maximum(r["acceleration"], 1.0))
+    return jnp.stack([outward, outward**2, within], axis=1)
 
 
 def _as_scale(readings: bc.Measurements) -> str:
@@ -82,18 +86,22 @@ def _device(
 BIAS = effects.deviation("bias", "device", 10000.0, "ug", source=SOURCE)
 
 # Third order beside second: at 10 g that of 650 ppm/g is 40 ppm of the scale factor, four times its uncertainty, and
-# too little to be found by itself.
+# too little to be found by itself. K2' is K2 by the square of a reading's length over the time between two.
 SECOND_ORDER = bc.Effect(
     "scale.second_order",
     "scale",
     _softening,
     coefficients=tuple(
         bc.Coefficient(unit, bc.Normal(0.0, size), part, None, "device", bc.HalfNormal(size))
-        for part, unit, size in (("", "ppm/g", 1000.0), ("third", "ppm/g^2", 1.0))
+        for part, unit, size in (
+            ("", "ppm/g", 1000.0),
+            ("third", "ppm/g^2", 1.0),
+            ("within", "ppm/g", 1000.0),
+        )
     ),
-    columns=("device", "group", "acceleration"),
+    columns=("device", "group", "time", "acceleration"),
     varies=("acceleration",),
-    equation="K2[device]·s·a + K3[device]·a² in the scale",
+    equation="K2[device]·s·a + K3[device]·a² + K2'[device]·s·var(a)/a in the scale, var(a) within a reading",
     source=SOURCE,
 )
 

@@ -13,7 +13,7 @@ commanded acceleration along the arm (µg, outward):
 | `environment.shared[sensitivity]`, baseline | `sensitivity` λd, 1 | 0.2 about 1: one per device, spread learned |
 | `departure.device[order 0]` … `[order 5]`, baseline | `departure` v, µg | 0.05 of u; size and spectrum learned |
 | `environment.temperature` | `environment` | 100 µg/°C |
-| `scale.second_order` | `scale`: K2·s·a + K3·a² | 1000 ppm/g and 1 ppm/g² per device |
+| `scale.second_order` | `scale`: K2·s·a + K3·a² + K2'·s·var(a)/a, of a reading | 1000 ppm/g, 1 ppm/g², per device |
 | `misalignment.device` | `misalignment` ε, rad | 5 mrad per device; its g is an alias of a bias, r·dΩ/dt is not |
 | `input.radius` | `input` ρ = δr/r, 1 | 10⁻² per device; an exact alias of `scale.device`, hence untestable |
 | `timing.skew` | `timing` δ, s | 10 ms per device |
