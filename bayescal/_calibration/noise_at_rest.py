@@ -41,9 +41,7 @@ Terms = tuple[str, ...]  # names of those of a sum, beside white noise
 LONG = 16_384  # readings, above which means of blocks are taken: the filter then takes a tenth of a second
 STRETCHES = 8  # of single readings beside the means, as many readings as there are means at most
 ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, then in pairs
-ROUNDED = (
-    "quantisation"  # one more, where the Allan variance falls faster at first than white noise's
-)
+ROUNDED, AVERAGED = "quantisation", "averaging"  # of neighbouring readings alone; one of them more
 DEGREE = 3  # of the polynomial over temperature: a sensor's own law is rarely of more in one soak
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
 SETTLED = 1e-3  # nats that a step of a search for a maximum gains, below which it is found; at 1e-2 0.4 were left
@@ -142,20 +140,22 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     runs = even_runs(readings)
     channel, notes = _channel(readings, runs)
     fits: dict[Terms, _Fit] = {(): _fit(channel, ())}
-    first, second = (*channel.allan[:2], math.inf)[:2]
-    falls = first / second > 2 * (1 + searching().falls / math.sqrt(sum(map(len, runs.rows))))
-    alone = (*ALONE, ROUNDED) if falls else ALONE
-    for term in alone:
-        fits[(term,)] = _fit(channel, (term,))
-    grown: Terms = ()
-    # Rounding is of the shortest times and says nothing of the slow terms: of these there may be two beside it too.
-    while (best := max(fits, key=lambda t: _total(fits, t))) != grown and _slow(best) < 2:
-        grown = best
+    brief, surely = _of_neighbours(np.asarray(readings["output"], float), runs)
+    among = (*ALONE, brief) if surely > searching().neighbours else ALONE
+    kept = (brief,) if surely > searching().neighbours_sure else ()
+    for term in among:
+        terms = (term,) if term == brief else _sorted((*kept, term))
+        fits[terms] = _fit(channel, terms)
+    looked: Terms = ()
+    while (best := max(fits, key=lambda t: _total(fits, t))) != looked:
+        looked = best
         known = dict(zip(_priors(channel.law(best)), fits[best].mode, strict=True))
-        for term in alone:
-            further = _sorted((*best, term))
-            if further not in fits and (term not in best or term == "correlated"):
-                fits[further] = _fit(channel, further, known)
+        for terms in _beside(best, among):
+            if terms not in fits:
+                fits[terms] = _fit(channel, terms, known)
+    # What is correlated over a few readings looks like it too.
+    if (without := tuple(t for t in best if t not in kept)) not in fits:
+        fits[without] = _fit(channel, without)
     order = sorted(fits, key=lambda t: -_total(fits, t))
     totals = np.array([_total(fits, t) for t in order])
     shares = np.exp(totals - totals.max())
@@ -174,9 +174,31 @@ def _sorted(terms: Terms) -> Terms:
     return tuple(sorted(terms, key=list(TERMS).index))
 
 
-def _slow(terms: Terms) -> int:
-    """How many are correlated over more than two readings."""
-    return len(terms) - terms.count(ROUNDED)
+def _beside(terms: Terms, among: Terms) -> Iterator[Terms]:
+    """Sums of one term more; and where there are two slow terms, the most that there may be, with one exchanged.
+
+    Noise of neighbours is of the shortest times and says nothing of the slow terms: it does not count.
+    """
+    slow = [at for at, term in enumerate(terms) if term in ALONE]
+    shorter = [terms[:at] + terms[at + 1 :] for at in slow] if len(slow) > 1 else [terms]
+    for term in among:
+        for rest in shorter if term in ALONE else [terms]:
+            if term not in rest or term == "correlated":
+                yield _sorted((*rest, term))
+
+
+def _of_neighbours(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[str, float]:
+    """The noise of neighbouring readings alone that a record may have, and how surely, in standard deviations.
+
+    With the covariances γₖ of readings k apart, those of their differences are 2γₖ − γₖ₋₁ − γₖ₊₁: two apart −γ₁ where
+    neighbours alone are correlated, and nearly zero where the noise is slow.
+    """
+    steps = [np.diff(output[rows]) for rows in runs.rows if len(rows) > 3]
+    products = np.concatenate([one[2:] * one[:-2] for one in steps])
+    # Of white noise of the variance σ² differences have the variance 2σ², and the mean of n products 6σ⁴/n.
+    usual = math.sqrt(1.5 / len(products)) * float(np.mean(np.concatenate(steps) ** 2))
+    surely = float(np.mean(products)) / usual
+    return (ROUNDED if surely > 0 else AVERAGED), abs(surely)
 
 
 def _total(fits: dict[Terms, _Fit], terms: tuple[str, ...]) -> float:
@@ -353,6 +375,7 @@ def _starts(
         "noise.walk": walk,
         "noise.flicker": math.sqrt(float(np.min(allan)) / FLAT),
         "noise.quantisation": math.sqrt(allan[0] / 3),
+        "noise.averaging": math.sqrt(allan[0]),
     }
     places = [0.2, 0.5, 0.8]
     alike = terms.count("correlated")

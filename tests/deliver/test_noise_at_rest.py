@@ -70,6 +70,22 @@ def test_rounding_of_an_angle_is_quantisation_noise() -> None:
 
 
 @pytest.mark.slow
+def test_the_sensors_own_averaging_is_no_slow_noise() -> None:
+    """Means over 1.2 steps: two of twelve parts are in the next reading too, so neighbours are correlated by 1/6."""
+    parts, n, size = 10, 3000, N * math.sqrt(10 / STEP)
+    sums = np.cumsum(size * np.random.default_rng(11).standard_normal(parts * (n + 2)))
+    ends = 12 + parts * np.arange(n)
+    found = bc.noise(still(1, n=n).with_column("output", (sums[ends] - sums[ends - 12]) / 12))
+    assert found.law == "white + averaging"
+    # Eight of ten parts are in one reading and two in two, so that the density is that of (8·1 + 2·2²)/144 squares.
+    density = size * math.sqrt(16 / 144 * STEP)
+    n_, shared = symbol(found, "N"), next(f for f in found.figures if "neighbours" in f.name)
+    assert n_.low < 60 * density < n_.high < 1.1 * n_.low
+    assert shared.low < 1 / 6 < shared.high < shared.low + 0.1
+    assert found.for_filter(0.5)[0] == pytest.approx(n_.value / 60, rel=0.01)
+
+
+@pytest.mark.slow
 def test_a_walk_that_is_not_there_has_a_bound() -> None:
     found = bc.noise(still(6, walk=0.0))
     assert found.law == "white"
