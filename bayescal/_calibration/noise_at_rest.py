@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 from scipy.special import ndtri
 
@@ -41,7 +42,17 @@ Terms = tuple[str, ...]  # names of those of a sum, beside white noise
 LONG = 16_384  # readings, above which means of blocks are taken: the filter then takes a tenth of a second
 STRETCHES = 8  # of single readings beside the means, as many readings as there are means at most
 ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, then in pairs
+TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
 ROUNDED, AVERAGED = "quantisation", "averaging"  # of neighbouring readings alone; one of them more
+LINE = 0.2 - 0.3 * np.arange(
+    -2, 3
+)  # of five values at 2 to 6: what the straight line through them has at 1
+WINDOW = 64  # readings of the shortest spectra in which a line is looked for; others are twice as long, and so on
+WINDOWS = 8  # of the longest, at least
+BESIDE = np.array(
+    [3, 4, 5, 6]
+)  # places of a spectrum from a line to what it stands above: a window's own width is 2
+SMOOTH = 0.02  # relative, of a spectrum without lines over as many places: it bends where one noise takes over another
 DEGREE = 3  # of the polynomial over temperature: a sensor's own law is rarely of more in one soak
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
 SETTLED = 1e-3  # nats that a step of a search for a maximum gains, below which it is found; at 1e-2 0.4 were left
@@ -51,6 +62,8 @@ DRAWS = 512  # of a heavy-tailed Gaussian about the mode
 FEWEST = 0.25  # of them, for a sum of little probability or a bound
 KEPT = 2048  # of these, drawn anew by their weights, over all sums together
 TAILS = 5.0  # its degrees of freedom
+EVEN = 0.2  # of the draws, as many as must tell the same with equal weights; else further ones lie by their moments
+ROUNDS = 6  # of them at most
 TOGETHER = 4  # draws whose filters run in one loop: more leave the cache
 
 
@@ -94,6 +107,7 @@ class _AtRest(NamedTuple):
     longest: float  # steps, a power of two
     factors: np.ndarray
     allan: np.ndarray  # variances, in units of size²
+    line: Mapping[str, float] = {}  # a tone to begin with, in output units and steps; none if empty
 
     def law(self, terms: tuple[str, ...]) -> SummedNoise | None:
         return SummedNoise(1.0, self.longest, terms) if terms else None
@@ -103,6 +117,7 @@ class _AtRest(NamedTuple):
         root = math.sqrt(self.step)
         factors = {"diffusion": self.size / root, "walk": self.size / root}
         factors |= {ROUNDED: self.size * self.step, "time": self.step, "place": 1.0}
+        factors["frequency"] = 1 / self.step
         found = {n: v * factors.get(n.rpartition(".")[2], self.size) for n, v in own.items()}
         law = SummedNoise(self.step, self.longest * self.step, terms) if terms else None
         return RestNoise(terms, found, law)
@@ -140,11 +155,15 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     runs = even_runs(readings)
     channel, notes = _channel(readings, runs)
     fits: dict[Terms, _Fit] = {(): _fit(channel, ())}
-    brief, surely = _of_neighbours(np.asarray(readings["output"], float), runs)
-    among = (*ALONE, brief) if surely > searching().neighbours else ALONE
-    kept = (brief,) if surely > searching().neighbours_sure else ()
+    output = np.asarray(readings["output"], float)
+    (brief, surely), (clear, line) = _of_neighbours(output, runs), _line(output, runs)
+    channel = channel._replace(line=line)
+    limits = {brief: (surely, searching().neighbours), "tone": (clear, searching().line)}
+    further = tuple(term for term, (sigmas, limit) in limits.items() if sigmas > limit)
+    kept = tuple(term for term in further if limits[term][0] > searching().sure)
+    among = (*ALONE, *further)
     for term in among:
-        terms = (term,) if term == brief else _sorted((*kept, term))
+        terms = (term,) if term in further else _sorted((*kept, term))
         fits[terms] = _fit(channel, terms)
     looked: Terms = ()
     while (best := max(fits, key=lambda t: _total(fits, t))) != looked:
@@ -153,9 +172,10 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
         for terms in _beside(best, among):
             if terms not in fits:
                 fits[terms] = _fit(channel, terms, known)
-    # What is correlated over a few readings looks like it too.
-    if (without := tuple(t for t in best if t not in kept)) not in fits:
-        fits[without] = _fit(channel, without)
+    # What is correlated over a few readings looks like them too.
+    for term in kept:
+        if (without := tuple(t for t in best if t != term)) not in fits:
+            fits[without] = _fit(channel, without)
     order = sorted(fits, key=lambda t: -_total(fits, t))
     totals = np.array([_total(fits, t) for t in order])
     shares = np.exp(totals - totals.max())
@@ -190,15 +210,48 @@ def _beside(terms: Terms, among: Terms) -> Iterator[Terms]:
 def _of_neighbours(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[str, float]:
     """The noise of neighbouring readings alone that a record may have, and how surely, in standard deviations.
 
-    With the covariances γₖ of readings k apart, those of their differences are 2γₖ − γₖ₋₁ − γₖ₊₁: two apart −γ₁ where
-    neighbours alone are correlated, and nearly zero where the noise is slow.
+    Half the mean square of differences k readings apart is γ₀ − γₖ, which slow noise lets rise steadily: where it
+    begins above or below what it comes to from two apart on, neighbours alone are correlated.
     """
-    steps = [np.diff(output[rows]) for rows in runs.rows if len(rows) > 3]
-    products = np.concatenate([one[2:] * one[:-2] for one in steps])
-    # Of white noise of the variance σ² differences have the variance 2σ², and the mean of n products 6σ⁴/n.
-    usual = math.sqrt(1.5 / len(products)) * float(np.mean(np.concatenate(steps) ** 2))
-    surely = float(np.mean(products)) / usual
+    squares, counts = np.zeros(len(LINE) + 1), np.zeros(len(LINE) + 1)
+    for rows in runs.rows:
+        for k in range(1, min(len(rows), len(squares) + 1)):
+            apart = output[rows[k:]] - output[rows[:-k]]
+            squares[k - 1] += 0.5 * float(apart @ apart)
+            counts[k - 1] += len(apart)
+    rise = squares / counts
+    expected = float(LINE @ rise[1:])
+    # Each γₖ of n readings of white noise, of the variance γ₀, has the variance γ₀²/n.
+    deviation = abs(expected) * math.sqrt((1 + float(LINE @ LINE)) / counts[0])
+    surely = (rise[0] - expected) / deviation
     return (ROUNDED if surely > 0 else AVERAGED), abs(surely)
+
+
+def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[str, float]]:
+    """How surely the longest run has a narrow line, in standard deviations; and a tone to begin with, for one reading.
+
+    A frequency counts against the geometric mean of both sides, which takes out any slope of the spectrum; of the mean
+    of k windows, the logarithm of this ratio has a standard deviation of about 1/√k.
+    """
+    run, best, found = output[max(runs.rows, key=len)], 0.0, dict[str, float]()
+    length = WINDOW
+    while (count := len(run) // length) >= WINDOWS:
+        parts = run[: count * length].reshape(count, length)
+        window = np.hanning(length)
+        lines = np.fft.rfft((parts - parts.mean(axis=1)[:, None]) * window, axis=1)
+        # One-sided, so that its mean over frequencies to ½ per reading is twice the variance.
+        power = 2 * np.mean(np.abs(lines) ** 2, axis=0) / float(window @ window)
+        at = np.arange(BESIDE[-1] + 1, len(power) - BESIDE[-1] - 1)
+        low, high = (power[at[:, None] + sign * BESIDE].mean(axis=1) for sign in (-1, 1))
+        around = np.sqrt(low * high)
+        sigmas = np.log(power[at] / around) / (1 / math.sqrt(count) + SMOOTH)
+        if sigmas[k := int(np.argmax(sigmas))] > best:
+            # Such a window spreads a line over 1.5 places.
+            size = math.sqrt(1.5 * float(power[at[k]] - around[k]) / length)
+            best, tone = float(sigmas[k]), (size, float(at[k]) / length, float(length))
+            found = dict(zip(TONE, tone, strict=True))
+        length *= 2
+    return best, found
 
 
 def _total(fits: dict[Terms, _Fit], terms: tuple[str, ...]) -> float:
@@ -377,11 +430,15 @@ def _starts(
         "noise.quantisation": math.sqrt(allan[0] / 3),
         "noise.averaging": math.sqrt(allan[0]),
     }
+    if channel.line:
+        sizes |= {TONE[0]: channel.line[TONE[0]] / channel.size, TONE[1]: channel.line[TONE[1]]}
     places = [0.2, 0.5, 0.8]
-    alike = terms.count("correlated")
-    for shares in itertools.combinations(places, alike) if alike else [()]:
+    alike, memories = terms.count("correlated"), (0.25, 2.0) if "tone" in terms else (1.0,)
+    several = itertools.combinations(places, alike) if alike else [()]
+    for shares, memory in itertools.product(several, memories):
         times = [channel.longest**share for share in shares]
         values = {WHITE: math.sqrt(allan[0]), **sizes}
+        values |= {TONE[2]: memory * channel.line[TONE[2]]} if channel.line else {}
         before = 1.0
         for k, time in enumerate(times, 1):
             variance = 1.6 * float(np.interp(math.log(2 * time), np.log(m), allan))
@@ -391,13 +448,36 @@ def _starts(
             values[f"noise.correlated{k}.place"] = float(ndtri(np.clip(part, 5e-4, 1 - 5e-4)))
             before = time
         for factor in (1.0, 0.3):
-            kept = {n for n in values if n == WHITE or n.endswith((".time", ".place"))}
+            held = (".time", ".place", ".frequency")
+            kept = {n for n in values if n == WHITE or n.endswith(held)}
             scaled = {n: v * (1 if n in kept else factor) for n, v in values.items()}
             yield np.array([float(p.coordinate(scaled[n])) for n, p in priors.items()])
 
 
+def _log_density(
+    v: Float[np.ndarray, "n d"], middle: Float[np.ndarray, "d"], root: Float[np.ndarray, "d d"]
+) -> Float[np.ndarray, "n"]:
+    """Of the heavy-tailed Gaussian, but for a constant."""
+    moved = solve_triangular(root, (v - middle).T, lower=True)
+    far = np.log1p(np.sum(moved**2, axis=0) / TAILS)
+    return -0.5 * (TAILS + v.shape[1]) * far - np.sum(np.log(np.diag(root)))
+
+
+def _weights(log_weight: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    weight = np.exp(log_weight - log_weight.max())
+    return weight / weight.sum()
+
+
+def _effective(weight: Float[np.ndarray, "n"]) -> float:
+    """How many draws of equal weight tell as much."""
+    return 1 / float(np.sum(weight**2))
+
+
 def _drawn(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float = 1.0) -> RestNoise:
-    """Parameters by importance sampling from a heavy-tailed Gaussian about the mode, drawn anew by their weights.
+    """Parameters by importance sampling from heavy-tailed Gaussians, the first about the mode, drawn anew by weights.
+
+    All rounds count together, each draw against the mean density of all Gaussians (J.-M. Cornuet et al., Adaptive
+    multiple importance sampling, Scand. J. Stat. 39 (2012) 798).
 
     Args:
         share: of all draws that are kept.
@@ -405,17 +485,27 @@ def _drawn(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float = 
     law, random = channel.law(terms), np.random.default_rng(seed)
     # A sum of little probability has few of the draws that are kept.
     d, tried = len(fit.mode), TOGETHER * math.ceil(DRAWS / TOGETHER * max(share, FEWEST))
-    root = np.linalg.cholesky(fit.covariance)
-    normal = random.standard_normal((tried, d))
-    stretch = np.sqrt(TAILS / random.chisquare(TAILS, tried))
-    v = fit.mode + (normal * stretch[:, None]) @ root.T
-    squares = np.sum((normal * stretch[:, None]) ** 2, axis=1)
-    log_weight = _several(channel, law, v) + 0.5 * (TAILS + d) * np.log1p(squares / TAILS)
-    weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
+    about: list[tuple[np.ndarray, np.ndarray]] = []  # middles and roots
+    v, posterior = np.zeros((0, d)), np.zeros(0)
+    middle, covariance = fit.mode, fit.covariance
+    for _ in range(ROUNDS):
+        about.append((middle, np.linalg.cholesky(covariance)))
+        stretch = np.sqrt(TAILS / random.chisquare(TAILS, tried))
+        new = middle + (random.standard_normal((tried, d)) * stretch[:, None]) @ about[-1][1].T
+        v, posterior = np.concatenate([v, new]), np.append(posterior, _several(channel, law, new))
+        log_weight = posterior - np.logaddexp.reduce([_log_density(v, *one) for one in about])
+        weight = _weights(log_weight)
+        if _effective(weight) >= EVEN * tried:
+            break
+        # Where the posterior bends away from its curvature at the mode, the next draws lie as all so far do by their
+        # weights, flattened to a power at which enough of them count.
+        power = 1.0
+        while _effective(flat := _weights(power * log_weight)) < EVEN * tried:
+            power *= 0.8
+        middle, covariance = flat @ v, np.cov(v.T, aweights=flat).reshape(d, d)
     # Systematic resampling: quantiles are those of the weights.
     count = max(1, round(share * KEPT))
     at = (np.arange(count) + random.uniform()) / count
-    chosen = v[np.minimum(np.searchsorted(np.cumsum(weight), at), tried - 1)]
+    chosen = v[np.minimum(np.searchsorted(np.cumsum(weight), at), len(v) - 1)]
     own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(_priors(law).items())}
     return channel.physical(terms, own)

@@ -316,6 +316,15 @@ def _figures(
     bound = found.walk.draws["noise.walk"]
     named = ("K", names.names[2], names.units[2], walk)
     made.append(_figure(*named, bound, bound=True) if k is None else _figure(*named, k))
+    if (tone := over_all("noise.tone")) is not None:
+        made.append(_figure("", "tone, size", names.units[1], own, tone))
+        for what, words, of in (
+            ("frequency", "frequency", "Hz"),
+            ("time", "correlation time", "s"),
+        ):
+            draws = over_all(f"noise.tone.{what}")
+            assert draws is not None
+            made.append(_figure("", f"tone, {words}", of, of, draws))
     for place in range(1, 1 + best.terms.count("correlated")):
         assert best.law is not None
         derived = {**best.draws, **best.law.derived(best.draws)}

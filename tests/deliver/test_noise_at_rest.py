@@ -86,6 +86,34 @@ def test_the_sensors_own_averaging_is_no_slow_noise() -> None:
 
 
 @pytest.mark.slow
+def test_a_line_is_a_tone_and_no_density() -> None:
+    readings, frequency = still(12, n=3000, walk=0.0), 2.31  # Hz
+    line = 0.004 * math.sqrt(2) * np.cos(2 * math.pi * frequency * readings["time"])
+    found = bc.noise(readings.with_column("output", readings["output"] + line))
+    assert found.law == "white + tone"
+    n = symbol(found, "N")
+    size, at, _ = (f for f in found.figures if f.name.startswith("tone"))
+    assert n.low < 60 * N < n.high and size.low < 3600 * 0.004 < size.high
+    assert at.unit == "Hz" and at.value == pytest.approx(frequency, abs=0.003)
+
+
+def test_lines_and_noise_of_neighbours_are_looked_for_where_they_are() -> None:
+    random, n = np.random.default_rng(13), 4000
+    runs = even_runs(still(1, n=n))
+    white = random.standard_normal((20, n + 1))
+    walks = white[:, 1:] + 0.1 * np.cumsum(random.standard_normal((20, n)), axis=1)
+    line = np.cos(1.3 * np.arange(n))
+    for one, walk in zip(white, walks, strict=True):
+        assert noise_at_rest._line(walk, runs)[0] < 4.5
+        sure, found = noise_at_rest._line(walk + 0.5 * line, runs)
+        assert sure > 6 and found["noise.tone.frequency"] == pytest.approx(0.207, abs=0.01)
+        named = [noise_at_rest._of_neighbours(one[1:] + s * one[:-1], runs) for s in (0.2, -0.2)]
+        assert [name for name, _ in named] == ["averaging", "quantisation"]
+        assert min(sure for _, sure in named) > 4
+        assert noise_at_rest._of_neighbours(walk, runs)[1] < 4
+
+
+@pytest.mark.slow
 def test_a_walk_that_is_not_there_has_a_bound() -> None:
     found = bc.noise(still(6, walk=0.0))
     assert found.law == "white"
