@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
-from scipy.special import ndtri
+from scipy.special import gammaln, ndtri
 
 from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError
@@ -176,16 +176,28 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     for term in kept:
         if (without := tuple(t for t in best if t != term)) not in fits:
             fits[without] = _fit(channel, without)
-    order = sorted(fits, key=lambda t: -_total(fits, t))
-    totals = np.array([_total(fits, t) for t in order])
-    shares = np.exp(totals - totals.max())
-    probabilities = dict(zip(order, (shares / shares.sum()).tolist(), strict=True))
-    probable = [t for t in order if probabilities[t] > searching().drawn * probabilities[order[0]]]
-    drawn = [_drawn(channel, t, fits[t], seed, probabilities[t]) for t in probable]
+    sampled: dict[Terms, _Sampled] = {}
+    while True:
+        order = sorted(fits, key=lambda t: -_total(fits, t))
+        totals = np.array([_total(fits, t) for t in order])
+        shares = np.exp(totals - totals.max())
+        probabilities = dict(zip(order, (shares / shares.sum()).tolist(), strict=True))
+        least = searching().drawn * probabilities[order[0]]
+        probable = [t for t in order if probabilities[t] > least]
+        if not (fresh := [t for t in probable if t not in sampled]):
+            break
+        # By the weights of draws a sum whose posterior is bent has less evidence than by its curvature at the mode.
+        for terms in fresh:
+            sampled[terms] = _sampled(channel, terms, fits[terms], seed, probabilities[terms])
+            fits[terms] = fits[terms]._replace(log_evidence=sampled[terms].log_evidence)
+    drawn = [_drawn(channel, t, sampled[t], seed, probabilities[t]) for t in probable]
     walk = drawn[0]
     if "walk" not in walk.terms:
         further = _sorted((*walk.terms, "walk"))
-        walk = _drawn(channel, further, fits.get(further) or _fit(channel, further), seed, FEWEST)
+        if further not in sampled:
+            fit = fits.get(further) or _fit(channel, further)
+            sampled[further] = _sampled(channel, further, fit, seed, FEWEST)
+        walk = _drawn(channel, further, sampled[further], seed, FEWEST)
     return WeighedNoise(tuple(drawn), walk, probabilities, tuple(notes), runs)
 
 
@@ -457,10 +469,12 @@ def _starts(
 def _log_density(
     v: Float[np.ndarray, "n d"], middle: Float[np.ndarray, "d"], root: Float[np.ndarray, "d d"]
 ) -> Float[np.ndarray, "n"]:
-    """Of the heavy-tailed Gaussian, but for a constant."""
-    moved = solve_triangular(root, (v - middle).T, lower=True)
+    """Of the heavy-tailed Gaussian, Student's t."""
+    moved, d = solve_triangular(root, (v - middle).T, lower=True), v.shape[1]
     far = np.log1p(np.sum(moved**2, axis=0) / TAILS)
-    return -0.5 * (TAILS + v.shape[1]) * far - np.sum(np.log(np.diag(root)))
+    volume = 0.5 * d * math.log(math.pi * TAILS) + float(np.sum(np.log(np.diag(root))))
+    of_tails = float(gammaln((TAILS + d) / 2) - gammaln(TAILS / 2))
+    return of_tails - volume - 0.5 * (TAILS + d) * far
 
 
 def _weights(log_weight: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -473,17 +487,22 @@ def _effective(weight: Float[np.ndarray, "n"]) -> float:
     return 1 / float(np.sum(weight**2))
 
 
-def _drawn(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float = 1.0) -> RestNoise:
-    """Parameters by importance sampling from heavy-tailed Gaussians, the first about the mode, drawn anew by weights.
+class _Sampled(NamedTuple):
+    v: Float[np.ndarray, "n d"]
+    weight: Float[np.ndarray, "n"]
+    log_evidence: float
+
+
+def _sampled(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float) -> _Sampled:
+    """Coordinates by importance sampling from heavy-tailed Gaussians, the first about the mode.
 
     All rounds count together, each draw against the mean density of all Gaussians (J.-M. Cornuet et al., Adaptive
     multiple importance sampling, Scand. J. Stat. 39 (2012) 798).
 
     Args:
-        share: of all draws that are kept.
+        share: of all draws; a sum of little probability has few of those that are kept.
     """
     law, random = channel.law(terms), np.random.default_rng(seed)
-    # A sum of little probability has few of the draws that are kept.
     d, tried = len(fit.mode), TOGETHER * math.ceil(DRAWS / TOGETHER * max(share, FEWEST))
     about: list[tuple[np.ndarray, np.ndarray]] = []  # middles and roots
     v, posterior = np.zeros((0, d)), np.zeros(0)
@@ -503,9 +522,19 @@ def _drawn(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float = 
         while _effective(flat := _weights(power * log_weight)) < EVEN * tried:
             power *= 0.8
         middle, covariance = flat @ v, np.cov(v.T, aweights=flat).reshape(d, d)
+    return _Sampled(v, weight, float(np.logaddexp.reduce(log_weight)) - math.log(tried))
+
+
+def _drawn(channel: _AtRest, terms: Terms, sampled: _Sampled, seed: int, share: float) -> RestNoise:
+    """Parameters of equal probability, drawn anew by their weights.
+
+    Args:
+        share: of all draws that are kept.
+    """
     # Systematic resampling: quantiles are those of the weights.
-    count = max(1, round(share * KEPT))
-    at = (np.arange(count) + random.uniform()) / count
-    chosen = v[np.minimum(np.searchsorted(np.cumsum(weight), at), len(v) - 1)]
-    own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(_priors(law).items())}
+    count, v = max(1, round(share * KEPT)), sampled.v
+    at = (np.arange(count) + np.random.default_rng(seed).uniform()) / count
+    chosen = v[np.minimum(np.searchsorted(np.cumsum(sampled.weight), at), len(v) - 1)]
+    priors = _priors(channel.law(terms))
+    own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
     return channel.physical(terms, own)
