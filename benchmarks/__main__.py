@@ -13,6 +13,7 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "records_of_others": "real_records.records_of_others",
     "triads_of_others": "real_records.triads_of_others",
     "still_logs": "real_records.still_logs",
+    "still_noise": "accuracy.still_noise",
     "false_discoveries": "hidden_effects.false_discoveries",
     "coverage": "accuracy.coverage",
     "compensation": "instruments.compensation",

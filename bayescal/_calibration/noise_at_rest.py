@@ -20,8 +20,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
-from scipy.special import ndtri
+from scipy.special import gammaln, ndtri
 
 from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError
@@ -41,9 +42,17 @@ Terms = tuple[str, ...]  # names of those of a sum, beside white noise
 LONG = 16_384  # readings, above which means of blocks are taken: the filter then takes a tenth of a second
 STRETCHES = 8  # of single readings beside the means, as many readings as there are means at most
 ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, then in pairs
-ROUNDED = (
-    "quantisation"  # one more, where the Allan variance falls faster at first than white noise's
-)
+TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
+ROUNDED, AVERAGED = "quantisation", "averaging"  # of neighbouring readings alone; one of them more
+LINE = 0.2 - 0.3 * np.arange(
+    -2, 3
+)  # of five values at 2 to 6: what the straight line through them has at 1
+WINDOW = 64  # readings of the shortest spectra in which a line is looked for; others are twice as long, and so on
+WINDOWS = 8  # of the longest, at least
+BESIDE = np.array(
+    [3, 4, 5, 6]
+)  # places of a spectrum from a line to what it stands above: a window's own width is 2
+SMOOTH = 0.02  # relative, of a spectrum without lines over as many places: it bends where one noise takes over another
 DEGREE = 3  # of the polynomial over temperature: a sensor's own law is rarely of more in one soak
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
 SETTLED = 1e-3  # nats that a step of a search for a maximum gains, below which it is found; at 1e-2 0.4 were left
@@ -53,6 +62,8 @@ DRAWS = 512  # of a heavy-tailed Gaussian about the mode
 FEWEST = 0.25  # of them, for a sum of little probability or a bound
 KEPT = 2048  # of these, drawn anew by their weights, over all sums together
 TAILS = 5.0  # its degrees of freedom
+ENOUGH = 48.0  # draws of equal weight that tell as much: ends of 95 % are then known to four tenths of a deviation
+ROUNDS = 4  # of draws at most, until they tell as much
 TOGETHER = 4  # draws whose filters run in one loop: more leave the cache
 
 
@@ -96,6 +107,7 @@ class _AtRest(NamedTuple):
     longest: float  # steps, a power of two
     factors: np.ndarray
     allan: np.ndarray  # variances, in units of size²
+    line: Mapping[str, float] = {}  # a tone to begin with, in output units and steps; none if empty
 
     def law(self, terms: tuple[str, ...]) -> SummedNoise | None:
         return SummedNoise(1.0, self.longest, terms) if terms else None
@@ -105,6 +117,7 @@ class _AtRest(NamedTuple):
         root = math.sqrt(self.step)
         factors = {"diffusion": self.size / root, "walk": self.size / root}
         factors |= {ROUNDED: self.size * self.step, "time": self.step, "place": 1.0}
+        factors["frequency"] = 1 / self.step
         found = {n: v * factors.get(n.rpartition(".")[2], self.size) for n, v in own.items()}
         law = SummedNoise(self.step, self.longest * self.step, terms) if terms else None
         return RestNoise(terms, found, law)
@@ -142,30 +155,49 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     runs = even_runs(readings)
     channel, notes = _channel(readings, runs)
     fits: dict[Terms, _Fit] = {(): _fit(channel, ())}
-    first, second = (*channel.allan[:2], math.inf)[:2]
-    falls = first / second > 2 * (1 + searching().falls / math.sqrt(sum(map(len, runs.rows))))
-    alone = (*ALONE, ROUNDED) if falls else ALONE
-    for term in alone:
-        fits[(term,)] = _fit(channel, (term,))
-    grown: Terms = ()
-    # Rounding is of the shortest times and says nothing of the slow terms: of these there may be two beside it too.
-    while (best := max(fits, key=lambda t: _total(fits, t))) != grown and _slow(best) < 2:
-        grown = best
+    output = np.asarray(readings["output"], float)
+    (brief, surely), (clear, line) = _of_neighbours(output, runs), _line(output, runs)
+    channel = channel._replace(line=line)
+    limits = {brief: (surely, searching().neighbours), "tone": (clear, searching().line)}
+    further = tuple(term for term, (sigmas, limit) in limits.items() if sigmas > limit)
+    kept = tuple(term for term in further if limits[term][0] > searching().sure)
+    among = (*ALONE, *further)
+    for term in among:
+        terms = (term,) if term in further else _sorted((*kept, term))
+        fits[terms] = _fit(channel, terms)
+    looked: Terms = ()
+    while (best := max(fits, key=lambda t: _total(fits, t))) != looked:
+        looked = best
         known = dict(zip(_priors(channel.law(best)), fits[best].mode, strict=True))
-        for term in alone:
-            further = _sorted((*best, term))
-            if further not in fits and (term not in best or term == "correlated"):
-                fits[further] = _fit(channel, further, known)
-    order = sorted(fits, key=lambda t: -_total(fits, t))
-    totals = np.array([_total(fits, t) for t in order])
-    shares = np.exp(totals - totals.max())
-    probabilities = dict(zip(order, (shares / shares.sum()).tolist(), strict=True))
-    probable = [t for t in order if probabilities[t] > searching().drawn * probabilities[order[0]]]
-    drawn = [_drawn(channel, t, fits[t], seed, probabilities[t]) for t in probable]
+        for terms in _beside(best, among):
+            if terms not in fits:
+                fits[terms] = _fit(channel, terms, known)
+    # What is correlated over a few readings looks like them too.
+    for term in kept:
+        if (without := tuple(t for t in best if t != term)) not in fits:
+            fits[without] = _fit(channel, without)
+    sampled: dict[Terms, _Sampled] = {}
+    while True:
+        order = sorted(fits, key=lambda t: -_total(fits, t))
+        totals = np.array([_total(fits, t) for t in order])
+        shares = np.exp(totals - totals.max())
+        probabilities = dict(zip(order, (shares / shares.sum()).tolist(), strict=True))
+        least = searching().drawn * probabilities[order[0]]
+        probable = [t for t in order if probabilities[t] > least]
+        if not (fresh := [t for t in probable if t not in sampled]):
+            break
+        # By the weights of draws a sum whose posterior is bent has less evidence than by its curvature at the mode.
+        for terms in fresh:
+            sampled[terms] = _sampled(channel, terms, fits[terms], seed, probabilities[terms])
+            fits[terms] = fits[terms]._replace(log_evidence=sampled[terms].log_evidence)
+    drawn = [_drawn(channel, t, sampled[t], seed, probabilities[t]) for t in probable]
     walk = drawn[0]
     if "walk" not in walk.terms:
         further = _sorted((*walk.terms, "walk"))
-        walk = _drawn(channel, further, fits.get(further) or _fit(channel, further), seed, FEWEST)
+        if further not in sampled:
+            fit = fits.get(further) or _fit(channel, further)
+            sampled[further] = _sampled(channel, further, fit, seed, FEWEST)
+        walk = _drawn(channel, further, sampled[further], seed, FEWEST)
     return WeighedNoise(tuple(drawn), walk, probabilities, tuple(notes), runs)
 
 
@@ -174,9 +206,64 @@ def _sorted(terms: Terms) -> Terms:
     return tuple(sorted(terms, key=list(TERMS).index))
 
 
-def _slow(terms: Terms) -> int:
-    """How many are correlated over more than two readings."""
-    return len(terms) - terms.count(ROUNDED)
+def _beside(terms: Terms, among: Terms) -> Iterator[Terms]:
+    """Sums of one term more; and where there are two slow terms, the most that there may be, with one exchanged.
+
+    Noise of neighbours is of the shortest times and says nothing of the slow terms: it does not count.
+    """
+    slow = [at for at, term in enumerate(terms) if term in ALONE]
+    shorter = [terms[:at] + terms[at + 1 :] for at in slow] if len(slow) > 1 else [terms]
+    for term in among:
+        for rest in shorter if term in ALONE else [terms]:
+            if term not in rest or term == "correlated":
+                yield _sorted((*rest, term))
+
+
+def _of_neighbours(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[str, float]:
+    """The noise of neighbouring readings alone that a record may have, and how surely, in standard deviations.
+
+    Half the mean square of differences k readings apart is γ₀ − γₖ, which slow noise lets rise steadily: where it
+    begins above or below what it comes to from two apart on, neighbours alone are correlated.
+    """
+    squares, counts = np.zeros(len(LINE) + 1), np.zeros(len(LINE) + 1)
+    for rows in runs.rows:
+        for k in range(1, min(len(rows), len(squares) + 1)):
+            apart = output[rows[k:]] - output[rows[:-k]]
+            squares[k - 1] += 0.5 * float(apart @ apart)
+            counts[k - 1] += len(apart)
+    rise = squares / counts
+    expected = float(LINE @ rise[1:])
+    # Each γₖ of n readings of white noise, of the variance γ₀, has the variance γ₀²/n.
+    deviation = abs(expected) * math.sqrt((1 + float(LINE @ LINE)) / counts[0])
+    surely = (rise[0] - expected) / deviation
+    return (ROUNDED if surely > 0 else AVERAGED), abs(surely)
+
+
+def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[str, float]]:
+    """How surely the longest run has a narrow line, in standard deviations; and a tone to begin with, for one reading.
+
+    A frequency counts against the geometric mean of both sides, which takes out any slope of the spectrum; of the mean
+    of k windows, the logarithm of this ratio has a standard deviation of about 1/√k.
+    """
+    run, best, found = output[max(runs.rows, key=len)], 0.0, dict[str, float]()
+    length = WINDOW
+    while (count := len(run) // length) >= WINDOWS:
+        parts = run[: count * length].reshape(count, length)
+        window = np.hanning(length)
+        lines = np.fft.rfft((parts - parts.mean(axis=1)[:, None]) * window, axis=1)
+        # One-sided, so that its mean over frequencies to ½ per reading is twice the variance.
+        power = 2 * np.mean(np.abs(lines) ** 2, axis=0) / float(window @ window)
+        at = np.arange(BESIDE[-1] + 1, len(power) - BESIDE[-1] - 1)
+        low, high = (power[at[:, None] + sign * BESIDE].mean(axis=1) for sign in (-1, 1))
+        around = np.sqrt(low * high)
+        sigmas = np.log(power[at] / around) / (1 / math.sqrt(count) + SMOOTH)
+        if sigmas[k := int(np.argmax(sigmas))] > best:
+            # Such a window spreads a line over 1.5 places.
+            size = math.sqrt(1.5 * float(power[at[k]] - around[k]) / length)
+            best, tone = float(sigmas[k]), (size, float(at[k]) / length, float(length))
+            found = dict(zip(TONE, tone, strict=True))
+        length *= 2
+    return best, found
 
 
 def _total(fits: dict[Terms, _Fit], terms: tuple[str, ...]) -> float:
@@ -353,12 +440,17 @@ def _starts(
         "noise.walk": walk,
         "noise.flicker": math.sqrt(float(np.min(allan)) / FLAT),
         "noise.quantisation": math.sqrt(allan[0] / 3),
+        "noise.averaging": math.sqrt(allan[0]),
     }
+    if channel.line:
+        sizes |= {TONE[0]: channel.line[TONE[0]] / channel.size, TONE[1]: channel.line[TONE[1]]}
     places = [0.2, 0.5, 0.8]
-    alike = terms.count("correlated")
-    for shares in itertools.combinations(places, alike) if alike else [()]:
+    alike, memories = terms.count("correlated"), (0.25, 2.0) if "tone" in terms else (1.0,)
+    several = itertools.combinations(places, alike) if alike else [()]
+    for shares, memory in itertools.product(several, memories):
         times = [channel.longest**share for share in shares]
         values = {WHITE: math.sqrt(allan[0]), **sizes}
+        values |= {TONE[2]: memory * channel.line[TONE[2]]} if channel.line else {}
         before = 1.0
         for k, time in enumerate(times, 1):
             variance = 1.6 * float(np.interp(math.log(2 * time), np.log(m), allan))
@@ -368,31 +460,83 @@ def _starts(
             values[f"noise.correlated{k}.place"] = float(ndtri(np.clip(part, 5e-4, 1 - 5e-4)))
             before = time
         for factor in (1.0, 0.3):
-            kept = {n for n in values if n == WHITE or n.endswith((".time", ".place"))}
+            held = (".time", ".place", ".frequency")
+            kept = {n for n in values if n == WHITE or n.endswith(held)}
             scaled = {n: v * (1 if n in kept else factor) for n, v in values.items()}
             yield np.array([float(p.coordinate(scaled[n])) for n, p in priors.items()])
 
 
-def _drawn(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float = 1.0) -> RestNoise:
-    """Parameters by importance sampling from a heavy-tailed Gaussian about the mode, drawn anew by their weights.
+def _log_density(
+    v: Float[np.ndarray, "n d"], middle: Float[np.ndarray, "d"], root: Float[np.ndarray, "d d"]
+) -> Float[np.ndarray, "n"]:
+    """Of the heavy-tailed Gaussian, Student's t."""
+    moved, d = solve_triangular(root, (v - middle).T, lower=True), v.shape[1]
+    far = np.log1p(np.sum(moved**2, axis=0) / TAILS)
+    volume = 0.5 * d * math.log(math.pi * TAILS) + float(np.sum(np.log(np.diag(root))))
+    of_tails = float(gammaln((TAILS + d) / 2) - gammaln(TAILS / 2))
+    return of_tails - volume - 0.5 * (TAILS + d) * far
+
+
+def _weights(log_weight: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    weight = np.exp(log_weight - log_weight.max())
+    return weight / weight.sum()
+
+
+def _effective(weight: Float[np.ndarray, "n"]) -> float:
+    """How many draws of equal weight tell as much."""
+    return 1 / float(np.sum(weight**2))
+
+
+class _Sampled(NamedTuple):
+    v: Float[np.ndarray, "n d"]
+    weight: Float[np.ndarray, "n"]
+    log_evidence: float
+
+
+def _sampled(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float) -> _Sampled:
+    """Coordinates by importance sampling from heavy-tailed Gaussians, the first about the mode.
+
+    All rounds count together, each draw against the mean density of all Gaussians (J.-M. Cornuet et al., Adaptive
+    multiple importance sampling, Scand. J. Stat. 39 (2012) 798).
+
+    Args:
+        share: of all draws; a sum of little probability has few of those that are kept.
+    """
+    law, random = channel.law(terms), np.random.default_rng(seed)
+    share, d = max(share, FEWEST), len(fit.mode)
+    enough, tried = ENOUGH * share, TOGETHER * math.ceil(DRAWS / TOGETHER * share)
+    about: list[tuple[np.ndarray, np.ndarray]] = []  # middles and roots
+    v, posterior = np.zeros((0, d)), np.zeros(0)
+    middle, covariance = fit.mode, fit.covariance
+    for _ in range(ROUNDS):
+        about.append((middle, np.linalg.cholesky(covariance)))
+        stretch = np.sqrt(TAILS / random.chisquare(TAILS, tried))
+        new = middle + (random.standard_normal((tried, d)) * stretch[:, None]) @ about[-1][1].T
+        v, posterior = np.concatenate([v, new]), np.append(posterior, _several(channel, law, new))
+        log_weight = posterior - np.logaddexp.reduce([_log_density(v, *one) for one in about])
+        weight = _weights(log_weight)
+        if _effective(weight) >= enough:
+            break
+        # Where the posterior bends away from its curvature at the mode, the next draws lie as all so far do by their
+        # weights, flattened to a power at which enough of them count.
+        likely = np.isfinite(log_weight)
+        power, some = 1.0, v[likely]
+        while _effective(flat := _weights(power * log_weight[likely])) < min(enough, len(some) / 2):
+            power *= 0.8
+        middle, covariance = flat @ some, np.cov(some.T, aweights=flat).reshape(d, d)
+    return _Sampled(v, weight, float(np.logaddexp.reduce(log_weight)) - math.log(tried))
+
+
+def _drawn(channel: _AtRest, terms: Terms, sampled: _Sampled, seed: int, share: float) -> RestNoise:
+    """Parameters of equal probability, drawn anew by their weights.
 
     Args:
         share: of all draws that are kept.
     """
-    law, random = channel.law(terms), np.random.default_rng(seed)
-    # A sum of little probability has few of the draws that are kept.
-    d, tried = len(fit.mode), TOGETHER * math.ceil(DRAWS / TOGETHER * max(share, FEWEST))
-    root = np.linalg.cholesky(fit.covariance)
-    normal = random.standard_normal((tried, d))
-    stretch = np.sqrt(TAILS / random.chisquare(TAILS, tried))
-    v = fit.mode + (normal * stretch[:, None]) @ root.T
-    squares = np.sum((normal * stretch[:, None]) ** 2, axis=1)
-    log_weight = _several(channel, law, v) + 0.5 * (TAILS + d) * np.log1p(squares / TAILS)
-    weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
     # Systematic resampling: quantiles are those of the weights.
-    count = max(1, round(share * KEPT))
-    at = (np.arange(count) + random.uniform()) / count
-    chosen = v[np.minimum(np.searchsorted(np.cumsum(weight), at), tried - 1)]
-    own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(_priors(law).items())}
+    count, v = max(1, round(share * KEPT)), sampled.v
+    at = (np.arange(count) + np.random.default_rng(seed).uniform()) / count
+    chosen = v[np.minimum(np.searchsorted(np.cumsum(sampled.weight), at), len(v) - 1)]
+    priors = _priors(channel.law(terms))
+    own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
     return channel.physical(terms, own)

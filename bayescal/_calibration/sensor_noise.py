@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._calibration.noise_at_rest import WeighedNoise, weigh_noise
+from bayescal._calibration.noise_at_rest import (
+    AVERAGED,
+    ROUNDED,
+    RestNoise,
+    WeighedNoise,
+    weigh_noise,
+)
 from bayescal._calibration.settings import guarding, searching
 from bayescal._core.formatting import Printed, number, probability, table
 from bayescal._data.allan_deviation import (
@@ -170,8 +176,9 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
 
         print(bc.noise(bc.read("still.csv", still_sensor.INSTRUMENT)))
 
-    Sums of white and quantisation noise, a random walk, flicker noise and one or two Ornstein–Uhlenbeck processes
-    are weighed by their evidence; levels of runs and a cubic over a column `temperature` are taken out beside them.
+    Sums of white noise, as it is or averaged by the sensor itself, quantisation noise, a random walk, flicker noise and
+    one or two Ornstein–Uhlenbeck processes are weighed by their evidence; levels of runs and a cubic over a column
+    `temperature` are taken out beside them.
 
     Args:
         readings: of one channel, evenly spaced in time within runs.
@@ -236,16 +243,27 @@ def _words(terms: tuple[str, ...]) -> str:
     return SummedNoise(1.0, 2.0, terms).in_words if terms else "white"
 
 
+def _density(one: RestNoise) -> np.ndarray:
+    """Draws of the white noise of a reading as averages have it: with what the sensor has averaged itself (d,)."""
+    return np.hypot(one.draws[WHITE], one.draws.get("noise.averaging", 0.0))
+
+
+def _shared(one: RestNoise) -> np.ndarray:
+    """Draws of the correlation of neighbouring readings by the sensor's own averaging, white noise included (d,)."""
+    averaged = one.draws["noise.averaging"] ** 2
+    return 0.25 * averaged / (0.5 * averaged + one.draws[WHITE] ** 2)
+
+
 def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
     """Draws of N, and of K; where no correlated noise is seen, the K that a random walk may still have."""
     factors, step = found.runs.factors, found.runs.step
     of_walk = step * (2 * factors**2 + 1) / (6 * factors)
     densities, walks = [], []
     for one in found.drawn:
-        own = one.draws[WHITE]
+        own = _density(one)
         rounded = one.draws.get("noise.quantisation", 0.0) / step
         own = np.sqrt(own**2 + 3 * rounded**2)  # falls more slowly than Q, and is as much at first
-        if not {*one.terms} - {"quantisation"}:
+        if not {*one.terms} - {ROUNDED, AVERAGED}:
             densities.append(own * step**0.5)
             walks.append(np.resize(found.walk.draws["noise.walk"], len(own)))
             continue
@@ -273,17 +291,20 @@ def _figures(
     own = unit or "1"
     density, walk = f"{own}/Hz^0.5", f"{own}/s^0.5"
 
-    def over_all(name: str) -> np.ndarray | None:
-        having = [one.draws[name] for one in found.drawn if name in one.draws]
+    def over_all(name: str, of: Any = None) -> np.ndarray | None:
+        having = [of(one) if of else one.draws[name] for one in found.drawn if name in one.draws]
         every = sum(len(one.draws[WHITE]) for one in found.drawn)
         return np.concatenate(having) if 2 * sum(map(len, having)) > every else None
 
-    white = over_all(WHITE)
-    assert white is not None
+    white = np.concatenate([_density(one) for one in found.drawn])
     made = []
     if (q := over_all("noise.quantisation")) is not None:
         made.append(_figure("Q", "quantisation noise", names.rounded, f"{own}*s", q))
     made.append(_figure("N", names.names[0], names.units[0], density, white * step**0.5))
+    if (shared := over_all("noise.averaging", _shared)) is not None:
+        made.append(
+            _figure("", "correlation of neighbours, averaged by the sensor", "1", "1", shared)
+        )
     if (b := over_all("noise.flicker")) is not None:
         made.append(_figure("B", f"{names.names[1]} (flicker)", names.units[1], own, b))
     lowest = np.argmin(np.median(curve, axis=0))
@@ -295,6 +316,15 @@ def _figures(
     bound = found.walk.draws["noise.walk"]
     named = ("K", names.names[2], names.units[2], walk)
     made.append(_figure(*named, bound, bound=True) if k is None else _figure(*named, k))
+    if (tone := over_all("noise.tone")) is not None:
+        made.append(_figure("", "tone, size", names.units[1], own, tone))
+        for what, words, of in (
+            ("frequency", "frequency", "Hz"),
+            ("time", "correlation time", "s"),
+        ):
+            draws = over_all(f"noise.tone.{what}")
+            assert draws is not None
+            made.append(_figure("", f"tone, {words}", of, of, draws))
     for place in range(1, 1 + best.terms.count("correlated")):
         assert best.law is not None
         derived = {**best.draws, **best.law.derived(best.draws)}

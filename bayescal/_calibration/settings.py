@@ -49,8 +49,10 @@ class SearchSettings(OutcomeSettings):
             probabilities: real coefficients on the chamber ramp stood 3 to 8 such sizes out.
         drawn: of the probability of the likeliest noise law of a sensor at rest, from which another one has its share
             of the draws; a tenth of them would be too few for figures of its own.
-        falls: over √n, relative: how much faster than white noise's the Allan variance falls at first before rounding
-            is tried as a noise; one standard deviation of that ratio for white noise.
+        neighbours: standard deviations by which the correlation of neighbouring readings must leave that of readings
+            farther apart, before noise of neighbours alone (rounding, or the sensor's own averaging) is tried.
+        line: and that a frequency must stand above its neighbours in a record's spectrum, before a tone is tried.
+        sure: of either, before every sum is given that term; the best one is weighed without it all the same.
         worth: of a standard uncertainty, that a campaign must take off to be worth it: no printed digit moves below.
         simple: share of a free curve's variance, from which a simple formula will do for it.
         narrow: of a covariate's range, below which a selection of readings is said to lie at part of it.
@@ -81,7 +83,9 @@ class SearchSettings(OutcomeSettings):
     very_strong: float = 5.0
     factors: tuple[tuple[float, float], ...] = ((1.0, 0.6), (3.0, 0.3), (10.0, 0.1))
     drawn: float = 0.1
-    falls: float = 2.0
+    neighbours: float = 2.0
+    line: float = 4.5
+    sure: float = 6.0
     worth: float = 0.05
     simple: float = 0.97
     narrow: float = 0.8

@@ -420,10 +420,11 @@ def _excess(
 class RoundedAngleTerm(NoiseTerm):
     """Quantisation noise of IEEE 952, Q: readings are differences of an angle that each has an error of its own.
 
-    States: the difference of two errors, and the latter. It takes readings as evenly spaced.
+    States: an error, and the one before with the other sign. It takes readings as evenly spaced.
     """
 
     words: ClassVar[str] = "quantisation"
+    output: ClassVar[tuple[int, ...]] = (0, 1)
     symbol: ClassVar[str] = "Q"
     bounded: ClassVar[bool] = True
 
@@ -437,16 +438,46 @@ class RoundedAngleTerm(NoiseTerm):
         return 2 * (values["noise.quantisation"] / bounds.shortest) ** 2
 
     def block(self, values, bounds, h):
-        size = values["noise.quantisation"] / bounds.shortest
-        # yₜ = (εₜ − εₜ₋₁)/step: the first state is that difference, of which −εₜ₋₁ is carried; the second is εₜ
-        # itself.
-        zero, one = jnp.zeros_like(h), jnp.ones_like(h)
-        start = size * jnp.array([[1.0, 1.0], [1.0, 0.0]])
-        return Block(pairs(zero, -one, zero, zero), size * pairs(one, zero, one, zero), start)
+        return _of_errors(values["noise.quantisation"] / bounds.shortest, -1.0, h)
 
     def allan(self, values, bounds, m, step):
         # IEEE 952: σ²(τ) = 3·Q²/τ², τ = m·step.
         return 3 * (values["noise.quantisation"] / (m * step)) ** 2
+
+
+class AveragingTerm(NoiseTerm):
+    """White noise under the sensor's own low-pass, which takes into a reading a part of what the one before has shown.
+
+    Readings are means of an error each and of the one before: neighbours are correlated, and no others. Beside white
+    noise this is a moving average of any length up to two steps, with correlations of neighbours from 0 to ½. The first
+    unknown is the white noise that is averaged, as a reading would have it: at low frequencies its density is the same.
+    It takes readings as evenly spaced.
+    Source: G. Box and G. Jenkins, Time Series Analysis (1976), §3.3 (moving averages of first order).
+    """
+
+    words: ClassVar[str] = "averaging"
+    output: ClassVar[tuple[int, ...]] = (0, 1)
+
+    def parameters(self, bounds: Bounds) -> dict[str, Any]:
+        return {"noise.averaging": bounds.correlated}
+
+    def variance(self, values: Values, bounds: Bounds) -> Any:
+        return 0.5 * values["noise.averaging"] ** 2
+
+    def block(self, values, bounds, h):
+        return _of_errors(0.5 * values["noise.averaging"], 1.0, h)
+
+    def allan(self, values, bounds, m, step):
+        # A mean of m readings has (2m − 1)/2m² of s², and shares 1/4m² with the next.
+        return values["noise.averaging"] ** 2 * (m - 0.75) / m**2
+
+
+def _of_errors(size: Any, passed: float, h: Float[Array, "n"]) -> Block:
+    """Errors of one size, each shown by its own reading and, times `passed`, by the next."""
+    new, nothing = jnp.broadcast_to(size, h.shape), jnp.zeros_like(h)
+    return Block(
+        jnp.zeros((*h.shape, 2)), jnp.stack([new, nothing], -1), size * jnp.ones(2), passed
+    )
 
 
 def _exponential_complex(m: Float[np.ndarray, "k"], a: Any) -> Any:
@@ -461,4 +492,5 @@ TERMS: dict[str, type[NoiseTerm]] = {
     "flicker": FlickerTerm,
     "tone": ToneTerm,
     "quantisation": RoundedAngleTerm,
+    "averaging": AveragingTerm,
 }

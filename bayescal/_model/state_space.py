@@ -18,11 +18,13 @@ class Block(NamedTuple):
         carry: what is kept of each state (n, k); or of a pair by a pair (n, 2, 2).
         root: what is new is `root` times independent standard normal numbers (n, k); or (n, 2, 2).
         start: stationary standard deviations (k,); or a root of the covariance (2, 2).
+        passed: of a chain of two states, how much of the first the second has after the step; a chain stands last.
     """
 
     carry: Float[Array, "n *k"]
     root: Float[Array, "n *k"]
     start: Float[Array, "*k"]
+    passed: float = 0.0
 
 
 def exponential(time: Any, variance: Any, h: Float[Array, "n"]) -> Block:
@@ -61,9 +63,16 @@ class States(NamedTuple):
         """Whether no state says anything of another's future, but of the last one's."""
         return self.carry.ndim == 2
 
+    def dense(self) -> tuple[Float[Array, "n p p"], Float[Array, "n p p"]]:
+        """What is kept of all by all, and the covariance of what is new."""
+        carry, fresh = (
+            a if a.ndim == 3 else jax.vmap(jnp.diag)(a) for a in (self.carry, self.fresh)
+        )
+        return carry if self.last is None else carry.at[:, -1].add(self.last), fresh
 
-def joined(blocks: Sequence[Block], step: Float[Array, "n"]) -> tuple[Any, Any]:
-    """What is kept of all states; what is new in them, per independent standard normal number.
+
+def joined(blocks: Sequence[Block], step: Float[Array, "n"]) -> tuple[Any, Any, Any]:
+    """What is kept of all states; what is new in them, per independent standard normal number; and `States.last`.
 
     At a run's first reading, of step −1, nothing is kept and the states have their stationary covariance: runs are
     independent.
@@ -75,32 +84,38 @@ def joined(blocks: Sequence[Block], step: Float[Array, "n"]) -> tuple[Any, Any]:
         root.append(jnp.where(first, block.start, block.root))
     apart = all(block.carry.ndim == 2 for block in blocks)
     together = (lambda a: jnp.concatenate(a, 1)) if apart else _diagonal
-    return together(carry), together(root)
+    kept, new = together(carry), together(root)
+    if not (passed := blocks[-1].passed):
+        return kept, new, None
+    last = jnp.zeros(kept.shape[:2]).at[:, -2].set(jnp.where(step < 0, 0.0, passed))
+    return (kept, new, last) if apart else (kept.at[:, -1].add(last), new, None)
 
 
 def states_of(
     blocks: Sequence[Block], step: Float[Array, "n"], shown: Float[np.ndarray, "p"]
 ) -> States:
     """The states of blocks over steps, s; −1 where they begin."""
-    carry, root = joined(blocks, step)
+    carry, root, last = joined(blocks, step)
     fresh = root**2 if root.ndim == 2 else root @ jnp.swapaxes(root, 1, 2)
-    return States(carry, fresh, shown)
+    return States(carry, fresh, shown, last)
 
 
 def drawn(
     key: Array, blocks: Sequence[Block], step: Float[Array, "n"], shown: Float[np.ndarray, "p"]
 ) -> Float[Array, "n"]:
     """What readings show of the states of blocks, drawn."""
-    carry, root = joined(blocks, step)
+    carry, root, last = joined(blocks, step)
     normal = jax.random.normal(key, (step.shape[0], len(shown)))
     push = root * normal if root.ndim == 2 else jnp.einsum("nij,nj->ni", root, normal)
 
     def advance(state, row):
-        kept, own = row
+        kept, taken, own = row
         made = (kept * state if kept.ndim == 1 else kept @ state) + own
+        if taken is not None:
+            made = made.at[-1].add(taken @ state)
         return made, made @ jnp.asarray(shown)
 
-    return jax.lax.scan(advance, jnp.zeros(len(shown)), (carry, push))[1]
+    return jax.lax.scan(advance, jnp.zeros(len(shown)), (carry, last, push))[1]
 
 
 def filtered(
@@ -248,8 +263,7 @@ def of_means(states: States, count: int, first: Float[Array, "n"]) -> States:
         first: whether a run begins with a mean (n,).
     """
     size = len(states.shown)
-    wide = (lambda a: jax.vmap(jnp.diag)(a)) if states.apart else (lambda a: a)
-    one, fresh = wide(states.carry), wide(states.fresh)
+    one, fresh = states.dense()
     shown = jnp.asarray(states.shown)
     lift = jnp.concatenate([jnp.eye(size), shown[None]])  # the sum goes on with what is shown
 
@@ -277,7 +291,9 @@ def of_means(states: States, count: int, first: Float[Array, "n"]) -> States:
     emptied = whole.at[:, -1].set(0.0)
     begins, shows = first[:, None, None], np.append(np.zeros(size), 1 / count)
     fresh = jnp.where(begins, begun, new)
-    if states.apart:  # powers of a diagonal are diagonal: the sum alone takes up what states had
+    # Powers of a diagonal are diagonal, and a chain of two has nothing left after two steps: the sum alone takes up
+    # what states had.
+    if states.apart:
         of_each, sums = jnp.diag(emptied), emptied[-1]
         carry, last = (jnp.where(first[:, None], 0.0, row) for row in (of_each, sums))
         return States(carry, fresh, shows, last)

@@ -43,8 +43,9 @@ class SummedNoise(Noise):
     """White noise and further terms, each stationary and independent of the others within each run.
 
     Terms are, by name: "correlated" (Ornstein–Uhlenbeck; up to three, ordered by their times), "smooth" (Matérn-3/2),
-    "walk" (K of IEEE 952), "flicker" (B), "tone", "quantisation" (Q). White noise is always among them. Readings are
-    whitened by the Kalman filter, in time linear in their number, whatever their spacing.
+    "walk" (K of IEEE 952), "flicker" (B), "tone", "quantisation" (Q), "averaging" (by the sensor itself). White noise
+    is always among them. Readings are whitened by the Kalman filter, in time linear in their number, whatever their
+    spacing.
 
         bc.SummedNoise(step, span, ("walk", "correlated"))
 
@@ -58,7 +59,7 @@ class SummedNoise(Noise):
             has it, by `noise.slope` and `noise.curvature`; none if empty.
 
     Raises:
-        ValueError: unknown terms, one twice that is there once, or bounds that are not in order.
+        ValueError: unknown terms, one twice that is there once, quantisation beside averaging, or bounds not in order.
 
     Source: A. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989), ch. 3.
     """
@@ -89,6 +90,10 @@ class SummedNoise(Noise):
             )
         if self.column and "tone" not in self.terms:
             raise ValueError(f"a tone follows the column {self.column!r}, and the sum has no tone")
+        if {"quantisation", "averaging"} <= {*self.terms}:
+            raise ValueError(
+                "quantisation and averaging correlate neighbouring readings by opposite signs: give one of them"
+            )
         set_once(self, terms=tuple(sorted(self.terms, key=list(TERMS).index)))
         for name, count in Counter(self.terms).items():
             if count > (MOST_ALIKE if name == "correlated" else 1):
@@ -229,10 +234,7 @@ class SummedNoise(Noise):
         z = None if along is None else np.concatenate(along)[first]
         states = self.states(values, jnp.asarray(np.diff(grid, prepend=grid[0] + 1.0)), z)
         h, size = states.shown, len(states.shown)
-        carry, fresh = (
-            np.asarray(a if a.ndim == 3 else jax.vmap(jnp.diag)(a))
-            for a in (states.carry, states.fresh)
-        )
+        carry, fresh = map(np.asarray, states.dense())
         place, weight = np.searchsorted(grid, time), np.zeros(grid.size)
         pull = np.zeros((grid.size, left.shape[1]))
         np.add.at(weight, place, 1 / white)

@@ -16,7 +16,10 @@ from bayescal._core.quoting import c_comment
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse
 
 KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
-ROUNDED = " + quantisation"  # in the words of a law
+BRIEF = {
+    " + quantisation": "quantisation",
+    " + averaging": "what the sensor has averaged",
+}  # in the words of a law
 TOPIC = re.compile(r"[~/]?[A-Za-z][A-Za-z0-9_/]*")  # http://wiki.ros.org/Names
 EVEN = 0.05  # of the step, by which those of channels of one unit may differ
 
@@ -68,15 +71,17 @@ def kalibr_yaml(
 
 
 def _left_out(noise: SensorNoise) -> str:
-    horizon, law = f"{noise.horizon:.3g} s", noise.law.replace(ROUNDED, "")
-    rounded = "White noise stands for quantisation too. " if law != noise.law else ""
+    horizon, law, brief = f"{noise.horizon:.3g} s", noise.law, ""
+    for words, said in BRIEF.items():
+        if words in law:
+            law, brief = law.replace(words, ""), f"White noise stands for {said} too. "
     if law == "white":
         said = f"No random walk is seen in averages up to {horizon}: the one given is a bound."
-        return rounded + said
+        return brief + said
     if law == "white + random walk":
-        return rounded.strip() or "Nothing is left out."
+        return brief.strip() or "Nothing is left out."
     return (
-        f"{rounded}A random walk takes the place of the correlated terms: with the density it reaches 95 % of the "
+        f"{brief}A random walk takes the place of the correlated terms: with the density it reaches 95 % of the "
         f"law's Allan deviation up to {horizon}; beyond, it grows where this law does not."
     )
 

@@ -18,7 +18,8 @@ Rendered by `python -m benchmarks still_logs` from `benchmarks/results/`.
 Public logs of instruments at rest that others have recorded, each told by [`bayescal noise`](noise.md) and nothing
 else. The noise of the first half foretells the second: *inside* counts the averaging times at which the Allan deviation
 of the second half lies in the band of 95 % of such records under the noise of the first half. Neighbouring averaging
-times share their readings, so their deviations leave the band together.
+times share their readings, so their deviations leave the band together. A channel that is listed as a source and has no
+row was not measured yet.
 
 The logs are not part of bayescal. Where they come from, and under which licence:
 

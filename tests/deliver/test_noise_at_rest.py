@@ -70,6 +70,50 @@ def test_rounding_of_an_angle_is_quantisation_noise() -> None:
 
 
 @pytest.mark.slow
+def test_the_sensors_own_averaging_is_no_slow_noise() -> None:
+    """Means over 1.2 steps: two of twelve parts are in the next reading too, so neighbours are correlated by 1/6."""
+    parts, n, size = 10, 3000, N * math.sqrt(10 / STEP)
+    sums = np.cumsum(size * np.random.default_rng(11).standard_normal(parts * (n + 2)))
+    ends = 12 + parts * np.arange(n)
+    found = bc.noise(still(1, n=n).with_column("output", (sums[ends] - sums[ends - 12]) / 12))
+    assert found.law == "white + averaging"
+    # Eight of ten parts are in one reading and two in two, so that the density is that of (8·1 + 2·2²)/144 squares.
+    density = size * math.sqrt(16 / 144 * STEP)
+    n_, shared = symbol(found, "N"), next(f for f in found.figures if "neighbours" in f.name)
+    assert n_.low < 60 * density < n_.high < 1.1 * n_.low
+    assert shared.low < 1 / 6 < shared.high < shared.low + 0.1
+    assert found.for_filter(0.5)[0] == pytest.approx(n_.value / 60, rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_line_is_a_tone_and_no_density() -> None:
+    readings, frequency = still(12, n=3000, walk=0.0), 2.31  # Hz
+    line = 0.004 * math.sqrt(2) * np.cos(2 * math.pi * frequency * readings["time"])
+    found = bc.noise(readings.with_column("output", readings["output"] + line))
+    assert found.law == "white + tone"
+    n = symbol(found, "N")
+    size, at, _ = (f for f in found.figures if f.name.startswith("tone"))
+    assert n.low < 60 * N < n.high and size.low < 3600 * 0.004 < size.high
+    assert at.unit == "Hz" and at.value == pytest.approx(frequency, abs=0.003)
+
+
+def test_lines_and_noise_of_neighbours_are_looked_for_where_they_are() -> None:
+    random, n = np.random.default_rng(13), 4000
+    runs = even_runs(still(1, n=n))
+    white = random.standard_normal((20, n + 1))
+    walks = white[:, 1:] + 0.1 * np.cumsum(random.standard_normal((20, n)), axis=1)
+    line = np.cos(1.3 * np.arange(n))
+    for one, walk in zip(white, walks, strict=True):
+        assert noise_at_rest._line(walk, runs)[0] < 4.5
+        sure, found = noise_at_rest._line(walk + 0.5 * line, runs)
+        assert sure > 6 and found["noise.tone.frequency"] == pytest.approx(0.207, abs=0.01)
+        named = [noise_at_rest._of_neighbours(one[1:] + s * one[:-1], runs) for s in (0.2, -0.2)]
+        assert [name for name, _ in named] == ["averaging", "quantisation"]
+        assert min(sure for _, sure in named) > 4
+        assert noise_at_rest._of_neighbours(walk, runs)[1] < 4
+
+
+@pytest.mark.slow
 def test_a_walk_that_is_not_there_has_a_bound() -> None:
     found = bc.noise(still(6, walk=0.0))
     assert found.law == "white"

@@ -94,7 +94,7 @@ def test_intervals_hold_the_truth(slope: float) -> None:
     """Twelve records of five parameters: 57 of 60 intervals of 95 % are expected to hold it, 51 or more in 99.9 %."""
     model, held = bc.Model(SENSOR, (LEVEL,), law()), 0
     for seed in range(12):
-        fit = bc.fit(model, recorded(100 + seed, slope), bc.LeastSquares(draws=400), strict=False)
+        fit = bc.fit(model, recorded(100 + seed, slope), bc.Marginal(proposals=1024), strict=False)
         for name, truth in {**TRUTH, "noise.slope": slope}.items():
             low, high = np.quantile(fit.samples(name), [0.025, 0.975])
             held += bool(low <= truth <= high)

@@ -40,6 +40,7 @@ VALUES = {
     "noise.tone.frequency": 0.07,
     "noise.tone.time": 60.0,
     "noise.quantisation": 0.35,
+    "noise.averaging": 0.45,
 }
 ALONE = ("Ornstein–Uhlenbeck",)  # the law of its own
 SUMS = [
@@ -94,6 +95,10 @@ def covariance_of(term: str, place: int = 1) -> Callable[[Any], Any]:
         return lambda lag: (
             at["noise.smooth"] ** 2 * (1 + rate * np.abs(lag)) * np.exp(-rate * np.abs(lag))
         )
+    if term in ("quantisation", "averaging"):
+        size, sign = (0.35 / STEP, -1) if term == "quantisation" else (0.5 * 0.45, 1)
+        near = [lambda lag, k=k: np.isclose(np.abs(lag), k * STEP) for k in (0, 1)]
+        return lambda lag: size**2 * (2.0 * near[0](lag) + sign * near[1](lag))
     turn = 2 * math.pi * at["noise.tone.frequency"]
     fading = exponential(at["noise.tone"] ** 2, at["noise.tone.time"])
     return lambda lag: fading(lag) * np.cos(turn * lag)
@@ -148,17 +153,31 @@ def test_whitened_by_the_filter_is_whitened_by_the_dense_covariance(terms, rng) 
     assert 2 * float(log_sd.sum()) == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-9)
 
 
-def test_quantisation_is_the_difference_of_errors_of_the_angle(rng) -> None:
-    n, q = 40, VALUES["noise.quantisation"] / STEP
+@pytest.mark.parametrize(
+    "terms",
+    [("quantisation",), ("averaging",), ("correlated", "averaging"), ("tone", "quantisation")],
+    ids=name_of,
+)
+def test_noise_of_neighbouring_readings_alone(terms, rng) -> None:
+    """Drawn, whitened and averaged as its covariance says, by itself and beside states of either kind."""
+    n, factors = 40, 2.0 ** np.arange(5)
     data = bc.Measurements.from_arrays(
         SENSOR, time=STEP * np.arange(n), temperature=np.linspace(10.0, 50.0, n), output=np.zeros(n)
     )
-    frame, law = build_frame(data, reference_of(data)), law_of(("quantisation",))
-    dense = q**2 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
-    dense += VALUES["noise.white"] ** 2 * np.eye(n)
+    frame, law = build_frame(data, reference_of(data)), law_of(terms)
+    time = np.asarray(frame["time"])
+    dense = slow_covariance(terms, time[:, None] - time) + VALUES["noise.white"] ** 2 * np.eye(n)
+    draw = jax.jit(jax.vmap(lambda k: law.sample(k, jnp.zeros(n), in_jax(law), frame)))
+    made = np.asarray(draw(jax.random.split(jax.random.key(4), 8000)))
+    np.testing.assert_allclose(np.cov(made.T), dense, atol=5 * dense.max() * math.sqrt(2 / 8000))
     columns = rng.standard_normal((n, 2))
     white, _ = law.whiten(jnp.asarray(columns), 0.0, in_jax(law), frame)
     np.testing.assert_allclose(white, np.linalg.solve(np.linalg.cholesky(dense), columns), 1e-9)
+    values = {name: VALUES[name] for name in law.parameters()}
+    found = law.allan_variance(values, dense[0, 0], factors, STEP)
+    for m, one in zip(factors.astype(int), found, strict=True):
+        weight = np.repeat([1 / m, -1 / m, 0.0], [m, m, n - 2 * m])
+        assert one == pytest.approx(0.5 * weight @ dense @ weight, rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -360,7 +379,17 @@ def test_a_sum_that_cannot_be_told_is_refused(terms, said) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("terms", [("walk", "flicker"), ("smooth", "tone")], ids=name_of)
+@pytest.mark.parametrize(
+    "terms",
+    [
+        ("walk", "flicker"),
+        ("smooth", "tone"),
+        ("correlated", "averaging"),
+        ("quantisation",),
+        ("tone", "averaging"),
+    ],
+    ids=name_of,
+)
 def test_means_are_whitened_by_their_dense_covariance(terms, rng) -> None:
     law, count, runs = law_of(terms), 5, (4, 3)
     time = STEP * np.arange(count * sum(runs)) + np.repeat([0.0, 500.0], count * np.array(runs))
