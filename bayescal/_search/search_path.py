@@ -240,4 +240,4 @@ def _nearest(best: Candidate, added: int) -> str:
     more = "Nothing more" if added else "Nothing"
     if best.kind == "lead":
         return f"{more} is found: {it}: a lead, below the {searching().found:g} asked for."
-    return f"{more} is found: the most probable candidate is {it}, below the {searching().found:g} asked for."
+    return f"{more} is found: the likeliest candidate is {it}, below the {searching().found:g} asked for."
