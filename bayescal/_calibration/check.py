@@ -6,7 +6,7 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from scipy.special import bdtr, kolmogorov, ndtr, smirnov, stdtr
+from scipy.special import bdtr, kolmogorov, ndtr, smirnov
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, Entry, FixedComparison, Pair
@@ -18,6 +18,7 @@ from bayescal._calibration.covariate_evidence import (
     together,
 )
 from bayescal._calibration.fit import fit
+from bayescal._calibration.guards import uncorrelated
 from bayescal._calibration.noise_in_time import allan_check
 from bayescal._calibration.settings import guarding, searching
 from bayescal._calibration.worst_region import worst_regions
@@ -227,7 +228,7 @@ def _scatter_with(
     # Noise in proportion to a signal of both signs grows on both sides, which a ranking along no column shows.
     along["the output's distance from its median"] = np.abs(expected - np.median(expected))
     sizes = _ranks(np.abs(standardised))
-    found = {name: _uncorrelated(sizes, _ranks(values)) for name, values in along.items()}
+    found = {name: uncorrelated(sizes, _ranks(values)) for name, values in along.items()}
     return {name: p for name, p in found.items() if p < guarding().significant}
 
 
@@ -254,16 +255,6 @@ def _ranks(values: np.ndarray) -> np.ndarray:
     """1 for the smallest; equal values share the mean of their ranks."""
     _, place, count = np.unique(values, return_inverse=True, return_counts=True)
     return (np.cumsum(count) - 0.5 * (count - 1))[place]
-
-
-def _uncorrelated(one: np.ndarray, other: np.ndarray) -> float:
-    """p-value of two rankings that know nothing of each other, by Student's t; not a number where one is constant."""
-    free = len(one) - 2
-    if np.ptp(one) == 0 or np.ptp(other) == 0 or free < 1:
-        return float("nan")
-    r = float(np.clip(np.corrcoef(one, other)[0, 1], -1, 1))
-    with np.errstate(divide="ignore"):
-        return float(2 * stdtr(free, -abs(r) * np.sqrt(free / np.float64((1 - r) * (1 + r)))))
 
 
 def _uniform(values: np.ndarray) -> float:

@@ -110,7 +110,7 @@ class Fitted:
         Those of thermometers that an effect depends on. Where none does, constants are means over the readings, at
         whatever temperatures these were taken.
         """
-        needed = {n for e in self.model.effects for n in (*e.columns, *e.varies)}
+        needed = self.model.columns
         named = (reference_name(n) for n in self.readings.columns if n in needed)
         return {n: float(self.reference[n]) for n in named if n in self.reference}  # pyright: ignore[reportArgumentType]
 

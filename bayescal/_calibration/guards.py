@@ -320,8 +320,9 @@ def following_members(calibration: Fitted, accepted: Collection[str] = ()) -> li
             count = np.bincount(own[own >= 0], minlength=len(values))
             total = np.bincount(own[own >= 0], column[own >= 0], minlength=len(values))
             there = count > 0
-            r, p = _correlation(total[there] / count[there], values[there])
-            if p < guarding().rare:
+            mean, own_values = total[there] / count[there], values[there]
+            if (p := uncorrelated(mean, own_values)) < guarding().rare:
+                r = float(np.corrcoef(mean, own_values)[0, 1])
                 along = " and ".join(term.varies)
                 found.append(
                     f"The coefficient {term.name} is not measured: {b.effect.name} follows {along} from one "
@@ -332,14 +333,14 @@ def following_members(calibration: Fitted, accepted: Collection[str] = ()) -> li
     return found
 
 
-def _correlation(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
-    """Of two columns, and its p-value by Student's t; 0 and 1 where one is constant or there are too few."""
+def uncorrelated(one: np.ndarray, other: np.ndarray) -> float:
+    """p-value of two columns that know nothing of each other, by Student's t; not a number where one is constant."""
     free = len(one) - 2
-    if free < 1 or np.ptp(one) == 0 or np.ptp(other) == 0:
-        return 0.0, 1.0
-    r = float(np.corrcoef(one, other)[0, 1])
-    left = max(1.0 - r**2, float(np.finfo(float).tiny))
-    return r, float(2 * stdtr(free, -abs(r) * math.sqrt(free / left)))
+    if np.ptp(one) == 0 or np.ptp(other) == 0 or free < 1:
+        return float("nan")
+    r = float(np.clip(np.corrcoef(one, other)[0, 1], -1, 1))
+    with np.errstate(divide="ignore"):
+        return float(2 * stdtr(free, -abs(r) * np.sqrt(free / np.float64((1 - r) * (1 + r)))))
 
 
 def _too_large(calibration: Fitted, hyperparameters: list[dict[str, Any]]) -> list[str]:

@@ -22,10 +22,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
-from scipy.special import gammaln, ndtri
+from scipy.special import gammaln, ndtri, softmax
 
 from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError
+from bayescal._core.importance_weights import effective_size, resample
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
 from bayescal._data.measurements import Measurements
@@ -44,14 +45,12 @@ STRETCHES = 8  # of single readings beside the means, as many readings as there 
 ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, then in pairs
 TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
 ROUNDED, AVERAGED = "quantisation", "averaging"  # of neighbouring readings alone; one of them more
-LINE = 0.2 - 0.3 * np.arange(
-    -2, 3
-)  # of five values at 2 to 6: what the straight line through them has at 1
+# Of five values at 2 to 6: what the straight line through them has at 1.
+LINE = 0.2 - 0.3 * np.arange(-2, 3)
 WINDOW = 64  # readings of the shortest spectra in which a line is looked for; others are twice as long, and so on
 WINDOWS = 8  # of the longest, at least
-BESIDE = np.array(
-    [3, 4, 5, 6]
-)  # places of a spectrum from a line to what it stands above: a window's own width is 2
+# Places of a spectrum from a line to what it stands above: a window's own width is 2.
+BESIDE = np.array([3, 4, 5, 6])
 SMOOTH = 0.02  # relative, of a spectrum without lines over as many places: it bends where one noise takes over another
 DEGREE = 3  # of the polynomial over temperature: a sensor's own law is rarely of more in one soak
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
@@ -180,8 +179,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     while True:
         order = sorted(fits, key=lambda t: -_total(fits, t))
         totals = np.array([_total(fits, t) for t in order])
-        shares = np.exp(totals - totals.max())
-        probabilities = dict(zip(order, (shares / shares.sum()).tolist(), strict=True))
+        probabilities = dict(zip(order, softmax(totals).tolist(), strict=True))
         least = searching().drawn * probabilities[order[0]]
         probable = [t for t in order if probabilities[t] > least]
         if not (fresh := [t for t in probable if t not in sampled]):
@@ -477,16 +475,6 @@ def _log_density(
     return of_tails - volume - 0.5 * (TAILS + d) * far
 
 
-def _weights(log_weight: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    weight = np.exp(log_weight - log_weight.max())
-    return weight / weight.sum()
-
-
-def _effective(weight: Float[np.ndarray, "n"]) -> float:
-    """How many draws of equal weight tell as much."""
-    return 1 / float(np.sum(weight**2))
-
-
 class _Sampled(NamedTuple):
     v: Float[np.ndarray, "n d"]
     weight: Float[np.ndarray, "n"]
@@ -514,14 +502,16 @@ def _sampled(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float)
         new = middle + (random.standard_normal((tried, d)) * stretch[:, None]) @ about[-1][1].T
         v, posterior = np.concatenate([v, new]), np.append(posterior, _several(channel, law, new))
         log_weight = posterior - np.logaddexp.reduce([_log_density(v, *one) for one in about])
-        weight = _weights(log_weight)
-        if _effective(weight) >= enough:
+        weight = softmax(log_weight)
+        if effective_size(weight) >= enough:
             break
         # Where the posterior bends away from its curvature at the mode, the next draws lie as all so far do by their
         # weights, flattened to a power at which enough of them count.
         likely = np.isfinite(log_weight)
         power, some = 1.0, v[likely]
-        while _effective(flat := _weights(power * log_weight[likely])) < min(enough, len(some) / 2):
+        while effective_size(flat := softmax(power * log_weight[likely])) < min(
+            enough, len(some) / 2
+        ):
             power *= 0.8
         middle, covariance = flat @ some, np.cov(some.T, aweights=flat).reshape(d, d)
     return _Sampled(v, weight, float(np.logaddexp.reduce(log_weight)) - math.log(tried))
@@ -533,10 +523,8 @@ def _drawn(channel: _AtRest, terms: Terms, sampled: _Sampled, seed: int, share: 
     Args:
         share: of all draws that are kept.
     """
-    # Systematic resampling: quantiles are those of the weights.
-    count, v = max(1, round(share * KEPT)), sampled.v
-    at = (np.arange(count) + np.random.default_rng(seed).uniform()) / count
-    chosen = v[np.minimum(np.searchsorted(np.cumsum(sampled.weight), at), len(v) - 1)]
+    count = max(1, round(share * KEPT))
+    chosen = sampled.v[resample(sampled.weight, count, seed)]
     priors = _priors(channel.law(terms))
     own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
     return channel.physical(terms, own)

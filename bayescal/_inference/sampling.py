@@ -591,7 +591,7 @@ def _match(mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
     weight = softmax(log_weight)
     weight = np.minimum(weight, 1 / math.sqrt(weight.size))  # truncation, Ionides 2008
     weight = weight / np.sum(weight)
-    effective = 1 / np.sum(weight**2)
+    effective = effective_size(weight)
     # Few draws know a covariance badly: at 20 effective ones a coordinate it counts as much as that of the Laplace
     # fit.
     trust = effective / (effective + 20.0 * v.shape[1])

@@ -85,6 +85,11 @@ class Model(Printed):
     def names(self) -> tuple[str, ...]:
         return tuple(effect.name for effect in self.effects)
 
+    @property
+    def columns(self) -> frozenset[str]:
+        """Columns of the readings that its effects depend on."""
+        return frozenset(n for e in self.effects for n in (*e.columns, *e.varies))
+
     def __add__(self, other: Effect | str | Iterable[Effect | str]) -> Model:
         """The model with an effect (or several) more, given as such or by canonical name.
 

@@ -120,10 +120,9 @@ def calibrate(
     """
 
     def run() -> SearchPath:
-        needed = {n for e in model.effects for n in (*e.columns, *e.varies)}
         causes = with_causes(readings, model.instrument, ignore, covariates)
-        used = set_aside(causes, keep_spikes, needed)
-        kept = None if holdout is None else set_aside(holdout, keep_spikes, needed)
+        used = set_aside(causes, keep_spikes, model.columns)
+        kept = None if holdout is None else set_aside(holdout, keep_spikes, model.columns)
         used, accepted = _said_of_holdout(used, kept), frozenset(accept_conflicts)
         loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
         loop, first = loop.begin(model)

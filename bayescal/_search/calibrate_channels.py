@@ -77,12 +77,14 @@ def calibrate_channels(
 
     def run() -> Channels:
         for i, (name, model) in enumerate(models.items()):
-            needed = {n for e in model.effects for n in (*e.columns, *e.varies)}
-            kept = None if holdout is None else set_aside(holdout[name], keep_spikes, needed)
+            kept = None if holdout is None else set_aside(holdout[name], keep_spikes, model.columns)
             if kept is not None:
                 model.require(kept)
             used = with_causes(readings[name], model.instrument, ignore, covariates)
-            used, accepted = set_aside(used, keep_spikes, needed), frozenset(accept_conflicts)
+            used, accepted = (
+                set_aside(used, keep_spikes, model.columns),
+                frozenset(accept_conflicts),
+            )
             loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
             with stage(name), deadline.share(1 / (2 * len(models) - i)):
                 channels.append(_Channel.begun(name, model, loop, effects, widen_noise))

@@ -171,8 +171,7 @@ def _not_decidable(steps: Sequence[Step]) -> list[str]:
     effect in time that was not expected. Which of them it is no reading of the file tells.
     """
     readings, model = steps[-1].calibration.readings, steps[-1].calibration.model
-    needed = {n for e in model.effects for n in (*e.columns, *e.varies)}
-    warm = sorted(n for n in needed if readings.has(n) and readings.unit(n) == "degC")
+    warm = sorted(n for n in model.columns if readings.has(n) and readings.unit(n) == "degC")
     had = {e.name for e in steps[0].calibration.model.effects}
     in_time = [
         e.name
@@ -239,8 +238,7 @@ def in_one_order(step: Step) -> list[str]:
 def _thermometers(steps: Sequence[Step]) -> list[str]:
     """What is odd in the column of a thermometer that the first model's coefficients hang on."""
     readings, model = steps[-1].calibration.readings, steps[0].calibration.model
-    needed = {n for e in model.effects for n in (*e.columns, *e.varies)}
-    warm = [n for n in readings.columns if n in needed and readings.unit(n) == "degC"]
+    warm = [n for n in readings.columns if n in model.columns and readings.unit(n) == "degC"]
     every = [n for n in readings.columns if readings.unit(n) == "degC"]
     if not warm:
         return []

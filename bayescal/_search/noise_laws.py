@@ -150,7 +150,7 @@ def _correlated(
     found = minimize(
         down, starts[int(np.argmax(there))], jac=True, method="L-BFGS-B", tol=TOLERANCE
     )
-    bends = curvature(lambda at: -down(at)[1], found.x, CURVED, -down(found.x)[1])
+    bends = curvature(lambda at: -down(at)[1], found.x, CURVED, -found.jac)
     return -float(found.fun), found.x, bends
 
 
