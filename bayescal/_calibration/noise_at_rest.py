@@ -524,7 +524,7 @@ def _drawn(channel: _AtRest, terms: Terms, sampled: _Sampled, seed: int, share: 
         share: of all draws that are kept.
     """
     count = max(1, round(share * KEPT))
-    chosen = sampled.v[resample(sampled.weight, count, seed)]
+    chosen = sampled.v[np.sort(resample(sampled.weight, count, seed))]
     priors = _priors(channel.law(terms))
     own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
     return channel.physical(terms, own)
