@@ -108,7 +108,7 @@ def _resized(model: Model) -> dict[str, float]:
 def _catalogue(instrument: Instrument) -> dict[str, Effect]:
     """Every effect that an instrument offers, by name."""
     structural = [e for _, make in instrument.structures for e in make().effects]
-    return {e.name: e for e in (*structural, *instrument.effects, *instrument.candidates)}
+    return {**{e.name: e for e in structural}, **instrument.known}
 
 
 def stated(effect: Effect) -> str:

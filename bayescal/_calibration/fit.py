@@ -113,7 +113,7 @@ def fit(
 def _refuse_nothing(calibration: Calibration) -> None:
     """An effect of the user's own that adds nothing to any reading: its coefficients would stay at their priors."""
     instrument = calibration.model.instrument
-    known = {e.name for e in (*instrument.effects, *instrument.candidates)}
+    known = instrument.known
     for effect in calibration.model.effects:
         if effect.name in known or effect.is_placeholder or isinstance(effect, Departure):
             continue

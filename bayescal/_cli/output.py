@@ -118,7 +118,7 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
         own: effects of the user's own, known too.
     """
     instrument = calibration.model.instrument
-    known = (*instrument.effects, *instrument.candidates, *calibration.model.effects, *own)
+    known = (*instrument.known.values(), *calibration.model.effects, *own)
     used = {"run", "time", *(column for effect in known for column in effect.columns)}
     lines = []
     for e in check.entries:

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from bayescal._inference.gaussian import Prior
 from bayescal._inference.record import Record
-from bayescal._inference.terms import Sizes, Term
+from bayescal._inference.terms import Correction, Sizes, Term
 from bayescal._model.parameters import MOVING, Layout
 
 Values = dict[str, float]
@@ -60,8 +60,25 @@ class Assembly:
 
     def __post_init__(self) -> None:
         layout = self.layout
+        slots = self.record.slots
+        correcting = [b for b in layout.blocks if b.slot not in slots]
+        self.corrected = tuple(dict.fromkeys(b.slot for b in correcting))
+        corrections: tuple[Correction, ...] = ()
+        blocks = layout.blocks
+        # What corrects a column without an unknown but its shapes, as the temperature of a body does, is part of the
+        # other effects' columns: these stay linear in their coefficients.
+        if correcting and all(b.place == "fixed" and b.size == 1 for b in correcting):
+            corrections, self.corrected = tuple(map(Correction.of_block, correcting)), ()
+            blocks = tuple(b for b in blocks if b.slot in slots)
+        own = {b.effect.name for b in correcting}
         self.terms = tuple(
-            Term.of_block(b, self.record.plain, self.size_factors or {}) for b in layout.blocks
+            Term.of_block(
+                b,
+                self.record.plain,
+                self.size_factors or {},
+                () if b.effect.name in own else corrections,
+            )
+            for b in blocks
         )
         self.hypers = layout.hypers
         self.size = sum(t.size for t in self.terms if t.place == "x")
@@ -70,8 +87,6 @@ class Assembly:
         self.row_sd = np.array([t.prior_sd for t in of_rows])
         self.noise = layout.model.noise
         self.fixed_values = dict(layout.model.fixed)
-        slots = self.record.slots
-        self.corrected = tuple(dict.fromkeys(t.slot for t in self.terms if t.slot not in slots))
         # A promoted coefficient in units of a learned spread moves with that spread too.
         scaled = {t.group_sd_name for t in self.terms if t.place == "phi"}
         self.kinds = [h.kind for h in self.hypers]

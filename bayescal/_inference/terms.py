@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._core.jit import given
 from bayescal._inference.programs import Basis, basis_of
 from bayescal._model.departure import Departure
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Effect, matrix
 from bayescal._model.parameters import CoefficientBlock
 from bayescal._model.prior import LogNormal, Normal
 
@@ -30,6 +31,15 @@ class ColumnsOf(NamedTuple):
     priors: tuple[Any, ...]
     less: Departure | None = None
 
+    def on(self, corrections: Sequence[Correction]) -> ColumnsOf:
+        """The same where columns of the readings are corrected by effects without an unknown but their shapes."""
+        basis, shapes, priors = self.basis, self.shapes, self.priors
+        for c in corrections:
+            own = tuple(f"{c.column}_{name}" for name in c.of.shapes)
+            basis = (given(_on_corrected, basis, shapes, c, own), *basis[1:])
+            shapes, priors = shapes + own, priors + c.of.priors
+        return self._replace(basis=basis, shapes=shapes, priors=priors)
+
     @property
     def key(self) -> Any:
         """What they depend on, as a value."""
@@ -42,6 +52,34 @@ class ColumnsOf(NamedTuple):
         names = tuple(s.name for s in effect.column_shapes)
         less = effect if isinstance(effect, Departure) else None
         return cls(basis_of(effect), names, tuple(s.prior for s in effect.column_shapes), less)
+
+
+class Correction(NamedTuple):
+    """What a column of the readings is corrected by: a column of an effect's own, times a number."""
+
+    column: str
+    of: ColumnsOf
+    index: int
+    factor: float
+    shape_names: tuple[str, ...]
+
+    @classmethod
+    def of_block(cls, block: CoefficientBlock) -> Correction:
+        effect = block.effect
+        names = tuple(map(effect.shape_name, effect.column_shapes))
+        return cls(
+            block.slot, ColumnsOf.of(effect), block.index, block.factor * block.value, names
+        )
+
+
+def _on_corrected(
+    basis: Basis, shapes: tuple[str, ...], c: Correction, names: tuple[str, ...], r: Any, **at: Any
+) -> Any:
+    """A basis on readings of which a column is corrected."""
+    by = dict(zip(c.of.shapes, (at[name] for name in names), strict=True))
+    shift = c.factor * matrix(*c.of.basis, r, by)[:, c.index]
+    moved = r.with_column(c.column, r[c.column] + shift)
+    return matrix(*basis, moved, {name: at[name] for name in shapes})
 
 
 class CoefficientTerms(NamedTuple):
@@ -59,9 +97,13 @@ class CoefficientTerms(NamedTuple):
     key: Any  # what its columns depend on, whoever has them
 
     @classmethod
-    def of_block(cls, block: CoefficientBlock) -> CoefficientTerms:
-        c, effect, columns = block.coefficient, block.effect, ColumnsOf.of(block.effect)
-        names, learned = tuple(map(effect.shape_name, effect.column_shapes)), c.group_sd is not None
+    def of_block(
+        cls, block: CoefficientBlock, corrections: Sequence[Correction]
+    ) -> CoefficientTerms:
+        c, effect, learned = block.coefficient, block.effect, block.coefficient.group_sd is not None
+        columns = ColumnsOf.of(effect).on(corrections)
+        names = (*map(effect.shape_name, effect.column_shapes),)
+        names += tuple(name for by in corrections for name in by.shape_names)
         own = c.per, c.mean, c.size, c.flat, learned
         return cls(effect, effect.name, *own, columns, names, columns.key)
 
@@ -83,11 +125,17 @@ class Term(NamedTuple):
 
     @classmethod
     def of_block(
-        cls, block: CoefficientBlock, plain: dict[Any, Any], size_factors: Mapping[str, float]
+        cls,
+        block: CoefficientBlock,
+        plain: dict[Any, Any],
+        size_factors: Mapping[str, float],
+        corrections: Sequence[Correction] = (),
     ) -> Term:
-        key = (id(block.effect), block.index)
+        """Of a block, on readings of which columns are corrected; `plain` keeps what does not change."""
+        needed = tuple(c for c in corrections if c.column in block.effect.columns)
+        key = (id(block.effect), block.index, needed)
         if key not in plain:
-            plain[key] = CoefficientTerms.of_block(block)
+            plain[key] = CoefficientTerms.of_block(block, needed)
         known: CoefficientTerms = plain[key]
         same = "index", "slot", "size", "place", "factor", "value"
         return cls(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import field, replace
 from functools import cached_property, wraps
 from typing import Any, Literal
@@ -20,7 +20,15 @@ from bayescal._core.errors import ModelError
 from bayescal._core.jit import by_value, importable, written_by_value
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import Frame
-from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
+from bayescal._model.prior import (
+    Flat,
+    HalfCauchy,
+    HalfNormal,
+    Known,
+    LogNormal,
+    LogUniform,
+    Normal,
+)
 from bayescal._model.static import set_once, static
 
 Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
@@ -54,7 +62,7 @@ class Coefficient:
 
     Attributes:
         unit: the unit it is reported in and its prior is stated in, such as "deg/s/degC" or "ppm/degC".
-        prior: Gaussian or flat. With a learned group standard deviation only its mean counts.
+        prior: Gaussian, flat, or `Known`, which is no unknown. With a learned group standard deviation only its mean counts.
         part: its name within the effect, such as "parallel,M2,cos"; empty if the effect has just one.
         slot: the slot it feeds, where that is not the effect's own.
         per: None for one value; a group for one value each: "run", "cell", "device", "axis", "reading", or any
@@ -64,7 +72,7 @@ class Coefficient:
     """
 
     unit: str
-    prior: Normal | Flat = field(default_factory=Normal)
+    prior: Normal | Flat | Known = field(default_factory=Normal)
     part: str = ""
     slot: str | None = None
     per: Group | None = None
@@ -81,15 +89,20 @@ class Coefficient:
         return isinstance(self.prior, Flat) and self.group_sd is None
 
     @property
+    def known(self) -> bool:
+        """Whether it is a number by definition, and not estimated."""
+        return isinstance(self.prior, Known)
+
+    @property
     def mean(self) -> float:
-        return self.prior.mean if isinstance(self.prior, Normal) else 0.0
+        return 0.0 if isinstance(self.prior, Flat) else self.prior.mean
 
     @property
     def size(self) -> float:
         """The plausible size, in `unit`: the prior's sd, or the scale of the group standard deviation's prior."""
         if self.group_sd is not None:
             return self.group_sd.scale
-        return self.prior.sd if isinstance(self.prior, Normal) else self.prior.scale
+        return self.prior.scale if isinstance(self.prior, Flat) else self.prior.sd
 
 
 @static
@@ -178,6 +191,9 @@ class Effect:
         untestable: why readings that have all this still cannot test the effect, or None where they can.
         along: covariate along which a real law may depart smoothly from this form: a numeric column, "elapsed", or a
             rate such as "temperature rate". None stands for the one column that it needs; "" for no such covariate.
+        forms: other forms that the same physics may take, each an effect of its own: a search weighs them in its place,
+            at most one at a time, and they share its prior probability.
+        family: the effect of which it is a form; empty where it is none.
     """
 
     name: str
@@ -193,12 +209,15 @@ class Effect:
     measure: str | None = None
     untestable: Callable[[Measurements], str | None] | None = None
     along: str | None = None
+    forms: tuple[Effect, ...] = field(default=(), repr=False)
+    family: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
         set_once(
             self,
             coefficients=tuple(self.coefficients),
             shapes=tuple(self.shapes),
+            forms=tuple(replace(form, family=self.name) for form in self.forms),
             **{role: by_value(getattr(self, role)) for role in FUNCTIONS},
         )
         if not self.coefficients:
@@ -231,6 +250,11 @@ class Effect:
     def __repr__(self) -> str:
         said = f"{self.name} [{self.coefficients[0].unit}]"
         return f"<Effect: {said}: {self.equation}>" if self.equation else f"<Effect: {said}>"
+
+    @property
+    def reported(self) -> str:
+        """The name under which a search reports it: its own, or that of the effect of which it is a form."""
+        return self.family or self.name
 
     @property
     def is_placeholder(self) -> bool:
@@ -293,6 +317,12 @@ class Effect:
         """
         own = {s.name: shapes[s.name] for s in self.column_shapes}
         return matrix(self.basis, len(self.coefficients), self.name, frame, own)
+
+
+def with_forms(effects: Iterable[Effect]) -> Iterator[Effect]:
+    """Effects, each followed by its forms."""
+    for effect in effects:
+        yield from (effect, *effect.forms)
 
 
 def matrix(

@@ -115,10 +115,9 @@ def _members(block: CoefficientBlock, frame: Frame) -> Float[Array, "n m"]:
 
 
 def _columns(
-    blocks: Iterable[CoefficientBlock], frame: Frame, hyper: Values
+    blocks: Iterable[CoefficientBlock], frame: Frame, hyper: Values, found: dict[int, Array]
 ) -> list[tuple[CoefficientBlock, Array]]:
-    """The basis column of each block, in slot units per reported unit."""
-    found: dict[int, Array] = {}
+    """The basis column of each block, in slot units per reported unit; `found` keeps the matrices by effect."""
     return [(b, _matrix(b, frame, hyper, found)[:, b.index] * b.factor) for b in blocks]
 
 
@@ -159,17 +158,18 @@ def compose(
 ) -> tuple[Values, Frame, list[tuple[CoefficientBlock, Array]]]:
     """What the response is taken of: each slot's sum with `push` added, and the corrected readings; basis columns too.
 
-    Blocks that correct a column see the record, the others the corrected columns. All blocks act, or `blocks`.
+    Effects that correct a column see the record, the others the corrected columns. All blocks act, or `blocks`.
     """
     acting = layout.blocks if blocks is None else blocks
     slots, zero = [s.name for s in layout.model.instrument.slots], jnp.zeros(frame.size)
-    correcting = _columns((b for b in acting if b.slot not in slots), frame, hyper)
+    found: dict[int, Array] = {}
+    correcting = _columns((b for b in acting if b.slot not in slots), frame, hyper, found)
     corrections = _sums(correcting, values, frame)
     corrected = frame
     for name in dict.fromkeys((*corrections, *(p for p in push if p not in slots))):
         shifted = frame[name] + corrections.get(name, zero) + push.get(name, zero)
         corrected = corrected.with_column(name, shifted)
-    others = _columns((b for b in acting if b.slot in slots), corrected, hyper)
+    others = _columns((b for b in acting if b.slot in slots), corrected, hyper, found)
     sums = _sums(others, values, frame)
     filled = {name: sums.get(name, zero) + push.get(name, zero) for name in slots}
     return filled, corrected, [*correcting, *others]

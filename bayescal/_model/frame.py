@@ -127,6 +127,10 @@ class Frame(eqx.Module):
         the silence would leave the body behind T by its rate times τ, which a soak does not. T̃ follows the record: a
         correction of the column (an error of the thermometer) moves T at its own reading, not the body's past.
         """
+        return self.behind(tau, name) + (self.record[name] - self.columns[name])
+
+    def behind(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
+        """T̃ − T as `lag` has it, both of the record whatever has been corrected since, °C."""
         values = self.record[name][self.order]
         first, still = self.step < 0, self.step == 0
         h = jnp.where(first | still, 1.0, self.step / tau)
@@ -136,7 +140,7 @@ class Frame(eqx.Module):
         share = jnp.where(self.step > self.silence, -decay, linear)
         drive = jnp.where(first, 0.0, change * share)
 
-        return self._followed(decay, drive) + (self.record[name] - self.columns[name])
+        return self._followed(decay, drive)
 
     def _followed(self, share: Float[Array, "n"], push: Float[Array, "n"]) -> Float[Array, "n"]:
         """x ← share·x + push from one reading to the next in time."""

@@ -21,7 +21,7 @@ from bayescal._core.jit import importable, written_by_value
 from bayescal._data.column import Column, NominalScale
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, basis_factor
-from bayescal._model.effect import Coefficient, Effect
+from bayescal._model.effect import Coefficient, Effect, with_forms
 from bayescal._model.frame import GROUPS, Frame
 from bayescal._model.noise_law import Noise
 from bayescal._model.static import static
@@ -228,28 +228,32 @@ class Instrument:
             f"{', '.join(s.name for s in self.slots)}, or correct a numeric column"
         )
 
+    @property
+    def known(self) -> dict[str, Effect]:
+        """Its own effects by name, forms after the effect that they are forms of."""
+        return {e.name: e for e in with_forms((*self.effects, *self.candidates))}
+
     def effect(self, name: str) -> Effect:
         """One of the instrument's own effects by canonical name, or "unknown(covariate)".
 
         Raises:
             ModelError: it has none of that name.
         """
-        for effect in (*self.effects, *self.candidates):
-            if effect.name == name:
-                return effect
+        if (effect := self.known.get(name)) is not None:
+            return effect
         if covariate := covariate_in(name):
             return self.unknown(covariate)
         if name.endswith(FREED):
             return freed(self.effect(name.removesuffix(FREED)))
         raise ModelError(
             f"instrument {self.name!r} knows no effect {name!r}; it knows "
-            f"{', '.join(e.name for e in (*self.effects, *self.candidates))}. "
+            f"{', '.join(self.known)}. "
             "Give a bayescal.Effect of your own, or load one with --effects"
         )
 
     def shown_by(self, frame: Frame, more: Iterable[Effect] = ()) -> tuple[Effect, ...]:
         """Effects of the instrument, and some more, that these readings have the columns for."""
-        known = {e.name: e for e in (*self.effects, *self.candidates, *more)}
+        known = {**self.known, **{e.name: e for e in more}}
         labels = (label.split("=")[0] for label in frame.labels)
         there = {*frame.columns, *frame.codes, *labels, "temperature_point"}
         return tuple(e for e in known.values() if there.issuperset(e.columns))

@@ -100,7 +100,7 @@ class Layout:
                 slot = self.model.instrument.slot(coefficient.slot or effect.slot)
                 size = counts[coefficient.per] if coefficient.per else 1
                 place: Place = "x"
-                if name in fixed:
+                if name in fixed or coefficient.known:
                     place = "fixed"
                 elif coefficient.per == "reading":
                     place = "row"
@@ -117,7 +117,7 @@ class Layout:
                         factor=factor,
                         place=place,
                         start=start,
-                        value=fixed.get(name, 0.0),
+                        value=fixed.get(name, coefficient.mean),
                     )
                 )
                 start += size if place == "x" else 0

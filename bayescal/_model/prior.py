@@ -1,6 +1,6 @@
 """Prior distributions: what is believed of an unknown before the readings.
 
-Coefficients take `Normal` or `Flat`; spreads and noise scales take `HalfNormal`, `HalfCauchy` or `Flat`;
+Coefficients take `Normal`, `Flat` or `Known`; spreads and noise scales take `HalfNormal`, `HalfCauchy` or `Flat`;
 what has an order of magnitude takes `LogNormal`, what has bounds `LogUniform`.
 A hyper-parameter is sampled in a coordinate v on the whole real line; each positive prior here knows its
 value at v and its log density *in v* (the Jacobian included), so that nothing else transforms anything. Values and
@@ -10,6 +10,7 @@ coordinates are JAX's arrays within programs, NumPy's arrays or numbers on the h
 from __future__ import annotations
 
 import math
+from dataclasses import field
 from typing import Any
 
 import jax
@@ -79,6 +80,14 @@ class Normal(_StandardNormal):
 
     def coordinate(self, value: Any) -> Any:
         return (value - self.mean) / self.sd
+
+
+@static
+class Known:
+    """No unknown at all: a coefficient that is one by definition, as that of a body's temperature."""
+
+    mean: float = 1.0
+    sd: float = field(default=0.0, init=False, repr=False)
 
 
 @static

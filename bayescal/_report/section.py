@@ -188,7 +188,7 @@ def trail_of(calibrations: list[Calibration], effects: tuple[Effect, ...] = ()) 
     """
     used = {e.name: e for c in calibrations for e in c.model.effects}
     instrument = calibrations[0].model.instrument
-    catalogue = {e.name for e in (*instrument.effects, *instrument.candidates)}
+    catalogue = instrument.known
     own = [e for n, e in used.items() if n not in catalogue]
     steps = [
         replace(

@@ -16,7 +16,7 @@ from bayescal._inference.linear_model import learned_size
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._search.library import Library
 from bayescal._search.scores import ScoredPoint, gain_of
-from bayescal._search.structures import Weighed
+from bayescal._search.structures import Structures, Weighed
 
 FINE = np.geomspace(1 / 30, 30, 61)  # amplitudes of a group, about the likeliest of its grid
 
@@ -26,7 +26,8 @@ class Candidate:
     """What the readings say of one effect that is not in the model.
 
     Attributes:
-        effect: canonical name.
+        effect: canonical name, of a family of forms that of the family.
+        form: the most probable form, where there are several; `shape` and `size` are its own.
         probability: that it is missing from the model; None if it cannot be tested.
         log_bayes_factor: of the model with it against the model as it is, natural logarithm.
         source: "refit" where the model was fitted again with it, else "score".
@@ -42,6 +43,7 @@ class Candidate:
     """
 
     effect: str
+    form: str = ""
     probability: float | None = None
     log_bayes_factor: float | None = None
     source: str = "score"
@@ -67,23 +69,43 @@ class Candidate:
         return self.kind in ("not visible", "not testable")
 
 
+def best_form(
+    structures: Structures, points: Mapping[str, Sequence[ScoredPoint]]
+) -> dict[str, Sequence[ScoredPoint]]:
+    """By family, the scores of the form that gains most."""
+    found: dict[str, Sequence[ScoredPoint]] = {}
+    for name, own in points.items():
+        family = structures.family(name)
+        if family not in found or gain_of(own) > gain_of(found[family]):
+            found[family] = own
+    return found
+
+
 def judge(
-    library: Library, points: Sequence[ScoredPoint], at: Weighed, with_it: Weighed | None
+    library: Library,
+    name: str,
+    points: Sequence[ScoredPoint],
+    at: Weighed,
+    with_it: Weighed | None,
+    form: str,
 ) -> Candidate:
     """One candidate on its own.
 
     Args:
         library: of all candidates.
+        name: under which it is reported.
         points: its scores, the most probable first.
         at: the structure that it is missing from.
         with_it: the same with it, refitted; None where it was not.
+        form: the most probable one.
     """
-    top = points[0]
+    top, several = points[0], len(library.structures.forms[name]) > 1
     effect = library.structures.candidates[top.effect]
     found = Candidate(
-        effect=effect.name,
+        effect=name,
+        form=(form if with_it is not None else top.effect) if several else "",
         log_bayes_factor=gain_of(points),
-        z=_z(top, library.grouped(effect.name)),
+        z=_z(top, library.grouped(top.effect)),
         unit=effect.coefficients[0].unit,
         shape={**top.point.shapes, **top.size.scales},
         visibility=_visibility(top),
@@ -93,7 +115,7 @@ def judge(
         # The refit averages over sizes and finds its shapes: what the score says of these is only where it began.
         factor = with_it.log_evidence - at.log_evidence
         found = replace(found, log_bayes_factor=factor, source="refit")
-        return replace(found, **_by_refit(effect, with_it))
+        return replace(found, **_by_refit(library.structures.candidates[form], with_it))
     mean, variance = _size(library, points)
     return replace(found, size=mean, size_sd=math.sqrt(variance))
 
@@ -104,8 +126,8 @@ def too_small_or_large(
     """Candidates that at their plausible size are far off the scale of these readings, in words."""
     structures, found = library.structures, []
     noise = math.sqrt(float(np.median(structures.line(at).variance)))
-    for name, (top, *_) in points.items():
-        effect = structures.candidates[name]
+    for top, *_ in points.values():
+        effect = structures.candidates[top.effect]
         largest = float(np.max(np.abs(top.columns[:, 0])))  # whitened: of the noise
         most = largest * effect.coefficients[0].size * noise
         found += off_scale(effect, most, noise, structures.base.instrument.unit)
@@ -117,6 +139,12 @@ def _by_refit(effect, with_it: Weighed) -> dict:
     assembly, mode = with_it.assembly, with_it.mode
     hyper = assembly.hyper(mode.v)
     shapes = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.shapes}
+    if effect.coefficients[0].known:  # a body: what is to be known of it is its time
+        own = next(iter(effect.shapes))
+        at = [h.name for h in assembly.hypers].index(effect.shape_name(own))
+        slope = abs(assembly.value_change(mode.v, at))
+        sd = slope * math.sqrt(mode.covariance[at, at])
+        return {"size": shapes[own.name], "size_sd": sd, "shape": shapes, "unit": own.unit}
     if learned := learned_size(effect, assembly, mode):
         return {"size": learned[0], "size_sd": learned[1], "shape": shapes}
     term = next(t for t in assembly.in_x if t.known.of == effect.name)

@@ -21,14 +21,21 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import amplitudes, sized
 from bayescal._inference.record import Record
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Effect, with_forms
 from bayescal._model.frame import Reference, build_frame, derived
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
 from bayescal._model.unknown_effect import FORMS, FREED
-from bayescal._search.candidate import Candidate, alike, judge, kind_of, too_small_or_large
+from bayescal._search.candidate import (
+    Candidate,
+    alike,
+    best_form,
+    judge,
+    kind_of,
+    too_small_or_large,
+)
 from bayescal._search.departures import Departed, departed
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import laws_over
@@ -201,7 +208,7 @@ def walked(
         stopped = deadline.within(run)
     if stopped:  # a walk that was left behind may still add to what it had
         s, library = library.structures, copy.copy(library)
-        own = {n: dict(getattr(s, n)) for n in ("visited", "expected", "forms")}
+        own = {n: dict(getattr(s, n)) for n in ("visited", "expected", "departs")}
         library.structures = replace(s, **own)
     if Structure() not in library.structures.visited:
         raise TimeIsUp(end.why)
@@ -219,7 +226,7 @@ def structures_over(
     """All structures over a model, and the candidates that these readings cannot test, each with the reason."""
     instrument = model.instrument
     listed = (*instrument.candidates, *instrument.effects)
-    known = {e.name: e for e in (*listed, *effects)}
+    known = {e.name: e for e in with_forms((*listed, *effects))}
     known |= {e.name: e for e in placeholders(model, readings) if e.name not in known}
     own = {e.name for e in effects}  # who gives an effect says what it depends on
 
@@ -289,23 +296,29 @@ def discovery_at(
     structures = library.structures
     posterior = Posterior.of(structures, at.effects)
     here = structures.weigh(at)
-    names = [n for n in structures.candidates if n not in at.effects]
+    had = posterior.families(at.effects)
+    names = [n for n in library.points if structures.family(n) not in had]
     # Scores beside this model with departures taken off: these would otherwise take up what a candidate explains.
     points = View(library, here).without().scores(names) if names else {}
+    # Of forms that have a score the one that has the best speaks for its family.
+    points = best_form(structures, points)
     same = alike(points) if points else {}
     found = posterior.findings
     in_sets = {name: set(f.effects) for f in found for name in f.effects}
     judged = []
-    for name in names:
+    for name in points:
         # Confounded are those whose fitted contributions are parallel, and those that take each other's place in a
         # finding.
         near = (same[name] | in_sets.get(name, set())) - {name}
+        form = posterior.form(name)
+        with_it = structures.visited.get(at.plus(form))
         candidate = replace(
-            judge(library, points[name], here, structures.visited.get(at.plus(name))),
+            judge(library, name, points[name], here, with_it, form),
             probability=posterior.inclusion(name),
             indistinguishable_from=tuple(sorted(near)),
         )
-        judged.append(kind_of(candidate, name in in_sets, _plausible(structures.candidates[name])))
+        plausible = _plausible(structures.candidates[points[name][0].effect])
+        judged.append(kind_of(candidate, name in in_sets, plausible))
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     new, made = posterior.chosen.effects - at.effects, structures.weigh(posterior.chosen)
     best = [made.sized_model.effect(name) for name in structures.candidates if name in new]
@@ -320,7 +333,7 @@ def discovery_at(
         candidates=(*ranked, *shut),
         best=tuple(dict.fromkeys((*best, *departures))),
         departures=tuple(departures.values()),
-        rivals=tuple(structures.candidates[n] for n in rivals),
+        rivals=tuple(structures.candidates[posterior.form(n)] for n in rivals),
         noise=tuple(_laws(structures, posterior)),
         stopped=stopped,
         off_scale=too_small_or_large(library, points, here),

@@ -95,7 +95,7 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     shape, model = shape_of(calibration, name), calibration.model
     words, basis = _closest(shape)
     slot, word = model.effect(name).slot, identifier(shape.covariate)[:40]
-    known = (*model.instrument.effects, *model.instrument.candidates, *model.effects)
+    known = (*model.instrument.known.values(), *model.effects)
     word += "_own" if f"{slot}.{word}" in {e.name for e in known} else ""
     column = python_string(shape.covariate.removesuffix(" rate"))
     value = f"r.rate({column})" if shape.covariate.endswith(" rate") else f"r[{column}]"

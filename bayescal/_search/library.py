@@ -47,6 +47,8 @@ class GridPoint(NamedTuple):
 class Library:
     """All candidates at all points of their shapes, with their sizes: the same for every structure.
 
+    Candidates that correct a column are not among them: they have no columns of their own to be scored by.
+
     Attributes:
         grids: for some candidates alone, the coordinates of their shapes (points, shapes); none for all at usual ones.
         points: of each candidate.
@@ -64,7 +66,7 @@ class Library:
     def __post_init__(self) -> None:
         record, counts = self.structures.record, dict(self.structures.layout.counts)
         for name, effect in self.structures.candidates.items():
-            if self.grids and name not in self.grids:
+            if (self.grids and name not in self.grids) or self.structures.moves_a_column(name):
                 continue
             of, width = ColumnsOf.of(effect), [_members(c, counts) for c in effect.coefficients]
             self.sizes[name] = _sizes(effect, np.cumsum([0, *width]))

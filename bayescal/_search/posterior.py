@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ SHOWN = 20  # structures kept of a search
 
 @dataclass(frozen=True)
 class Found:
-    """One of these effects is missing; the readings cannot tell which."""
+    """One of these effects, each in some form, is missing; the readings cannot tell which."""
 
     effects: tuple[str, ...]
     probability: float
@@ -33,6 +34,7 @@ class Posterior:
         total: log evidence and log prior of each.
         probability: of each.
         refitted: those of them that were refitted.
+        family: the name under which each candidate is reported; asked of an effect, it is asked of all its forms.
     """
 
     given: frozenset[str]
@@ -40,6 +42,7 @@ class Posterior:
     total: np.ndarray
     probability: np.ndarray
     refitted: dict[Structure, Weighed]
+    family: Callable[[str], str]
 
     @classmethod
     def of(cls, structures: Structures, given: Iterable[str] = ()) -> Posterior:
@@ -56,7 +59,11 @@ class Posterior:
         # walk must have looked wherever they could be.
         weight = np.exp(total - total[0])
         probability = weight / weight.sum()
-        return cls(held, tuple(inside), total, probability, refitted)
+        return cls(held, tuple(inside), total, probability, refitted, structures.family)
+
+    def families(self, names: Iterable[str]) -> frozenset[str]:
+        """The names under which effects are reported."""
+        return frozenset(map(self.family, names))
 
     @property
     def best(self) -> Structure:
@@ -70,22 +77,35 @@ class Posterior:
         Args:
             unseen: effects of which the readings say nothing: of these it is not asked.
         """
-        rest = self.given.union(unseen)
-        return self.of_any(lambda s: s.effects <= rest)
+        rest = self.families(self.given.union(unseen))
+        return self._of_any([own <= rest for own in self._reported])
 
     def noise(self, name: str) -> float:
         """Probability of a noise law."""
-        return self.of_any(lambda s: s.noise == name)
+        return self._of_any([s.noise == name for s in self.structures])
 
     def inclusion(self, *names: str) -> float:
         """Probability that at least one of these effects is missing."""
         # At least one: probabilities of structures are added, not those of effects, which are not independent.
-        wanted = set(names)
-        return self.of_any(lambda s: not wanted.isdisjoint(s.effects))
+        wanted = self.families(names)
+        return self._of_any([not wanted.isdisjoint(own) for own in self._reported])
 
-    def of_any(self, holds) -> float:
-        inside = [bool(holds(s)) for s in self.structures]
-        return float(min(1.0, self.probability[inside].sum()))
+    def form(self, name: str) -> str:
+        """The most probable form of a family; its own name where no structure has any."""
+        mass: dict[str, float] = {}
+        for s, probability in zip(self.structures, self.probability.tolist(), strict=True):
+            for n in s.effects:
+                if self.family(n) == name:
+                    mass[n] = mass.get(n, 0.0) + probability
+        return max(mass, key=lambda n: mass[n], default=name)
+
+    @cached_property
+    def _reported(self) -> list[frozenset[str]]:
+        """Of each structure, the families of its effects."""
+        return [self.families(s.effects) for s in self.structures]
+
+    def _of_any(self, inside: Sequence[bool]) -> float:
+        return float(min(1.0, self.probability[np.array(inside, dtype=bool)].sum()))
 
     @property
     def findings(self) -> tuple[Found, ...]:
@@ -96,7 +116,7 @@ class Posterior:
         found = []
         # Greedy: each step takes the effect with the most probability of those structures that lack all members so
         # far.
-        for name in self.best.effects - self.given:
+        for name in self.families(self.best.effects) - self.families(self.given):
             members = [name]
             while self.inclusion(*members) < searching().found:
                 further = self._substitute(members)
@@ -111,11 +131,11 @@ class Posterior:
     def _substitute(self, members: list[str]) -> str | None:
         """The likeliest effect in the members' place: of the structures that have none of them."""
         # Effects that are in for other reasons are nobody's substitutes.
-        settled = (self.best.effects - {members[0]}) | self.given
+        settled = (self.families(self.best.effects) - {members[0]}) | self.families(self.given)
         mass: dict[str, float] = {}
-        for s, probability in zip(self.structures, self.probability, strict=True):
-            if s.effects.isdisjoint(members):
-                for name in s.effects - settled:
+        for there, probability in zip(self._reported, self.probability, strict=True):
+            if there.isdisjoint(members):
+                for name in there - settled:
                     mass[name] = mass.get(name, 0.0) + float(probability)
         return max(mass, key=lambda n: mass[n], default=None)
 
@@ -127,22 +147,30 @@ class Posterior:
         is for the word "missing". The noise law is that of the most probable structure that has all of it.
         Source: M. Barbieri and J. Berger, Ann. Statist. 32 (2004) 870 (the median probability model predicts best).
         """
-        found = {n for f in self.findings for n in f.effects if n in self.best.effects}
+        found = {n for f in self.findings for n in f.effects}
         effects = frozenset(self.given)
         inside = list(zip(self.structures, self.probability.tolist(), strict=True))
         while True:
             # Conditional inclusion: of the structures that hold what was chosen so far, which further effect most of
-            # them have. Without the condition two substitutes of one half each would both be out.
+            # them have, in any form; then which form. Without the condition two substitutes of one half each would both
+            # be out.
             share: dict[str, float] = {}
+            of_form: dict[str, float] = {}
             for s, p in inside:
                 for n in s.effects - effects:
-                    share[n] = share.get(n, 0.0) + p
+                    share[self.family(n)] = share.get(self.family(n), 0.0) + p
+                    of_form[n] = of_form.get(n, 0.0) + p
             likely = max(share, key=lambda n: (share[n], n), default="")
             if not likely or share[likely] <= 0.5 * sum(p for _, p in inside):
                 break
-            effects |= {likely}
-            inside = [(s, p) for s, p in inside if likely in s.effects]
-        effects |= found
+            own = [n for n in of_form if self.family(n) == likely]
+            likeliest = max(own, key=lambda n: (of_form[n], n))
+            effects |= {likeliest}
+            inside = [(s, p) for s, p in inside if likeliest in s.effects]
+        there = self.families(effects)
+        effects |= {
+            n for n in self.best.effects if self.family(n) in found and self.family(n) not in there
+        }
         law = next((s for s in self.structures if s.effects >= effects), self.best).noise
         return Structure(effects, law)
 

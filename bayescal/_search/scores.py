@@ -196,8 +196,9 @@ class WithoutNuisances(NamedTuple):
     ) -> list[tuple[float, ScoredPoint, ScoredPoint]]:
         """Log Bayes factors of two candidates at once, the best first."""
         points, made = [p for own in found.values() for p in own[:IN_PAIRS]], []
+        family = self.view.library.structures.family
         for a, b in itertools.combinations(points, 2):
-            if a.effect != b.effect:
+            if family(a.effect) != family(b.effect):
                 # Of two blocks of columns after the nuisances: the information of each, and what they share, CₐᵀC_b −
                 # PₐᵀP_b.
                 shared = a.columns.T @ b.columns - a.inside.T @ b.inside

@@ -17,6 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
+from bayescal._calibration.settings import searching
+from bayescal._inference.density import Density
 from bayescal._model.effect import CENTRAL_95, Shape
 from bayescal._search.library import Library
 from bayescal._search.scores import View
@@ -181,7 +183,8 @@ def said(structures: Structures, name: str, shape: Shape) -> ShapeEvidence:
     v = _grid(shape, own, holding[:1], f"{name}.{shape.name}")
     u = np.array([own.prior.coordinate(float(shape.prior.value(x))) for x in v])
     fine = Library(structures, {name: u[:, None]})
-    with_it = []
+    # Where it was not worth a refit, it is as improbable as makes none worth while.
+    with_it = [np.full(len(v), structures.best.total - searching().other_law)]
     for weighed in holding:
         # A refit knows the integral over v, the score its form: the form is scaled so that its prior mean is the
         # refit's evidence. Of structures without the effect, to which no refit adds it, the score stands for both.
@@ -189,7 +192,8 @@ def said(structures: Structures, name: str, shape: Shape) -> ShapeEvidence:
         total = weighed.total - structures.log_odds[name]
         with_it.append(total + gains - np.logaddexp.reduce(gains + log_mass(u)))
     for weighed in without:
-        if weighed.structure.plus(name) not in structures.visited:
+        scored = name in fine.points and name not in structures.barred(weighed.structure)
+        if scored and weighed.structure.plus(name) not in structures.visited:
             with_it.append(weighed.total + _gains(fine, weighed, name))
     totals = [w.total for w in without]
     return ShapeEvidence(v, np.logaddexp.reduce(with_it, axis=0) - np.logaddexp.reduce(totals))
@@ -223,6 +227,22 @@ def _best(structures: Structures, name: str, *, holds: bool) -> list[Weighed]:
 
 
 def _gains(fine: Library, at: Weighed, name: str) -> Float[np.ndarray, "k"]:
-    """Log Bayes factor by score of an effect at each point of its grid, in the order of the grid."""
+    """Log Bayes factor by score of an effect at each point of its grid, in the order of the grid, but for a constant.
+
+    Of one that corrects a column, which has no score, the density of φ along its shape, all else held.
+    """
+    if name not in fine.points:
+        return _along(at, name, fine.grids[name][:, 0])
     scored = View(fine, at).without(name).scores([name])[name]
     return np.array([s.gain for s in sorted(scored, key=lambda s: s.point.at.start)])
+
+
+def _along(at: Weighed, name: str, coordinates: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    """Log density of φ along an effect's one shape, without its prior there, all else as it is."""
+    own = at.model.effect(name).column_shapes[0]
+    place = [h.name for h in at.assembly.hypers].index(f"{name}.{own.name}")
+    vs = np.tile(at.mode.v, (len(coordinates), 1))
+    vs[:, place] = coordinates
+    prior = np.asarray(own.prior.log_density(coordinates))
+    density = Density(at.assembly, at.mode.point, at.mode.flat, at.mode.v)
+    return density.values(vs) - prior

@@ -1,7 +1,9 @@
 """Structures: which effects and which noise law may make up a model, how probable each is, before and after.
 
 Each candidate is in or out, independently, with odds such that P(model complete) is one half; placeholders share a
-tenth of the prior. A plausible size is known to an order of magnitude: evidence is averaged over it times 1, 3 and 10.
+tenth of the prior. A candidate is a family of forms, of which a structure has one at most and which share its odds: a
+form more makes nothing more probable. A plausible size is known to an order of magnitude: evidence is averaged over it
+times 1, 3 and 10.
 """
 
 from __future__ import annotations
@@ -118,23 +120,49 @@ class Structures:
     earlier: Mapping[Structure, Weighed] = field(default_factory=dict)
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
-    forms: dict[str, Form | None] = field(default_factory=dict)  # of departures, by candidate
+    departs: dict[str, Form | None] = field(default_factory=dict)  # how candidates depart
 
     @cached_property
     def log_odds(self) -> dict[str, float]:
-        """Prior log odds of each candidate to be missing."""
-        unknown = [n for n, e in self.candidates.items() if e.is_placeholder]
-        named = [n for n in self.candidates if n not in unknown]
+        """Prior log odds of each candidate to be missing, in this form."""
+        forms = self.forms.values()
+        unknown = [f for f in forms if self.candidates[f[0]].is_placeholder]
+        named = [f for f in forms if not self.candidates[f[0]].is_placeholder]
         share = searching().unknown_share if named else 1.0
         each = {}
-        for names, part in ((unknown, share), (named, 1 - share if unknown else 1.0)):
-            for name in names:
+        for families, part in ((unknown, share), (named, 1 - share if unknown else 1.0)):
+            for names in families:
                 # k candidates of odds o, each in or out by itself, are all out with probability (1 + o)⁻ᵏ. That this
                 # is `nothing` to the power of the group's part gives o = nothing^(−part/k) − 1, and the product over
                 # both groups is `nothing`.
-                odds = math.expm1(-math.log(searching().nothing) * part / len(names))
-                each[name] = self.odds.get(name, math.log(odds))
+                odds = math.expm1(-math.log(searching().nothing) * part / len(families))
+                for name in names:
+                    each[name] = self.odds.get(name, math.log(odds / len(names)))
         return each
+
+    @cached_property
+    def forms(self) -> dict[str, tuple[str, ...]]:
+        """The candidates of each family, by the name that it is reported under."""
+        found: dict[str, tuple[str, ...]] = {}
+        for name, effect in self.candidates.items():
+            found[effect.reported] = (*found.get(effect.reported, ()), name)
+        return found
+
+    def family(self, name: str) -> str:
+        """The name under which a candidate, or an effect of the base, is reported."""
+        effect = self.candidates.get(name)
+        return name if effect is None else effect.reported
+
+    def moves_a_column(self, name: str) -> bool:
+        """Whether a candidate corrects a column of the readings, as the temperature of a body does: all that depends on
+        the column changes with it, so that no score beside the others says what it is worth."""
+        return self.candidates[name].slot not in self.record.slots
+
+    def other_forms(self, structure: Structure, name: str) -> list[Structure]:
+        """The structure with other forms of one of its effects."""
+        rest = structure.minus(name)
+        forms = self.forms[self.family(name)]
+        return [rest.plus(n) for n in forms if n != name and n in self.open_to(rest)]
 
     def log_prior(self, structure: Structure) -> float:
         """Of a structure, against that of the base."""
@@ -145,8 +173,13 @@ class Structures:
         return self.laws.get(structure.noise, self.base.noise)
 
     def barred(self, structure: Structure) -> set[str]:
-        """Candidates that a structure may not have: beside correlated noise, a free curve in time."""
-        return set() if self.noise(structure).independent else {"unknown(time)"}
+        """Candidates that a structure may not have: beside correlated noise, a free curve in time; another form of what
+        it has; a second body in the place of the same thermometer."""
+        found = set() if self.noise(structure).independent else {"unknown(time)"}
+        moved = {self.candidates[n].slot for n in structure.effects if self.moves_a_column(n)}
+        for name in structure.effects:
+            found |= {n for n in self.forms[self.family(name)] if n != name}
+        return found | {n for n, e in self.candidates.items() if e.slot in moved} - structure.effects
 
     def open_to(self, structure: Structure) -> list[str]:
         """Candidates that may be added to it."""
@@ -205,14 +238,15 @@ class Structures:
 
     def _form(self, name: str, correlated: bool) -> Form | None:
         """How a candidate departs from its form; None where it cannot."""
+        return None
         if not may_depart(self.candidates[name], self.record, correlated):
             return None
-        if name not in self.forms:
+        if name not in self.departs:
             effect, line = self.candidates[name], self._base_line
             others = [e for n, e in self.candidates.items() if n != name]
             another = could_be_another(line, effect, others)
-            self.forms[name] = None if another else form_of(line, effect)
-        return self.forms[name]
+            self.departs[name] = None if another else form_of(line, effect)
+        return self.departs[name]
 
     @cached_property
     def _base_line(self) -> LinearModel:
@@ -368,7 +402,7 @@ def factors() -> dict[float, float]:
 def has_size(effect: Effect) -> bool:
     """Whether its size is a prior's standard deviation, and not learned."""
     return not effect.is_placeholder and any(
-        c.group_sd is None and not c.flat for c in effect.coefficients
+        c.group_sd is None and not (c.flat or c.known) for c in effect.coefficients
     )
 
 

@@ -56,19 +56,25 @@ def walk(
             if end.over:
                 return ended_early(end, begun)
             structures.weigh(first, root)
-        looked: set[Structure] = set()
-        for later in (None, given):
+        every = frozenset(structures.candidates)
+        # Physics first: a curve that is found before a second effect takes what this explains, and hides it. So what
+        # has a name is looked for by itself, and then all together.
+        named = frozenset(n for n in every if not structures.candidates[n].is_placeholder)
+        looked: dict[frozenset[str], set[Structure]] = {named: set(), every: set()}
+        for among, later in ((named, None), (every, None), (every, given)):
             if later and not end.over:
                 # Effect by effect, as the walk would: from the root at once its shapes may end at a lower maximum.
                 path(library, later)
             # A structure that overtakes the others joins the beam when its turn comes: `_next` sorts anew each time.
             # Finer laws come last: on what a missing effect leaves, each would be fitted for nothing.
-            while (fresh := _next(structures, looked)) or _refine(structures, end):
+            while (fresh := _next(structures, looked[among], among)) or (
+                among == every and _refine(structures, end)
+            ):
                 if end.over:
                     return ended_early(end, begun)
                 if fresh:
-                    looked.add(fresh.structure)
-                    _look_around(library, fresh, max_effects, end)
+                    looked[among].add(fresh.structure)
+                    _look_around(library, fresh, max_effects, among, end)
                     follow(structures)
     except KeyboardInterrupt:
         if not structures.visited:
@@ -95,7 +101,7 @@ def path(library: Library, to: Structure) -> list[Structure]:
         view = View(library, at).without() if names and math.isfinite(at.total) else None
         for name in names:
             further = here.plus(name)
-            if view is None or further in structures.visited:
+            if view is None or further in structures.visited or name not in library.points:
                 totals[further] = structures.weigh(further, at).total
             else:
                 # Without a refit the score does: it decides only the order in which steps are shown.
@@ -106,13 +112,16 @@ def path(library: Library, to: Structure) -> list[Structure]:
         steps.append(max(totals, key=totals.__getitem__))
 
 
-def _next(structures: Structures, looked: set[Structure]) -> Weighed | None:
-    """The most probable structure of the beam that was not looked at.
+def _next(
+    structures: Structures, looked: set[Structure], among: frozenset[str]
+) -> Weighed | None:
+    """The most probable structure of the beam that was not looked at, of those that have effects among these alone.
 
     Of the beam is also the best under each noise law: which effects are probable hangs on the law, and from the best
     under another one it would take several changes at once to come there.
     """
-    ordered = sorted(structures.visited.values(), key=lambda w: -w.total)
+    own = [w for w in structures.visited.values() if w.structure.effects <= among]
+    ordered = sorted(own, key=lambda w: -w.total)
     of_law = {w.structure.noise: w for w in reversed(ordered)}
     for i, w in enumerate(ordered):
         # Farther behind than `near` a structure has no part of the probability that is printed: it is left alone.
@@ -132,8 +141,13 @@ class Move(NamedTuple):
     hints: tuple[dict[str, float], ...] = ()
 
 
-def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline) -> None:
-    """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected."""
+def _look_around(
+    library: Library, at: Weighed, max_effects: int, among: frozenset[str], end: Deadline
+) -> None:
+    """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected.
+
+    Neighbours differ by effects of `among`, or by the noise law.
+    """
     structures, here = library.structures, at.structure
     # The same effects under each law: which effects are probable hangs on the law, and the walk would otherwise have
     # to find them anew under each.
@@ -150,7 +164,12 @@ def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline)
     if not math.isfinite(at.total):
         return
     changes = [*_changes_of_noise(structures, at)]
-    moves = [*_moves(View(library, at), max_effects)]
+    moves = [*_moves(View(library, at), max_effects, among)]
+    # Without what moves a column nothing that depends on it is what it was: what may stand in its place is seen beside
+    # a refit without it.
+    for name in sorted(filter(structures.moves_a_column, here.effects)):
+        if not end.over and math.isfinite((rest := structures.weigh(here.minus(name), at)).total):
+            moves += _moves(View(library, rest), max_effects, among)
     for move in (*moves, *changes):
         structures.expect(move.to, move.total)
     # Of another law a refit tells little more than was expected, unless it is to be used.
@@ -161,12 +180,38 @@ def _look_around(library: Library, at: Weighed, max_effects: int, end: Deadline)
     for i, move in enumerate(moves[: searching().refitted[1]]):
         near = move.total > structures.best.total - searching().near
         if (i < searching().refitted[0] or near) and not end.over:
-            structures.weigh(move.to, at, move.hints)
+            _weigh_forms(structures, structures.weigh(move.to, at, move.hints), end)
+    _weigh_forms(structures, at, end)
     # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
     if at is structures.best and not structures.noise(here).independent:
         for name in sorted(here.effects):
             if not end.over:
                 structures.weigh(here.minus(name), at)
+
+
+def _weigh_forms(structures: Structures, at: Weighed, end: Deadline) -> None:
+    """Weigh a structure with the forms of its effects that no score tells of, each in place of the one that it has.
+
+    Where the structure is so improbable that no form could make it anything else they are left alone.
+    """
+    if not at.total > structures.best.total - searching().other_law:
+        return
+    for name in sorted(at.structure.effects):
+        for to in structures.other_forms(at.structure, name):
+            (other,) = to.effects - at.structure.effects
+            if structures.moves_a_column(other) and to not in structures.visited and not end.over:
+                structures.weigh(to, at, [_in_other_form(structures, at, name, other)])
+
+
+def _in_other_form(
+    structures: Structures, at: Weighed, name: str, other: str
+) -> dict[str, float]:
+    """Where a form's shapes may be: where those of the same name are in the form that a structure has."""
+    known, found = {h.name: v for h, v in zip(at.assembly.hypers, at.mode.v, strict=True)}, {}
+    for shape in structures.candidates[other].column_shapes:
+        if (v := known.get(f"{name}.{shape.name}")) is not None:
+            found[f"{other}.{shape.name}"] = float(v)
+    return found
 
 
 def correlated_laws(structures: Structures) -> list[str]:
@@ -239,11 +284,12 @@ def _changes_of_noise(structures: Structures, at: Weighed) -> Iterator[Move]:
             yield Move(to, total + log_prior(structures.laws, name), (found.hint,))
 
 
-def _moves(view: View, max_effects: int) -> Iterator[Move]:
+def _moves(view: View, max_effects: int, among: frozenset[str]) -> Iterator[Move]:
     """Additions, pairs, drops and exchanges, with their expected totals."""
     structures, at = view.library.structures, view.at
     here, odds = at.structure, structures.log_odds
-    open_ = structures.open_to(here)
+    known = [n for n in view.library.points if n in among]
+    open_ = [n for n in structures.open_to(here) if n in known]
     room = max_effects - len(here.effects)
     # A departure is a rival of what it could imitate: effects, and two of them, are tried in its place too. A refit
     # without it has no half of the prior to share with it, log 2 more.
@@ -261,10 +307,11 @@ def _moves(view: View, max_effects: int) -> Iterator[Move]:
                 total = at.total + freed + gain + odds[a.effect] + odds[b.effect]
                 yield Move(here.plus(a.effect, b.effect), total, ({**a.hint, **b.hint},))
     # Dropping and exchanging start from what is left without the effect; a drop costs no column's volume.
-    for name in sorted(here.effects):
+    for name in sorted(n for n in here.effects if n in view.library.points):
         left = view.without(name)
         yield Move(here.minus(name), at.total + left.dropped - odds[name])
-        for other, points in left.scores(open_).items():
+        others = set(structures.open_to(here.minus(name))) - {name}
+        for other, points in left.scores([n for n in known if n in others]).items():
             total = at.total + odds[other] - odds[name]
             yield _addition(here.minus(name).plus(other), total, points)
 

@@ -67,11 +67,10 @@ class OneReading(Frame):
     lags: tuple[Float[Array, "n"], ...] = ()
     asked: list[tuple[str, Any]] = eqx.field(static=True, default_factory=list)
 
-    def lag(self, tau, name="temperature"):
+    def behind(self, tau, name="temperature"):
         self.asked.append((name, tau))
         place = len(self.asked) - 1
-        given = self.lags[place] if place < len(self.lags) else jnp.zeros(self.size)
-        return given + (self.record[name] - self.columns[name])
+        return self.lags[place] if place < len(self.lags) else jnp.zeros(self.size)
 
 
 class UnknownInUse(NamedTuple):

@@ -621,7 +621,7 @@ def _shared(before: Model, after: Model) -> int:
 def _effect_code(effect: Effect, model: Model) -> tuple[str, Effect | None]:
     """An effect as it is added, at its own plausible size."""
     name, instrument = effect.name, model.instrument
-    known = {e.name: e for e in (*instrument.effects, *instrument.candidates)}
+    known = instrument.known
     if name in known:
         return repr(name), known[name]
     if name.startswith("unknown("):

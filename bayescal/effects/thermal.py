@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import jax.numpy as jnp
@@ -15,12 +17,23 @@ from bayescal._data.record_settings import recording
 from bayescal._data.time_in_runs import run_codes
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
-from bayescal._model.prior import Normal
+from bayescal._model.prior import Known, Normal
 
 WINDOWS = (
     2.0,
     120.0,
 )  # s, of a rate: from a reading or two to what a lag describes; -lag/w is the same function
+Modes = tuple[tuple[float, float], ...]  # of a body: multiples of τ, and their weights
+_SLAB = [8 / (math.pi * k) ** 2 for k in (1, 3, 5, 7)]
+BODIES: Mapping[str, Modes] = MappingProxyType(
+    {
+        "body": ((1.0, 1.0),),
+        "two_stages": ((1.0, 2.0), (0.5, -1.0)),  # a body of τ/2 behind one of τ
+        # Mean temperature of a slab: modes of τ/k², weights 8/(π·k)², k odd; what the series lacks is at once.
+        # Source: H. Carslaw and J. Jaeger, Conduction of Heat in Solids, 2nd ed. (1959), section 3.3.
+        "diffusion": tuple((k**-2, w / sum(_SLAB)) for k, w in zip((1, 3, 5, 7), _SLAB, strict=True)),
+    }
+)
 WIDTHS = (0.2, 5.0)  # °C, within which hysteresis turns round: a chamber that holds wanders by less
 
 
@@ -81,29 +94,96 @@ def thermal_lag(
     source: str,
     column: str = "temperature",
     name: str = "thermal_lag",
+    bodies: Mapping[str, Modes] = BODIES,
 ) -> Effect:
-    """c·(T̃ − T), with T̃ a first-order body that lags T by τ.
+    """A thermal lag: c·(T̃ − T), with T̃ a first-order body that lags T by τ; or all that depends on T acts at T̃.
 
-    Where the body was not at T when a run began, exp(−t/τ) remains: one coefficient a run, of size `start`.
+    In the first form something of its own lags, such as electronics beside a sensor that does not. In the others the
+    sensor is itself at T̃, so that its line, its curve and its scale factor follow that in place of T: the body is of
+    first order, of two stages, or heat diffuses into it. Where the body was not at T when a run began, exp(−t/τ)
+    remains: one coefficient a run, of size `start`.
 
     Args:
         size: prior standard deviation of c, in `unit`.
         low, high: plausible range of τ, s.
         start: prior standard deviation of the initial state's effect, in `start_unit`.
-        name: of the effect, after the slot; another for a second body.
+        name: of the effect, after the slot; another for a second lag.
+        bodies: forms in which all that depends on T lags, by name; none where it does not.
     """
-    return _of_a_body(
-        slot,
-        name,
-        _lagging,
-        (
-            Coefficient(unit, Normal(0.0, size)),
-            Coefficient(start_unit, Normal(0.0, start), part="start", per="run"),
+    return replace(
+        _of_a_body(
+            slot,
+            name,
+            _lagging,
+            (
+                Coefficient(unit, Normal(0.0, size)),
+                Coefficient(start_unit, Normal(0.0, start), part="start", per="run"),
+            ),
+            "c·(T̃ − T) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃",
+            (low, high),
+            column,
+            source,
         ),
-        "c·(T̃ − T) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃",
-        (low, high),
-        column,
-        source,
+        forms=tuple(
+            body(
+                slot,
+                start,
+                start_unit,
+                modes=modes,
+                low=low,
+                high=high,
+                source=source,
+                column=column,
+                name=f"{name}.{form}",
+            )
+            for form, modes in bodies.items()
+        ),
+    )
+
+
+def body(
+    slot: str,
+    start: float,
+    start_unit: str,
+    *,
+    low: float,
+    high: float,
+    source: str,
+    modes: Modes = BODIES["body"],
+    column: str = "temperature",
+    name: str = "body",
+) -> Effect:
+    """Every effect that depends on the temperature T acts at T̃, that of a body which lags T by τ.
+
+    T̃ = Σ wₖ·T̃ₖ with mₖ·τ·dT̃ₖ/dt = T − T̃ₖ: one mode for a body of first order, two for one behind another, a series for
+    heat that diffuses into a slab. Where the body was not at T when a run began, Σ wₖ·exp(−t/(mₖ·τ)) remains: one
+    coefficient a run.
+
+    Args:
+        slot: that the initial state adds to.
+        start: prior standard deviation of what it adds, in `start_unit`.
+        low, high: plausible range of τ, s.
+        modes: (m, w) of each, the weights one in sum.
+        name: of the effect, after the slot.
+    """
+    terms = " + ".join(f"{w:.3g}·T̃(τ·{m:.3g})" if len(modes) > 1 else "T̃(τ)" for m, w in modes)
+    return replace(
+        _of_a_body(
+            slot,
+            name,
+            partial(_body, modes),
+            (
+                Coefficient("1", Known(1.0)),
+                Coefficient(
+                    start_unit, Normal(0.0, start), part="start", per="run", slot=slot
+                ),
+            ),
+            f"T → {terms},  τ·dT̃/dt = T − T̃;  + d[run]·exp(−(t − t_start)/τ)",
+            (low, high),
+            column,
+            source,
+        ),
+        slot=column,
     )
 
 
@@ -202,11 +282,16 @@ def _of_a_body(
 
 
 def _smoothed_rate(column: str, r: Frame, window: Any) -> Any:
-    return -r.lag(window, column) / window
+    return -r.behind(window, column) / window
 
 
 def _directions(column: str, r: Frame, width: Any) -> Any:
     return jnp.stack(r.direction(width, column), axis=1)
+
+
+def _body(modes: Modes, column: str, r: Frame, tau: Any) -> Any:
+    behind = sum(w * r.behind(m * tau, column) for m, w in modes)
+    return jnp.stack([behind, sum(w * jnp.exp(-r.elapsed / (m * tau)) for m, w in modes)], axis=1)
 
 
 def _lagging(column: str, r: Frame, tau: Any) -> Any:
