@@ -70,6 +70,7 @@ def description(c: Fitted) -> dict[str, Any]:
             e.name: {s.name: [s.low, s.high] for s in e.shapes} for e in c.model.effects if e.shapes
         },
         **({"sizes": sizes} if (sizes := _resized(c.model)) else {}),
+        **({"averaged": averaged} if (averaged := _averaged(c.model)) else {}),
         "fixed": dict(c.model.fixed),
         "noise": _noise_words(c.model.noise),
         "promoted": list(c.layout.promoted),
@@ -90,6 +91,11 @@ def description(c: Fitted) -> dict[str, Any]:
 def typed_effects(model: Model) -> dict[str, str]:
     """The lines of the effects that were typed, by name: data, from which they are made again."""
     return {e.name: e.basis.text for e in model.effects if isinstance(e.basis, Formula)}
+
+
+def _averaged(model: Model) -> list[str]:
+    """Effects that some structures of an average have not, of those that have no size by which their draws say so."""
+    return [e.name for e in model.effects if e.held and e == e.averaged]
 
 
 def _resized(model: Model) -> dict[str, float]:
@@ -224,6 +230,8 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
         )
     ranges = described["ranges"]
     chosen = tuple(catalogue[n].ranging(ranges.get(n, {})) for n in described["effects"])
+    averaged = described.get("averaged", [])
+    chosen = tuple(e.averaged if e.name in averaged else e for e in chosen)
     model = Model(instrument, chosen, noise_from(path, described["noise"]), ())
     for n, size in described.get("sizes", {}).items():
         model = model.resize(n, size)

@@ -198,6 +198,8 @@ def _against_priors(
         plain = b.place in ("x", "phi") and b.effect.weights is None
         if not plain or c.flat or c.group_sd is not None or c.per == "reading":
             continue
+        if b.index in b.effect.held:
+            continue
         if len(b.effect.coefficients) > guarding().of_a_law or b.effect.name in accepted:
             continue
         most = guarding().conflict * (1 if b.effect.name in baseline else guarding().sizes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,8 @@ from bayescal._inference.gaussian import LOG_2PI
 from bayescal._inference.joint import expected, expected_with_slopes
 from bayescal._inference.noise_on_record import Each, log_densities, samples, variances
 from bayescal._inference.terms import Term
+from bayescal._model.effect import Coefficient
+from bayescal._model.prior import Known
 
 CELLS = 2_000_000  # draws × readings worked out together
 
@@ -56,17 +59,19 @@ def moments(
     """
     count, size = len(draws.x), assembly.record.size
     first, total, squares, noise, beside = np.zeros((5, size))
-    for part, some, hyper in _stretches(assembly, draws):
-        mean, own = _with_beside(assembly, some, hyper)
+    begin = True
+    for part, own_structure, some, hyper in _stretches(assembly, draws):
+        mean, own = _with_beside(own_structure, some, hyper)
         own_noise = variances(assembly.noise, hyper, assembly.record)
         if carried is not None:
             mean = mean + carried(mean)
             own_noise = own_noise - np.atleast_1d(assembly.noise.slow_variance(hyper))[:, None]
-        first = mean[0].copy() if part.start == 0 else first
+        first = mean[0].copy() if begin else first
+        begin = False
         away = mean - first
         total += np.sum(away, axis=0)
         squares += np.einsum("bn,bn->n", away, away)
-        many = part.stop - part.start
+        many = len(part)
         noise += many * np.mean(own_noise, axis=0)
         beside += many * np.mean(np.atleast_1d(own), axis=0)  # a single zero where there is none
     away = total / count
@@ -81,8 +86,8 @@ def pointwise(assembly: Assembly, draws: Vectors) -> Float[np.ndarray, "b n"]:
     Under Gaussian noise the per-reading coefficients are averaged over their prior, to first order in them.
     """
     found = np.empty((len(draws.x), assembly.record.size))
-    for part, some, hyper in _stretches(assembly, draws):
-        found[part] = _densities(assembly, some, hyper)
+    for part, own, some, hyper in _stretches(assembly, draws):
+        found[part] = _densities(own, some, hyper)
     return found
 
 
@@ -103,11 +108,11 @@ def replicate(
             with coefficients of their own, deviations are drawn from their prior. None where all are known.
     """
     found = np.empty((len(draws.x), assembly.record.size))
-    for part, some, hyper in _stretches(assembly, draws):
+    for part, own, some, hyper in _stretches(assembly, draws):
         if members is None:
-            mean = expected(assembly, some.x, some.rows, hyper)
+            mean = expected(own, some.x, some.rows, hyper)
         else:
-            mean = _with_new_members(assembly, some, hyper, random, members)
+            mean = _with_new_members(own, some, hyper, random, members)
         seed = int(random.integers(2**31))
         found[part] = samples(assembly.noise, assembly.record, mean, hyper, seed)
     return found
@@ -130,14 +135,51 @@ def _with_new_members(
     return mean
 
 
-def _stretches(assembly: Assembly, draws: Vectors) -> Iterator[tuple[slice, Vectors, Each]]:
-    """Some draws at a time, with their φ by name, one number each."""
-    many, count = max(1, CELLS // max(1, assembly.record.size)), len(draws.x)
-    for start in range(0, count, many):
-        part = slice(start, min(start + many, count))
-        some = Vectors(*(np.asarray(a)[part] for a in draws))
-        values = assembly.hyper(some.v.T)
-        yield part, some, {k: np.broadcast_to(value, len(some.x)) for k, value in values.items()}
+def _stretches(
+    assembly: Assembly, draws: Vectors
+) -> Iterator[tuple[np.ndarray, Assembly, Vectors, Each]]:
+    """Which draws, some at a time; the structure that they are of, and they in its terms; their φ by name."""
+    many = max(1, CELLS // max(1, assembly.record.size))
+    for places, own, those in _by_structure(assembly, draws):
+        for start in range(0, len(places), many):
+            part = slice(start, start + many)
+            some = Vectors(*(np.asarray(a)[part] for a in those))
+            values = own.hyper(some.v.T)
+            each = {k: np.broadcast_to(value, len(some.x)) for k, value in values.items()}
+            yield places[part], own, some, each
+
+
+def _by_structure(
+    assembly: Assembly, draws: Vectors
+) -> Iterator[tuple[np.ndarray, Assembly, Vectors]]:
+    """Draws of an average, together those of structures whose columns are the same: of each draw that has them known
+    coefficients are what they are by definition, and zero of others."""
+    layout = assembly.layout
+    held = [b for b in layout.x_blocks if b.index in b.effect.held]
+    if not held:
+        yield np.arange(len(draws.x)), assembly, draws
+        return
+    there, which = np.unique(
+        np.asarray(draws.x)[:, [b.start for b in held]] != 0, axis=0, return_inverse=True
+    )
+    for k, has in enumerate(there):
+        gone = {b.effect.name for b, one in zip(held, has, strict=True) if not one}
+        effects = tuple(
+            replace(e, coefficients=tuple(map(_by_definition, e.coefficients)))
+            for e in layout.model.effects
+            if e.name not in gone
+        )
+        own = replace(layout, model=replace(layout.model, effects=effects))
+        names, hypers = {b.name for b in own.x_blocks}, {h.name for h in own.hypers}
+        in_x = np.repeat([b.name in names for b in layout.x_blocks], [b.size for b in layout.x_blocks])
+        in_v = np.array([h.name in hypers for h in layout.hypers], dtype=bool)
+        places = np.flatnonzero(which.reshape(-1) == k)
+        those = Vectors(draws.x[places][:, in_x], draws.rows[places], draws.v[places][:, in_v])
+        yield places, Assembly(own, assembly.record), those
+
+
+def _by_definition(c: Coefficient) -> Coefficient:
+    return replace(c, prior=Known(c.mean)) if isinstance(c.prior, Known) else c
 
 
 def _with_beside(assembly: Assembly, draws: Vectors, hyper: Each) -> tuple[np.ndarray, Any]:

@@ -85,6 +85,8 @@ def _log_prior(layout: Layout, posterior: xr.Dataset, draws: Draws) -> xr.Datase
     for b in layout.blocks:
         if b.place == "fixed" or b.coefficient.flat or b.name not in posterior:
             continue
+        if b.index in b.effect.held:
+            continue
         spread = fixed.get(b.group_sd_name, b.coefficient.size)
         if b.group_sd_name in posterior.data_vars:  # `get` would take ".group_sd" for an attribute
             spread = posterior[b.group_sd_name]

@@ -132,7 +132,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     coefficients, hyperparameters = [], []
     for b in layout.blocks:
         c = b.coefficient
-        if b.place == "fixed" or c.per == "reading":
+        if b.place == "fixed" or c.per == "reading" or b.index in b.effect.held:
             continue
         learned = c.group_sd is not None or b.effect.weights is not None
         prior = None if c.flat or learned else c.size
@@ -199,9 +199,14 @@ def null_vectors(
     """Directions that are not told, in prior standard deviations: exactly; nearly; of members of groups alone."""
     layout = linear.assembly.layout
     main = np.concatenate([np.full(b.size, _single(b, layout)) for b in layout.x_blocks])
-    white = linear.white_nuisance[:, : layout.size]
-    exact = null_space.exact(white) if exactly else np.zeros((0, layout.size))
-    both = exact, null_space.weak(white, exact, guarding().weak, guarding().unmeasured)
+    unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
+    white = linear.white_nuisance[:, : layout.size][:, unknown]
+    exact = null_space.exact(white) if exactly else np.zeros((0, white.shape[1]))
+    both = [exact, null_space.weak(white, exact, guarding().weak, guarding().unmeasured)]
+    for i, found in enumerate(both):
+        both[i] = np.zeros((len(found), layout.size))
+        both[i][:, unknown] = found
+    exact = both[0]
     others = [v for found in both for v in found if not _concerns(v, main)]
     exact, weak = ([v for v in found if _concerns(v, main)] for found in both)
     return exact, weak, others

@@ -91,7 +91,7 @@ class Coefficient:
     @property
     def known(self) -> bool:
         """Whether it is a number by definition, and not estimated."""
-        return isinstance(self.prior, Known)
+        return isinstance(self.prior, Known) and not self.prior.averaged
 
     @property
     def mean(self) -> float:
@@ -265,6 +265,19 @@ class Effect:
     def open(self) -> bool:
         """Whether its plausible amplitude is to be taken from the readings."""
         return any(s.open for s in self.shapes)
+
+    @property
+    def held(self) -> tuple[int, ...]:
+        """Which of its coefficients are numbers by definition."""
+        return tuple(i for i, c in enumerate(self.coefficients) if isinstance(c.prior, Known))
+
+    @property
+    def averaged(self) -> Effect:
+        """The effect in an average over structures of which some have it not: there its known coefficients are zero."""
+        own = list(self.coefficients)
+        for i in self.held:
+            own[i] = replace(own[i], prior=Known(own[i].mean, averaged=True))
+        return replace(self, coefficients=tuple(own)) if self.held else self
 
     def sized(self, low: float, high: float) -> Effect:
         """The effect with this range of its amplitude, in the shape's unit, where it is open."""

@@ -266,7 +266,7 @@ def _spreads(effect: Effect) -> list[str]:
 def _of_size(c: Coefficient, size: float) -> Coefficient:
     if c.group_sd is not None:
         return replace(c, group_sd=replace(c.group_sd, scale=size))
-    return c if c.flat else replace(c, prior=Normal(c.mean, size))
+    return replace(c, prior=Normal(c.mean, size)) if isinstance(c.prior, Normal) else c
 
 
 def testable(effect: Effect, readings: Measurements) -> str | None:

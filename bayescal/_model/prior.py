@@ -84,9 +84,15 @@ class Normal(_StandardNormal):
 
 @static
 class Known:
-    """No unknown at all: a coefficient that is one by definition, as that of a body's temperature."""
+    """No unknown at all: a coefficient that is one by definition, as that of a body's temperature.
+
+    Attributes:
+        mean: the number.
+        averaged: whether it is zero in some draws, those of structures without the effect.
+    """
 
     mean: float = 1.0
+    averaged: bool = False
     sd: float = field(default=0.0, init=False, repr=False)
 
 

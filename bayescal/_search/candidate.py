@@ -139,7 +139,7 @@ def _by_refit(effect, with_it: Weighed) -> dict:
     assembly, mode = with_it.assembly, with_it.mode
     hyper = assembly.hyper(mode.v)
     shapes = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.shapes}
-    if effect.coefficients[0].known:  # a body: what is to be known of it is its time
+    if effect.held:  # a body: what is to be known of it is its time
         own = next(iter(effect.shapes))
         at = [h.name for h in assembly.hypers].index(effect.shape_name(own))
         slope = abs(assembly.value_change(mode.v, at))

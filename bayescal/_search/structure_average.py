@@ -83,7 +83,7 @@ def averaged(
             parts.append(_drawn(weighed, count, share.probability, seed))
             models.append(weighed.sized_model)
     model = _union(structures, models)
-    return _together(last, model, parts, shares), shares
+    return _together(last, model, models, parts, shares), shares
 
 
 def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
@@ -122,7 +122,8 @@ def _union(structures: Structures, models: Sequence[Model]) -> Model:
     known: dict[str, Effect] = {}
     for model in models:
         for effect in model.effects:
-            known.setdefault(effect.name, effect)
+            always = all(effect.name in m.names for m in models)
+            known.setdefault(effect.name, effect if always else effect.averaged)
     # In the catalogue's order, so that equal structures are equal models whatever the order they were found in.
     places = {n: i for i, n in enumerate([*structures.base.names, *structures.candidates])}
     effects = sorted(known.values(), key=lambda e: places.get(e.name, len(places)))
@@ -130,7 +131,11 @@ def _union(structures: Structures, models: Sequence[Model]) -> Model:
 
 
 def _together(
-    last: Calibration, model: Model, parts: Sequence[_Values], shares: Sequence[StructureShare]
+    last: Calibration,
+    model: Model,
+    models: Sequence[Model],
+    parts: Sequence[_Values],
+    shares: Sequence[StructureShare],
 ) -> Calibration:
     """The draws of all structures as those of one model, in a random order."""
     # Groups of labels that the last model knows nothing of, but another structure.
@@ -143,11 +148,13 @@ def _together(
     # mean.
     x, v = np.zeros((total, layout.size)), np.zeros((total, len(layout.hypers)))
     rows = np.zeros((total, n, len(layout.row_blocks)))
-    for part, end, count in zip(parts, np.cumsum(counts), counts, strict=True):
+    for own, part, end, count in zip(models, parts, np.cumsum(counts), counts, strict=True):
         at = slice(end - count, end)
         for b in layout.x_blocks:
             if b.name in part:
                 x[at, b.start : b.start + b.size] = part[b.name].reshape(count, -1)
+            elif b.index in b.effect.held and b.effect.name in own.names:
+                x[at, b.start] = b.coefficient.mean
         for k, b in enumerate(layout.row_blocks):
             if b.name in part:
                 rows[at, :, k] = part[b.name]

@@ -173,10 +173,8 @@ def body(
             name,
             partial(_body, modes),
             (
+                Coefficient(start_unit, Normal(0.0, start), part="start", per="run", slot=slot),
                 Coefficient("1", Known(1.0)),
-                Coefficient(
-                    start_unit, Normal(0.0, start), part="start", per="run", slot=slot
-                ),
             ),
             f"T → {terms},  τ·dT̃/dt = T − T̃;  + d[run]·exp(−(t − t_start)/τ)",
             (low, high),
@@ -291,7 +289,7 @@ def _directions(column: str, r: Frame, width: Any) -> Any:
 
 def _body(modes: Modes, column: str, r: Frame, tau: Any) -> Any:
     behind = sum(w * r.behind(m * tau, column) for m, w in modes)
-    return jnp.stack([behind, sum(w * jnp.exp(-r.elapsed / (m * tau)) for m, w in modes)], axis=1)
+    return jnp.stack([sum(w * jnp.exp(-r.elapsed / (m * tau)) for m, w in modes), behind], axis=1)
 
 
 def _lagging(column: str, r: Frame, tau: Any) -> Any:
