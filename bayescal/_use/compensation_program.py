@@ -353,8 +353,9 @@ def notes_on_use(
         )
     for lag in equation.lags:
         if lag.shape:
+            share = "" if lag.multiple == 1.0 else f"{lag.multiple:.3g} · "
             notes.append(
-                f"{lag.name} is the lag for {lag.shape} = {lag.tau:.6g} s; the uncertainty of this time is "
+                f"{lag.name} is the lag for {share}{lag.shape} = {lag.tau:.6g} s; the uncertainty of this time is "
                 f"counted through {lag.slope}."
             )
     stimulus = equation.use.stimulus

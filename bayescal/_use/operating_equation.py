@@ -46,14 +46,16 @@ class Lag(NamedTuple):
     Attributes:
         column: the temperature that is lagged.
         tau: time constant, s, at the posterior mean.
-        shape: name of the unknown that tau is; None for a constant.
+        shape: name of the unknown that tau is a multiple of; None for a constant.
         name: of the input that carries it.
+        multiple: τ over that unknown.
     """
 
     column: str
     tau: float
     shape: str | None
     name: str
+    multiple: float = 1.0
 
     @property
     def slope(self) -> str | None:
@@ -97,12 +99,14 @@ class OperatingEquation(eqx.Module):
         members: (group, member) chosen by name, such as ("device", "A17"); others are new.
         known: numeric columns and rates of the readings of the fit.
         lags: what the equation asks of the past.
+        asked: which of them, in the order in which bases ask; one may be asked for by several.
     """
 
     layout: Layout
     members: tuple[tuple[str, str], ...] = eqx.field(static=True)
     known: tuple[str, ...] = eqx.field(static=True)
     lags: tuple[Lag, ...] = eqx.field(static=True, default=())
+    asked: tuple[int, ...] = eqx.field(static=True, default=())
 
     @property
     def use(self) -> Use:
@@ -173,9 +177,8 @@ class OperatingEquation(eqx.Module):
         moved = dict(inputs)
         for lag in self.lags:
             if lag.shape is not None and lag.slope in inputs:
-                moved[lag.name] = inputs[lag.name] + inputs[lag.slope] * (
-                    theta[lag.shape] - lag.tau
-                )
+                away = lag.multiple * theta[lag.shape] - lag.tau
+                moved[lag.name] = inputs[lag.name] + inputs[lag.slope] * away
         return moved
 
     def one_reading(
@@ -200,7 +203,7 @@ class OperatingEquation(eqx.Module):
             step=-jnp.ones(1),
             record=dict(columns),
             silence=jnp.asarray(jnp.inf),
-            lags=tuple(one[lag.name] for lag in self.lags),
+            lags=tuple(one[self.lags[i].name] for i in self.asked),
         )
 
     def slope_calibrated(self, calibration: Calibration) -> bool:
@@ -224,7 +227,8 @@ class OperatingEquation(eqx.Module):
     def _composed(self, theta: Scalars, frame: OneReading) -> tuple[forward.Values, Frame]:
         """Slots and corrected readings; corrections of columns that do not exist in use are left out."""
         fixed = {name: jnp.asarray(value) for name, value in self.layout.model.fixed}
-        known = {**fixed, **theta}
+        held = {b.name: jnp.asarray(b.value) for b in self.blocks if b.place == "fixed"}
+        known = {**fixed, **held, **theta}
         own = [s.name for s in self.layout.model.instrument.slots]
         acting = [b for b in self.blocks if b.slot in own or b.slot in frame.columns]
         values = {b.name: jnp.reshape(known[b.name], (1,)) for b in acting}
@@ -264,23 +268,35 @@ def equation_in_use(
         members=tuple(sorted(members.items())),
         known=known,
     )
-    return replace(found, lags=_lags(found, calibration))
+    return _with_lags_of(found, calibration)
 
 
-def _lags(found: OperatingEquation, calibration: Calibration) -> tuple[Lag, ...]:
-    """Ask the equation once, at the posterior mean, which lags it needs."""
+def _with_lags_of(found: OperatingEquation, calibration: Calibration) -> OperatingEquation:
+    """Ask the equation, at the posterior mean, which lags it needs: one state for each column and time."""
     theta = _theta(found, calibration)
     inputs = {n: jnp.ones(()) for n in input_names(found, calibration.frame)}
-    lags: list[Lag] = []
-    for column, tau in found.asked_of_the_past(theta, inputs, calibration.frame.reference):
-        tau = float(tau)
-        shape = next(
-            (u.key for u in found.unknowns() if u.kind == "shape" and float(theta[u.key]) == tau),
-            None,
-        )
-        same = sum(lag.column == column for lag in lags)
-        lags.append(Lag(column, tau, shape, f"{column}_lag" + (f"_{same + 1}" if same else "")))
-    return tuple(lags)
+
+    def asked(theta: dict[str, Array]) -> list[tuple[str, float]]:
+        past = found.asked_of_the_past(theta, inputs, calibration.frame.reference)
+        return [(column, float(tau)) for column, tau in past]
+
+    lags, order = dict[tuple[str, float], Lag](), asked(theta)
+    # Which unknown a time is a multiple of is told by moving it: times are proportional to the shapes they hang on.
+    moved = {
+        u.key: asked({**theta, u.key: 2.0 * theta[u.key]})
+        for u in found.unknowns()
+        if order and u.kind == "shape"
+    }
+    for i, (column, tau) in enumerate(order):
+        if (column, tau) in lags:
+            continue
+        shape = next((key for key, then in moved.items() if then[i][1] != tau), None)
+        same = sum(lag.column == column for lag in lags.values())
+        name = f"{column}_lag" + (f"_{same + 1}" if same else "")
+        multiple = 1.0 if shape is None else tau / float(theta[shape])
+        lags[column, tau] = Lag(column, tau, shape, name, multiple)
+    places = [*lags]
+    return replace(found, lags=(*lags.values(),), asked=tuple(places.index(one) for one in order))
 
 
 def input_names(equation: OperatingEquation, frame: Frame) -> list[str]:
@@ -535,7 +551,7 @@ def _with_lags(
     named, found = _named(equation, theta), dict(inputs)
     for lag in equation.lags:
         if lag.name not in found:
-            tau = named[lag.shape] if lag.shape else jnp.asarray(lag.tau)
+            tau = lag.multiple * named[lag.shape] if lag.shape else jnp.asarray(lag.tau)
             found[lag.name] = record.lag(tau, lag.column)
             if lag.slope:
                 found[lag.slope] = jnp.zeros_like(found[lag.name])  # it is at this τ already

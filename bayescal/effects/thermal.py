@@ -24,14 +24,14 @@ WINDOWS = (
     120.0,
 )  # s, of a rate: from a reading or two to what a lag describes; -lag/w is the same function
 Modes = tuple[tuple[float, float], ...]  # of a body: multiples of τ, and their weights
-_SLAB = [8 / (math.pi * k) ** 2 for k in (1, 3, 5, 7)]
+_SLAB = [8 / (math.pi * k) ** 2 for k in (1, 3, 5)]
 BODIES: Mapping[str, Modes] = MappingProxyType(
     {
         "body": ((1.0, 1.0),),
         "two_stages": ((1.0, 2.0), (0.5, -1.0)),  # a body of τ/2 behind one of τ
         # Mean temperature of a slab: modes of τ/k², weights 8/(π·k)², k odd; what the series lacks is at once.
         # Source: H. Carslaw and J. Jaeger, Conduction of Heat in Solids, 2nd ed. (1959), section 3.3.
-        "diffusion": tuple((k**-2, w / sum(_SLAB)) for k, w in zip((1, 3, 5, 7), _SLAB, strict=True)),
+        "diffusion": tuple((k**-2, w / sum(_SLAB)) for k, w in zip((1, 3, 5), _SLAB, strict=True)),
     }
 )
 WIDTHS = (0.2, 5.0)  # °C, within which hysteresis turns round: a chamber that holds wanders by less
