@@ -14,7 +14,6 @@ from bayescal._calibration.fitted import Fitted
 from bayescal._core.errors import InputError
 from bayescal._data.column import Source
 from bayescal._data.measurements import Measurements
-from bayescal._model.departure import Departure, departure
 from bayescal._model.effect import Effect
 from bayescal._model.formula import Formula, effect
 from bayescal._model.installed import installed_instrument, installed_names
@@ -59,11 +58,6 @@ def description(c: Fitted) -> dict[str, Any]:
         "instrument": c.model.instrument.name,
         "settings": dict(c.model.instrument.settings),
         "effects": list(c.model.names),
-        "departures": {
-            e.name: {"of": e.of, "size": e.size, "at": dict(e.at), "shares": e.shares}
-            for e in c.model.effects
-            if isinstance(e, Departure)
-        },
         **({"typed": typed} if (typed := typed_effects(c.model)) else {}),
         "unknowns": {e.name: stated(e) for e in c.model.effects},
         "ranges": {
@@ -219,10 +213,11 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
             catalogue[n] = instrument.unknown(covariate)
         elif n.endswith(FREED) and (stated_ := catalogue.get(n.removesuffix(FREED))):
             catalogue[n] = freed(stated_)
-    for n, d in described["departures"].items():
-        if (of := catalogue.get(d["of"])) is not None:
-            shares, unit = tuple(map(tuple, d["shares"])), instrument.slot(of.slot).unit
-            catalogue[n] = departure(of, unit, d["size"], tuple(d["at"].items()), shares)
+    if departures := described.get("departures"):
+        raise InputError(
+            f"{path.name} was fitted by an earlier version, whose {', '.join(departures)} this one does not have: a "
+            "curve beside an effect is unknown(…) now. Calibrate the readings again"
+        )
     if missing := [n for n in described["effects"] if n not in catalogue]:
         raise InputError(
             f"{path.name} uses the effect {', '.join(missing)}, which {name!r} does not have. Give the file "

@@ -18,7 +18,6 @@ from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method, Outcome
-from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, build_frame, reference_of
 from bayescal._model.instrument import Instrument
@@ -115,7 +114,7 @@ def _refuse_nothing(calibration: Calibration) -> None:
     instrument = calibration.model.instrument
     known = instrument.known
     for effect in calibration.model.effects:
-        if effect.name in known or effect.is_placeholder or isinstance(effect, Departure):
+        if effect.name in known or effect.is_placeholder:
             continue
         line = calibration.linear
         own = [i for i in range(line.line.jacobian.shape[1]) if line.owners[i] == effect.name]

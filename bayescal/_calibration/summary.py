@@ -15,7 +15,6 @@ from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, number, table, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import LinearModel
-from bayescal._model.departure import Departure
 from bayescal._model.frame import derived
 from bayescal._model.parameters import CoefficientBlock, Layout
 from bayescal._model.prior import deviation
@@ -30,7 +29,7 @@ MOST_MEMBERS = 4  # of a group, that have a line each
 def calibration_text(calibration: Fitted) -> str:
     """Unknowns with standard uncertainty and 95 % credible interval; the verdict.
 
-    A curve (an unknown dependence, a departure) is one line, and so are the members of a large group: single
+    A curve (an unknown dependence) is one line, and so are the members of a large group: single
     coefficients of these mean nothing by themselves.
     """
     rows: dict[str, list[str]] = {}  # a row by what it is of
@@ -68,10 +67,8 @@ def _unknown_row(s: dict[str, Any]) -> list[str]:
 
 
 def curves(calibration: Fitted) -> set[str]:
-    """Effects whose coefficients stand for a curve: unknown dependences and departures."""
-    return {
-        e.name for e in calibration.model.effects if e.is_placeholder or isinstance(e, Departure)
-    }
+    """Effects whose coefficients stand for a curve: unknown dependences."""
+    return {e.name for e in calibration.model.effects if e.is_placeholder}
 
 
 def curve_extent(calibration: Fitted, name: str) -> tuple[float, float, str, float | None]:

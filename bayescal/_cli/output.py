@@ -288,7 +288,7 @@ def _findings_text(trail: SearchPath) -> str:
         ]
         nearest = max(tested, key=lambda c: c.probability or 0.0, default=None)
         beside = f"next: {nearest.effect} ({probability(nearest.probability)})" if nearest else ""
-        said = "; ".join([*missing, *map(str, found.departures), beside] if beside else missing)
+        said = "; ".join([*missing, beside] if beside else missing)
         rows.append([f"{i} {step.title}", probability(found.nothing_missing), said or "–"])
     head = ["step", "P(complete)", "missing, with its probability"]
     lines = [f"WHAT IS MISSING (all candidates: --verbose)\n\n{table(head, rows, left=1, fold=40)}"]

@@ -144,7 +144,7 @@ def find_and_fit(
                 refused[name] = str(error)
                 continue
             structures[name] = structure
-            # Departures and open sizes are a device's own: only equal models share a program.
+            # Open sizes are a device's own: only equal models share a program.
             kind = (*structure.effects, structure.noise, repr(made.effects), repr(made.noise))
             alike.setdefault(kind, (made, []))[1].append(name)
     groups = [

@@ -17,7 +17,6 @@ from bayescal._inference import programs
 from bayescal._inference.chebyshev import BETWEEN, NODES, REACH, weights
 from bayescal._inference.column_products import ColumnProducts
 from bayescal._inference.terms import ColumnsOf, coordinates
-from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument
@@ -129,7 +128,7 @@ class Record:
         Those of one shape are interpolated along it where they run smoothly.
         """
         if not effect.shapes:
-            return self._less(effect.less) if effect.less else self._fixed_columns(effect.basis)
+            return self._fixed_columns(effect.basis)
         near = len(values) == 1 and abs(v := effect.priors[0].coordinate(values[0])) <= REACH
         if near and (basis := self.basis_along(effect)) is not None:
             return basis.at(v)
@@ -175,14 +174,6 @@ class Record:
         rank = max(1, int(np.sum(size > KEPT_OF_IT * size[0])))
         columns = (q @ (u[:, :rank] * size[:rank])).reshape(self.size, count, rank)
         return Basis(columns, vh[:rank])
-
-    def _less(self, of: Departure) -> Float[np.ndarray, "n k"]:
-        """Columns of a departure: curves, less the shares that its effect's own columns have in them."""
-        assert of.own is not None and of.curves is not None
-        at = tuple(v for _, v in of.at)
-        own = ColumnsOf(of.own, tuple(n for n, _ in of.at), ())
-        taken = self._kept_at(own, at) if at else self._fixed_columns(of.own)
-        return self._fixed_columns(of.curves) - taken @ np.array(of.shares)
 
     def _fixed_columns(self, key: programs.Basis) -> Float[np.ndarray, "n k"]:
         if key not in self._fixed:

@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from bayescal._core.jit import given
 from bayescal._inference.programs import Basis, basis_of
-from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect, matrix
 from bayescal._model.parameters import CoefficientBlock
 from bayescal._model.prior import LogNormal, Normal
@@ -23,13 +22,11 @@ class ColumnsOf(NamedTuple):
         basis: its own.
         shapes: that this takes.
         priors: of the shapes.
-        less: a departure, whose basis need not be compiled for every record: curves, less what is taken from them.
     """
 
     basis: Basis
     shapes: tuple[str, ...]
     priors: tuple[Any, ...]
-    less: Departure | None = None
 
     def on(self, corrections: Sequence[Correction]) -> ColumnsOf:
         """The same where columns of the readings are corrected by effects without an unknown but their shapes."""
@@ -43,15 +40,12 @@ class ColumnsOf(NamedTuple):
     @property
     def key(self) -> Any:
         """What they depend on, as a value."""
-        if self.less is None:
-            return self.basis, self.priors
-        return self.less.own, self.less.at, self.less.shares, self.less.curves
+        return self.basis, self.priors
 
     @classmethod
     def of(cls, effect: Effect) -> ColumnsOf:
         names = tuple(s.name for s in effect.column_shapes)
-        less = effect if isinstance(effect, Departure) else None
-        return cls(basis_of(effect), names, tuple(s.prior for s in effect.column_shapes), less)
+        return cls(basis_of(effect), names, tuple(s.prior for s in effect.column_shapes))
 
 
 class Correction(NamedTuple):
@@ -67,9 +61,7 @@ class Correction(NamedTuple):
     def of_block(cls, block: CoefficientBlock) -> Correction:
         effect = block.effect
         names = tuple(map(effect.shape_name, effect.column_shapes))
-        return cls(
-            block.slot, ColumnsOf.of(effect), block.index, block.factor * block.value, names
-        )
+        return cls(block.slot, ColumnsOf.of(effect), block.index, block.factor * block.value, names)
 
 
 def _on_corrected(

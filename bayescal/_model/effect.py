@@ -62,7 +62,8 @@ class Coefficient:
 
     Attributes:
         unit: the unit it is reported in and its prior is stated in, such as "deg/s/degC" or "ppm/degC".
-        prior: Gaussian, flat, or `Known`, which is no unknown. With a learned group standard deviation only its mean counts.
+        prior: Gaussian, flat, or `Known`, which is no unknown. With a learned group
+            standard deviation only its mean counts.
         part: its name within the effect, such as "parallel,M2,cos"; empty if the effect has just one.
         slot: the slot it feeds, where that is not the effect's own.
         per: None for one value; a group for one value each: "run", "cell", "device", "axis", "reading", or any
@@ -189,8 +190,8 @@ class Effect:
         measure: the shape that says how large the effect is, as an amplitude of standard normal coefficients;
             None where its first coefficient does.
         untestable: why readings that have all this still cannot test the effect, or None where they can.
-        along: covariate along which a real law may depart smoothly from this form: a numeric column, "elapsed", or a
-            rate such as "temperature rate". None stands for the one column that it needs; "" for no such covariate.
+        along: covariate that it is a function of, where that is not the one column that it needs: a numeric column,
+            "elapsed", or a rate such as "temperature rate".
         forms: other forms that the same physics may take, each an effect of its own: a search weighs them in its place,
             at most one at a time, and they share its prior probability.
         family: the effect of which it is a form; empty where it is none.
@@ -282,16 +283,6 @@ class Effect:
     def sized(self, low: float, high: float) -> Effect:
         """The effect with this range of its amplitude, in the shape's unit, where it is open."""
         return self.ranging({s.name: (low, high) for s in self.shapes if s.open})
-
-    @property
-    def departs_along(self) -> str:
-        """The covariate of a smooth departure from its form; "" for none, or where members would have their own."""
-        several = any(c.per is not None or c.slot is not None for c in self.coefficients)
-        if self.is_placeholder or several:
-            return ""
-        if self.along is None:
-            return self.columns[0] if len(self.columns) == 1 else ""
-        return self.along
 
     @cached_property
     def weight_shapes(self) -> tuple[str, ...]:

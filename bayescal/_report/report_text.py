@@ -21,7 +21,6 @@ from bayescal._core.formatting import interval, number, probability, with_error
 from bayescal._data.column import NominalScale
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import convert, same_dimension, unit_label
-from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
 from bayescal._model.unknown_effect import covariate_in
@@ -343,8 +342,6 @@ def _subject(effect: Effect) -> str:
 def _does(c: Calibration, effect: Effect) -> str:
     """What an effect makes of its subject, with its size."""
     cause = effect.name.partition(".")[2] or effect.name
-    if isinstance(effect, Departure):
-        return f"departs from the form of {effect.of} by up to {_extent(c, effect)}"
     if covariate := covariate_in(effect.name):
         form = covariate.partition(", ")[2]
         if form == "jump":

@@ -244,7 +244,6 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
         "correlated_noise": found.correlated_noise,
         "noise_laws": found.noise,
         "sets": found.sets,
-        "departures": [{**as_json(d), "in_words": str(d)} for d in found.departures],
         "candidates": found.candidates,
         "unknown": [
             {

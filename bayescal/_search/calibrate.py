@@ -35,7 +35,6 @@ from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import NOT_SAMPLED
 from bayescal._inference.method import Method
-from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model, testable
@@ -170,9 +169,8 @@ class Loop:
         before = time.monotonic()
         # Where nothing is looked for, nothing is weighed.
         looked_at = model.effects if self.max_effects > 0 else ()
-        departed = [e.name for e in looked_at if isinstance(e, Departure)]
         given = [e for e in looked_at if self._weighed_anew(e, model)]
-        model = reduce(sub, [*departed, *given], model)
+        model = reduce(sub, given, model)
         first = self.step(model, method=self.quick(model))
         now = time.monotonic()
         most = max(self.max_effects, len(given))

@@ -181,7 +181,6 @@ class _Channel:
             earlier={**before.earlier, **before.visited},
             visited={},
             expected={},
-            departs={},
         )
         known = before.expected | {s: w.total for s, w in before.visited.items()}
         # Only a shape moved: totals of the former round, corrected by what the prior odds changed, are what to

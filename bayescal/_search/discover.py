@@ -36,12 +36,11 @@ from bayescal._search.candidate import (
     kind_of,
     too_small_or_large,
 )
-from bayescal._search.departures import Departed, departed
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.posterior import Found, Posterior
 from bayescal._search.scores import View
-from bayescal._search.structures import Structure, Structures, Weighed
+from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import ended_early, walk
 
 # Of a time limit: what remains is for drawing, writing and printing what was found.
@@ -77,7 +76,6 @@ class Discovery(Printed):
         stopped: why the search ended before its end; empty where it did not.
         unstated: why the search cannot say that, in words; empty where it can.
         off_scale: candidates a million times smaller or larger than the noise at their plausible size, in words.
-        departures: from the forms of the effects to add, where there are any; `best` holds them too.
         rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
             with those that come nearest; without a set, the leads.
     """
@@ -87,7 +85,6 @@ class Discovery(Printed):
     candidates: tuple[Candidate, ...]
     best: tuple[Effect, ...]
     rivals: tuple[Effect, ...] = ()
-    departures: tuple[Departed, ...] = ()
     noise: tuple[LawProbability, ...] = ()
     stopped: str = ""
     off_scale: tuple[str, ...] = ()
@@ -118,7 +115,7 @@ class Discovery(Printed):
 
     def __str__(self) -> str:
         """What is missing, and every candidate, the most probable first."""
-        lines = [*_findings(self), *map(str, self.departures)]
+        lines = _findings(self)
         if self.noise:
             shown = [n for n in self.noise if n.probability >= searching().shown]
             lines.append(_folded(f"noise law (probability): {', '.join(map(str, shown))}"))
@@ -208,7 +205,7 @@ def walked(
         stopped = deadline.within(run)
     if stopped:  # a walk that was left behind may still add to what it had
         s, library = library.structures, copy.copy(library)
-        own = {n: dict(getattr(s, n)) for n in ("visited", "expected", "departs")}
+        own = {n: dict(getattr(s, n)) for n in ("visited", "expected")}
         library.structures = replace(s, **own)
     if Structure() not in library.structures.visited:
         raise TimeIsUp(end.why)
@@ -298,7 +295,6 @@ def discovery_at(
     here = structures.weigh(at)
     had = posterior.families(at.effects)
     names = [n for n in library.points if structures.family(n) not in had]
-    # Scores beside this model with departures taken off: these would otherwise take up what a candidate explains.
     points = View(library, here).without().scores(names) if names else {}
     # Of forms that have a score the one that has the best speaks for its family.
     points = best_form(structures, points)
@@ -322,7 +318,6 @@ def discovery_at(
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     new, made = posterior.chosen.effects - at.effects, structures.weigh(posterior.chosen)
     best = [made.sized_model.effect(name) for name in structures.candidates if name in new]
-    departures = _departures(structures, posterior.chosen, here)
     # What another experiment should tell apart, the most probable first.
     first = list(found[0].effects) if found else []
     leads = [c.effect for c in ranked if c.kind == "lead"] if len(first) < 2 else []
@@ -331,8 +326,7 @@ def discovery_at(
         nothing_missing=posterior.nothing(c.effect for c in judged if c.unseen),
         sets=found,
         candidates=(*ranked, *shut),
-        best=tuple(dict.fromkeys((*best, *departures))),
-        departures=tuple(departures.values()),
+        best=tuple(best),
         rivals=tuple(structures.candidates[posterior.form(n)] for n in rivals),
         noise=tuple(_laws(structures, posterior)),
         stopped=stopped,
@@ -347,14 +341,6 @@ def _laws(structures: Structures, posterior: Posterior) -> list[LawProbability]:
     laws = {"": structures.base.noise, **structures.laws}
     each = [LawProbability(n.name, n.in_words, posterior.noise(k)) for k, n in laws.items()]
     return sorted(each, key=lambda law: -law.probability)
-
-
-def _departures(structures: Structures, to: Structure, here: Weighed) -> dict[Effect, Departed]:
-    """Departures that the model to use has and this one has not."""
-    end = structures.weigh(to)
-    had = {e.name for e in here.departures}
-    line = structures.line(end) if end.departures else None
-    return {e: departed(line, e) for e in end.departures if line and e.name not in had}
 
 
 def _plausible(effect: Effect) -> float:

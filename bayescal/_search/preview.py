@@ -83,7 +83,6 @@ def preview(calibration: Calibration, effect: Effect | str | Model) -> Preview:
     It is a fit of `model + effect` by least squares, so the numbers are those of that fit; under a noise law of which
     least squares only uses the variance (see `LeastSquares`) they are as approximate as it is. An unknown dependence is
     taken at its marginal mode, which the last rounds of least squares would move by a small part of its uncertainty.
-    Departures from an effect's form, which `calibrate` looks for, are left out.
 
     Args:
         calibration: a fit.

@@ -76,7 +76,6 @@ class View:
     def __init__(self, library: Library, at: Weighed):
         line = library.structures.line(at)
         self.library, self.at, self.line = library, at, line
-        self.departs = {d.of: d.name for d in at.departures}
         self.columns = line.whiten(library.columns(line.slopes))
         nuisance = line.white_nuisance
         # With whitened nuisances A, residual r and a column c all scores follow from AᵀA, Aᵀc, cᵀc and cᵀr.
@@ -87,8 +86,8 @@ class View:
         self.volume = self.without().volume
 
     def without(self, *names: str) -> WithoutNuisances:
-        """What is left where some of its effects are dropped, with their departures, or departures alone; φ held."""
-        line, gone = self.line, {*names, *(self.departs[n] for n in names if n in self.departs)}
+        """What is left where some of its effects are dropped; φ held."""
+        line, gone = self.line, {*names}
         kept = np.array([owner not in gone for owner in line.owners], dtype=bool)
         # r₀: all coefficients at their prior's mean. Without its coefficients a dropped effect's shapes move nothing.
         z = np.where(kept | (np.arange(kept.size) < line.line.jacobian.shape[1]), line.z, 0.0)

@@ -118,7 +118,7 @@ def _by_name(layout: Layout, x: np.ndarray, rows: np.ndarray, v: np.ndarray) -> 
 
 
 def _union(structures: Structures, models: Sequence[Model]) -> Model:
-    """The model that holds the effects of all, each as the most probable structure has it; departures last."""
+    """The model that holds the effects of all, each as the most probable structure has it."""
     known: dict[str, Effect] = {}
     for model in models:
         for effect in model.effects:

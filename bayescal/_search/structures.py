@@ -24,12 +24,10 @@ from bayescal._inference.gaussian import condition
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, at_mode, find_mode, flat_scales
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.record import Record
-from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import Layout
-from bayescal._search.departures import Form, could_be_another, form_of, may_depart, scored
 from bayescal._search.noise_laws import OnResiduals, log_prior, on_residuals
 
 WIDE = (-6.0, 6.0)  # coordinates of a noise's size
@@ -63,7 +61,6 @@ class Weighed:
         log_evidence: by Laplace, averaged over the sizes.
         log_prior: of the structure.
         assembly, mode: at the likeliest sizes.
-        departures: of its effects from their forms, where there are any.
     """
 
     structure: Structure
@@ -71,7 +68,6 @@ class Weighed:
     log_prior: float
     assembly: Assembly
     mode: Mode
-    departures: tuple[Departure, ...] = ()
 
     @property
     def total(self) -> float:
@@ -120,7 +116,6 @@ class Structures:
     earlier: Mapping[Structure, Weighed] = field(default_factory=dict)
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
-    departs: dict[str, Form | None] = field(default_factory=dict)  # how candidates depart
 
     @cached_property
     def log_odds(self) -> dict[str, float]:
@@ -179,17 +174,18 @@ class Structures:
         moved = {self.candidates[n].slot for n in structure.effects if self.moves_a_column(n)}
         for name in structure.effects:
             found |= {n for n in self.forms[self.family(name)] if n != name}
-        return found | {n for n, e in self.candidates.items() if e.slot in moved} - structure.effects
+        return (
+            found | {n for n, e in self.candidates.items() if e.slot in moved} - structure.effects
+        )
 
     def open_to(self, structure: Structure) -> list[str]:
         """Candidates that may be added to it."""
         barred = structure.effects | self.barred(structure)
         return [n for n in self.candidates if n not in barred]
 
-    def model(self, structure: Structure, departures: tuple[Departure, ...] = ()) -> Model:
-        """A structure as a model, effects in the catalogue's order, then their departures."""
+    def model(self, structure: Structure) -> Model:
+        """A structure as a model, effects in the catalogue's order."""
         added = [e for name, e in self.candidates.items() if name in structure.effects]
-        added += departures
         effects = (*self.base.effects, *added)
         return Model(self.base.instrument, effects, self.noise(structure), self.base.fixed)
 
@@ -210,47 +206,8 @@ class Structures:
         if found is None:
             # A structure of an earlier round, weighed with another range of a shape, is nearer than any neighbour.
             near = self.earlier.get(structure, near)
-            found = self.visited[structure] = self._weighed(structure, near, hints)
+            found = self.visited[structure] = self._refitted(structure, near, hints)
         return found
-
-    def _weighed(self, structure, near, hints) -> Weighed:
-        """Refitted to the forms of its effects, then with departures from these where the evidence is strong."""
-        found = self._refitted(structure, (), near, hints)
-        correlated = not found.assembly.noise.independent
-        forms = {n: self._form(n, correlated) for n in structure.effects}
-        left = {n: form for n, form in forms.items() if form is not None}
-        while left and math.isfinite(found.log_evidence):
-            line = self.line(found)
-            scores = [s for s in (scored(line, e) for e in left.values()) if s is not None]
-            # The one departure that promises most, while any does: two at once would share what either explains.
-            best = max(scores, key=lambda s: s.gain, default=None)
-            if best is None or best.gain < searching().strong:
-                break
-            departures = (*found.departures, best.effect)
-            fuller = self._refitted(structure, departures, found, [best.hint])
-            if fuller.log_evidence < found.log_evidence + searching().strong:
-                break
-            del left[best.effect.of]
-            # With and without it a priori alike: the mean of both evidences, not the larger one.
-            total = np.logaddexp(fuller.log_evidence, found.log_evidence) - math.log(2)
-            found = replace(fuller, log_evidence=float(total))
-        return found
-
-    def _form(self, name: str, correlated: bool) -> Form | None:
-        """How a candidate departs from its form; None where it cannot."""
-        return None
-        if not may_depart(self.candidates[name], self.record, correlated):
-            return None
-        if name not in self.departs:
-            effect, line = self.candidates[name], self._base_line
-            others = [e for n, e in self.candidates.items() if n != name]
-            another = could_be_another(line, effect, others)
-            self.departs[name] = None if another else form_of(line, effect)
-        return self.departs[name]
-
-    @cached_property
-    def _base_line(self) -> LinearModel:
-        return self.line(self.weigh(Structure()))
 
     @cached_property
     def line(self) -> Callable[[Weighed], LinearModel]:
@@ -272,8 +229,8 @@ class Structures:
 
         return found
 
-    def _refitted(self, structure, departures, near, hints) -> Weighed:
-        assembly = self._assembled(structure, near, departures)
+    def _refitted(self, structure, near, hints) -> Weighed:
+        assembly = self._assembled(structure, near)
         if near is None:
             mode = find_mode(assembly, still=STILL, curved=False)
         else:
@@ -284,7 +241,7 @@ class Structures:
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         assembly, mode, log_evidence = averaged(assembly, mode, sized)
         log_prior = self.log_prior(structure)
-        return Weighed(structure, log_evidence, log_prior, assembly, mode, departures)
+        return Weighed(structure, log_evidence, log_prior, assembly, mode)
 
     def roughly(self, structure: Structure, near: Weighed) -> float:
         """The total under independent noise of one size, all else of φ as another has it; infinite under others."""
@@ -305,12 +262,12 @@ class Structures:
         )
         return self.log_prior(structure) - float(found.fun)
 
-    def _assembled(self, structure, near: Weighed | None, departures=()) -> Assembly:
+    def _assembled(self, structure, near: Weighed | None) -> Assembly:
         """A structure on the record, its effects' sizes as another structure has them."""
         known = near.assembly.size_factors if near is not None else None
         # A refit at the sizes of its neighbour begins nearly at its mode; `averaged` then tries the others.
         sizes = {n: factor for n, factor in (known or {}).items() if n in structure.effects}
-        layout = Layout(self.model(structure, departures), self.layout.counts)
+        layout = Layout(self.model(structure), self.layout.counts)
         return Assembly(layout, self.record, sizes)
 
     def expect(self, structure: Structure, total: float) -> None:

@@ -112,9 +112,7 @@ def path(library: Library, to: Structure) -> list[Structure]:
         steps.append(max(totals, key=totals.__getitem__))
 
 
-def _next(
-    structures: Structures, looked: set[Structure], among: frozenset[str]
-) -> Weighed | None:
+def _next(structures: Structures, looked: set[Structure], among: frozenset[str]) -> Weighed | None:
     """The most probable structure of the beam that was not looked at, of those that have effects among these alone.
 
     Of the beam is also the best under each noise law: which effects are probable hangs on the law, and from the best
@@ -203,9 +201,7 @@ def _weigh_forms(structures: Structures, at: Weighed, end: Deadline) -> None:
                 structures.weigh(to, at, [_in_other_form(structures, at, name, other)])
 
 
-def _in_other_form(
-    structures: Structures, at: Weighed, name: str, other: str
-) -> dict[str, float]:
+def _in_other_form(structures: Structures, at: Weighed, name: str, other: str) -> dict[str, float]:
     """Where a form's shapes may be: where those of the same name are in the form that a structure has."""
     known, found = {h.name: v for h, v in zip(at.assembly.hypers, at.mode.v, strict=True)}, {}
     for shape in structures.candidates[other].column_shapes:
@@ -291,20 +287,15 @@ def _moves(view: View, max_effects: int, among: frozenset[str]) -> Iterator[Move
     known = [n for n in view.library.points if n in among]
     open_ = [n for n in structures.open_to(here) if n in known]
     room = max_effects - len(here.effects)
-    # A departure is a rival of what it could imitate: effects, and two of them, are tried in its place too. A refit
-    # without it has no half of the prior to share with it, log 2 more.
-    rests = [(view.without(), 0.0)]
-    rests += [(view.without(d.name), math.log(2)) for d in at.departures]
-    for rest, freed in rests:
-        if room <= 0 or not open_:
-            break
+    if room > 0 and open_:
+        rest = view.without()
         found = rest.scores(open_)
         for name, points in found.items():
-            yield _addition(here.plus(name), at.total + freed + odds[name], points)
+            yield _addition(here.plus(name), at.total + odds[name], points)
         if room > 1:
             named = {n: p for n, p in found.items() if not structures.candidates[n].is_placeholder}
             for gain, a, b in rest.pairs(named)[: searching().pairs]:
-                total = at.total + freed + gain + odds[a.effect] + odds[b.effect]
+                total = at.total + gain + odds[a.effect] + odds[b.effect]
                 yield Move(here.plus(a.effect, b.effect), total, ({**a.hint, **b.hint},))
     # Dropping and exchanging start from what is left without the effect; a drop costs no column's volume.
     for name in sorted(n for n in here.effects if n in view.library.points):

@@ -36,7 +36,6 @@ from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, Printed, number, table, with_error
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
-from bayescal._model.departure import Departure
 from bayescal._model.effect import Effect
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._use.compensation_program import averaged_over
@@ -179,8 +178,6 @@ def _no_answer(quantity: LimitedQuantity, calibration: Calibration, stated: floa
 
 def _describes_the_record(effect: Effect) -> bool:
     """Whether an effect is a form in time that the readings drew, which ends with them."""
-    if isinstance(effect, Departure):
-        return effect.along == "time"
     return (covariate_in(effect.name) or "").startswith("time")
 
 

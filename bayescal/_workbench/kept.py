@@ -520,8 +520,7 @@ def script(path: Sequence[State], origin: Origin, settings: Settings, folder: Pa
         path: states, each the parent of the next.
         origin: of readings and effects.
         settings: of the fits.
-        folder: that keeps the states' calibrations, for a model that no public function composes (departures of
-            effects from their forms).
+        folder: that keeps the states' calibrations, for a model that no public function composes.
     """
     how = f"seed={settings.seed}, strict=False"
     how += f", reference={dict(settings.reference)!r}" if settings.reference else ""
@@ -565,7 +564,7 @@ def method_code(method: Any) -> str:
 def _loaded(state: State, origin: Origin, folder: Path) -> str:
     own = ", effects=tuple(own.values())" if origin.effect_files else ""
     path = str(folder / FOLDER.format(state.number) / "calibration.nc")
-    return f"model = bc.load({path!r}{own}).model  # with departures of effects from their forms"
+    return f"model = bc.load({path!r}{own}).model"
 
 
 def code_of(before: Model, after: Model) -> list[str] | None:
@@ -634,8 +633,6 @@ def _effect_code(effect: Effect, model: Model) -> tuple[str, Effect | None]:
         if not ranges:
             return repr(name), made
         return f"instrument.effect({name!r}).ranging({ranges!r})", made.ranging(ranges)
-    if name.startswith("departure("):
-        return "", None
     return f"own[{name!r}]", effect
 
 
