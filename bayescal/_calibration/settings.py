@@ -24,6 +24,8 @@ class SearchSettings(OutcomeSettings):
         nothing: prior probability that the model is complete: neither answer is favoured (docs/mathematics.md).
         unknown_share: of the prior weight of what is missing, for what no named effect describes: a formula that is
             known beforehand is likelier than one that is not.
+        matters: of the noise, rms, that a description without a name may explain, and the model still count as
+            complete: it makes the noise by a fiftieth larger.
         averaged: probability from which a structure takes part in the average: all others together move a standard
             uncertainty by less than the digits that are printed.
         alike: cosine of two fitted contributions from which they are one to these readings: 0.95 leaves a tenth of
@@ -68,6 +70,7 @@ class SearchSettings(OutcomeSettings):
     shown: float = 0.01
     nothing: float = 0.5
     unknown_share: float = 0.1
+    matters: float = 0.2
     averaged: float = 0.01
     alike: float = 0.95
     power: float = 0.8

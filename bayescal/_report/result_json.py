@@ -240,6 +240,7 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
     return {
         "step": step,
         "nothing_missing_probability": found.nothing_missing,
+        "unnamed": list(found.unnamed),
         "unstated": found.unstated,
         "correlated_noise": found.correlated_noise,
         "noise_laws": found.noise,

@@ -67,14 +67,16 @@ class Discovery(Printed):
     """The answer to "which effect is missing?".
 
     Attributes:
-        nothing_missing: probability that none of the candidates that these readings can show is missing; None where the
-            search cannot say.
+        nothing_missing: probability that the model is complete: that none of the candidates that these readings can
+            show is missing, and that no description stands for what has no name; None where the search cannot say.
         sets: findings, the most probable first.
         candidates: every candidate, the most probable first.
         best: the effects to add, so that `model + discovery.best` is the model to use; empty for none.
         noise: every noise law with its probability, the most probable first; empty where the readings cannot tell.
         stopped: why the search ended before its end; empty where it did not.
         unstated: why the search cannot say that, in words; empty where it can.
+        unnamed: descriptions in the model that carry more than a small part of it: something is missing that has no
+            name here.
         off_scale: candidates a million times smaller or larger than the noise at their plausible size, in words.
         rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
             with those that come nearest; without a set, the leads.
@@ -89,6 +91,7 @@ class Discovery(Printed):
     stopped: str = ""
     off_scale: tuple[str, ...] = ()
     unstated: str = ""
+    unnamed: tuple[str, ...] = ()
 
     def not_stated(self, why: str) -> Discovery:
         """The same without a probability that the model is complete."""
@@ -323,7 +326,8 @@ def discovery_at(
     leads = [c.effect for c in ranked if c.kind == "lead"] if len(first) < 2 else []
     rivals = list(dict.fromkeys(first + leads))[:RIVALS]
     return Discovery(
-        nothing_missing=posterior.nothing(c.effect for c in judged if c.unseen),
+        nothing_missing=posterior.complete(structures, (c.effect for c in judged if c.unseen)),
+        unnamed=tuple(sorted(structures.matters(here))),
         sets=found,
         candidates=(*ranked, *shut),
         best=tuple(best),
@@ -351,6 +355,11 @@ def _plausible(effect: Effect) -> float:
 
 def _findings(found: Discovery) -> list[str]:
     lines = [f"probability that the model is complete: {found.complete_in_words}"]
+    if found.unnamed:
+        lines.append(
+            f"something is missing that has no name here: {' and '.join(found.unnamed)} "
+            f"{'stands' if len(found.unnamed) == 1 else 'stand'} for it"
+        )
     for s in found.sets:
         names = " or ".join(s.effects)
         tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"

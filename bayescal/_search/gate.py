@@ -258,7 +258,7 @@ def _taken_over(steps: Sequence[Step]) -> list[str]:
 def _undecided(step: Step) -> list[str]:
     """Something is missing, and the readings do not say what: neither an effect nor one of several."""
     found = step.discovery
-    if found is None or found.nothing_missing is None or found.sets:
+    if found is None or found.nothing_missing is None or found.sets or found.unnamed:
         return []
     if found.nothing_missing >= guarding().unlikely:
         return []

@@ -14,6 +14,7 @@ from bayescal._calibration.settings import searching
 from bayescal._search.structures import Structure, Structures, Weighed
 
 SHOWN = 20  # structures kept of a search
+NEXT_TO_NOTHING = 1e-3  # probability of a structure, which moves no digit of what is printed
 
 
 @dataclass(frozen=True)
@@ -71,14 +72,28 @@ class Posterior:
         # A structure that was only expected has no mode, and cannot be used.
         return next(s for s in self.structures if s in self.refitted)
 
-    def nothing(self, unseen: Iterable[str] = ()) -> float:
-        """Probability that nothing beyond the given is missing, under any noise law.
+    def complete(self, structures: Structures, unseen: Iterable[str] = ()) -> float:
+        """Probability that the given effects are all that is there, under any noise law.
+
+        A description that carries more than a small part stands for something that has no name here: a structure with
+        one is not complete, also where the description is among the given. One that does not counts for nothing.
 
         Args:
+            structures: that were weighed.
             unseen: effects of which the readings say nothing: of these it is not asked.
         """
-        rest = self.families(self.given.union(unseen))
-        return self._of_any([own <= rest for own in self._reported])
+        rest, found = self.families(self.given.union(unseen)), []
+        each = zip(self.structures, self._reported, self.probability, strict=True)
+        for s, own, probability in each:
+            unnamed = {n for n in s.effects if structures.candidates[n].is_placeholder}
+            weighed = self.refitted.get(s)
+            if not own - unnamed <= rest or not unnamed:
+                found.append(own <= rest)
+            elif weighed is None or probability < NEXT_TO_NOTHING:
+                found.append(False)
+            else:
+                found.append(not structures.matters(weighed))
+        return self._of_any(found)
 
     def noise(self, name: str) -> float:
         """Probability of a noise law."""

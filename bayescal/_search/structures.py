@@ -270,6 +270,42 @@ class Structures:
         layout = Layout(self.model(structure), self.layout.counts)
         return Assembly(layout, self.record, sizes)
 
+    def matters(self, weighed: Weighed) -> frozenset[str]:
+        """Descriptions of a structure, such as a curve, that carry more than a small part of it.
+
+        What one explains that the rest of the structure cannot, rms over the noise; or what it moves a coefficient of a
+        named effect by, over its standard uncertainty: where both are small, all that has a name is there.
+        """
+        unnamed = [n for n in weighed.structure.effects if self.candidates[n].is_placeholder]
+        found = set[str]()
+        for name in unnamed:
+            line = self.line(weighed)
+            own = np.array([owner == name for owner in line.owners])
+            white = line.whiten(line.contribution(name)[:, None])[:, 0]
+            left = line.beyond(white, ~own)
+            share = math.sqrt(float(left @ left) / line.size)
+            if share > searching().matters or self._moves_coefficients(line, own, white):
+                found.add(name)
+        return frozenset(found)
+
+    def _moves_coefficients(
+        self, line: LinearModel, own: np.ndarray, white: Float[np.ndarray, "n"]
+    ) -> bool:
+        """Whether a coefficient of a named effect would stand elsewhere without a contribution, beyond its
+        uncertainty."""
+        others = np.flatnonzero(~own)
+        beside = line.white_nuisance[:, others]
+        inner = beside.T @ beside + np.diag(line.weight[others])
+        # Without it the others would take up what they can of it: (AᵀA + W)⁻¹Aᵀc, prior standard deviations.
+        moved = np.zeros(len(own))
+        moved[others] = np.linalg.lstsq(inner, beside.T @ white, rcond=1e-12)[0] * line.sd[others]
+        plain = (
+            t.at.start
+            for t in line.assembly.in_x
+            if t.group_sd_name is None and t.known.effect.weights is None and t.known.per is None
+        )
+        return any(abs(moved[i]) > line.uncertainty(i) for i in plain)
+
     def expect(self, structure: Structure, total: float) -> None:
         """Keep what the score expects of a structure: it counts where that was not refitted."""
         if math.isfinite(total):
