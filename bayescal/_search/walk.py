@@ -50,25 +50,24 @@ def walk(
     structures = library.structures
     try:
         root = structures.weigh(Structure())
-        # Structures under correlated laws first: they explain slow residuals by noise, where under white noise an
-        # effect would be found that only bends after them.
-        for first in (*(Structure(noise=law) for law in correlated_laws(structures)), *seeds):
-            if end.over:
-                return ended_early(end, begun)
-            structures.weigh(first, root)
-        every = frozenset(structures.candidates)
-        # Physics first: a curve that is found before a second effect takes what this explains, and hides it. So what
-        # has a name is looked for by itself, and then all together.
-        named = frozenset(n for n in every if not structures.candidates[n].is_placeholder)
-        looked: dict[frozenset[str], set[Structure]] = {named: set(), every: set()}
-        for among, later in ((named, None), (every, None), (every, given)):
+        # Physics first: a curve, or noise that is correlated, found before a second effect takes what this explains,
+        # and hides it. So what has a name is looked for by itself, under the noise that is given, and then all
+        # together.
+        named = frozenset(n for n, e in structures.candidates.items() if not e.is_placeholder)
+        physics, every = Scope(named, ("",)), Scope(frozenset(structures.candidates))
+        looked: dict[Scope, set[Structure]] = {physics: set(), every: set()}
+        for among, later in ((physics, None), (every, None), (every, given)):
+            for first in seeds if among is physics else roots(structures):
+                if end.over:
+                    return ended_early(end, begun)
+                structures.weigh(first, root)
             if later and not end.over:
                 # Effect by effect, as the walk would: from the root at once its shapes may end at a lower maximum.
                 path(library, later)
             # A structure that overtakes the others joins the beam when its turn comes: `_next` sorts anew each time.
             # Finer laws come last: on what a missing effect leaves, each would be fitted for nothing.
             while (fresh := _next(structures, looked[among], among)) or (
-                among == every and _refine(structures, end)
+                among is every and _refine(structures, end)
             ):
                 if end.over:
                     return ended_early(end, begun)
@@ -112,13 +111,13 @@ def path(library: Library, to: Structure) -> list[Structure]:
         steps.append(max(totals, key=totals.__getitem__))
 
 
-def _next(structures: Structures, looked: set[Structure], among: frozenset[str]) -> Weighed | None:
-    """The most probable structure of the beam that was not looked at, of those that have effects among these alone.
+def _next(structures: Structures, looked: set[Structure], among: Scope) -> Weighed | None:
+    """The most probable structure of the beam that was not looked at, of those within a scope.
 
     Of the beam is also the best under each noise law: which effects are probable hangs on the law, and from the best
     under another one it would take several changes at once to come there.
     """
-    own = [w for w in structures.visited.values() if w.structure.effects <= among]
+    own = [w for w in structures.visited.values() if among.holds(w.structure)]
     ordered = sorted(own, key=lambda w: -w.total)
     of_law = {w.structure.noise: w for w in reversed(ordered)}
     for i, w in enumerate(ordered):
@@ -131,6 +130,29 @@ def _next(structures: Structures, looked: set[Structure], among: frozenset[str])
     return None
 
 
+class Scope(NamedTuple):
+    """Where a walk goes.
+
+    Attributes:
+        effects: candidates that it adds, drops and exchanges.
+        laws: names of the noise laws that it changes to; None for all.
+    """
+
+    effects: frozenset[str]
+    laws: tuple[str, ...] | None = None
+
+    def holds(self, structure: Structure) -> bool:
+        return structure.effects <= self.effects and self.has(structure.noise)
+
+    def has(self, law: str) -> bool:
+        return self.laws is None or law in self.laws
+
+
+def roots(structures: Structures) -> list[Structure]:
+    """The base under each correlated law: from there an effect is seen that slow residuals would otherwise hide."""
+    return [Structure(noise=law) for law in correlated_laws(structures)]
+
+
 class Move(NamedTuple):
     """A neighbour of a structure, what the linear model expects of it, and where its refit may begin."""
 
@@ -140,16 +162,13 @@ class Move(NamedTuple):
 
 
 def _look_around(
-    library: Library, at: Weighed, max_effects: int, among: frozenset[str], end: Deadline
+    library: Library, at: Weighed, max_effects: int, among: Scope, end: Deadline
 ) -> None:
-    """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected.
-
-    Neighbours differ by effects of `among`, or by the noise law.
-    """
+    """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected."""
     structures, here = library.structures, at.structure
     # The same effects under each law: which effects are probable hangs on the law, and the walk would otherwise have
     # to find them anew under each.
-    for law in {"", *correlated_laws(structures)}:
+    for law in filter(among.has, ("", *correlated_laws(structures))):
         if end.over:
             return
         other = here.under(law)
@@ -161,7 +180,7 @@ def _look_around(
             structures.expect(other, rough)
     if not math.isfinite(at.total):
         return
-    changes = [*_changes_of_noise(structures, at)]
+    changes = [m for m in _changes_of_noise(structures, at) if among.has(m.to.noise)]
     moves = [*_moves(View(library, at), max_effects, among)]
     # Without what moves a column nothing that depends on it is what it was: what may stand in its place is seen beside
     # a refit without it.
@@ -280,11 +299,11 @@ def _changes_of_noise(structures: Structures, at: Weighed) -> Iterator[Move]:
             yield Move(to, total + log_prior(structures.laws, name), (found.hint,))
 
 
-def _moves(view: View, max_effects: int, among: frozenset[str]) -> Iterator[Move]:
+def _moves(view: View, max_effects: int, among: Scope) -> Iterator[Move]:
     """Additions, pairs, drops and exchanges, with their expected totals."""
     structures, at = view.library.structures, view.at
     here, odds = at.structure, structures.log_odds
-    known = [n for n in view.library.points if n in among]
+    known = [n for n in view.library.points if n in among.effects]
     open_ = [n for n in structures.open_to(here) if n in known]
     room = max_effects - len(here.effects)
     if room > 0 and open_:

@@ -29,7 +29,7 @@ BODIES: Mapping[str, Modes] = MappingProxyType(
     {
         "body": ((1.0, 1.0),),
         "two_stages": ((1.0, 2.0), (0.5, -1.0)),  # a body of τ/2 behind one of τ
-        # Mean temperature of a slab: modes of τ/k², weights 8/(π·k)², k odd; what the series lacks is at once.
+        # Mean temperature of a slab: modes of τ/k², weights 8/(π·k)², k odd, cut after three and scaled to one.
         # Source: H. Carslaw and J. Jaeger, Conduction of Heat in Solids, 2nd ed. (1959), section 3.3.
         "diffusion": tuple((k**-2, w / sum(_SLAB)) for k, w in zip((1, 3, 5), _SLAB, strict=True)),
     }

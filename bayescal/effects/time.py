@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -9,14 +12,21 @@ import jax.numpy as jnp
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame
 from bayescal._model.prior import Normal
+from bayescal.effects.thermal import BODIES, Modes
+
+FAST = 0.2  # of τ, the shorter one of a warm-up of two times
 
 
 def _progress(r: Frame) -> Any:
     return r.progress
 
 
-def _decay(r: Frame, tau: Any) -> Any:
-    return jnp.exp(-r.elapsed / tau)
+def _decays(modes: Modes, r: Frame, tau: Any) -> Any:
+    return sum(w * jnp.exp(-r.elapsed / (m * tau)) for m, w in modes)
+
+
+def _two_decays(r: Frame, tau: Any) -> Any:
+    return jnp.stack([jnp.exp(-r.elapsed / tau), jnp.exp(-r.elapsed / (FAST * tau))], axis=1)
 
 
 def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
@@ -33,15 +43,33 @@ def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
 
 
 def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, source: str) -> Effect:
-    """c·exp(−(t − t_start)/τ) within each run; `low` and `high` bound τ plausibly, s."""
-    return Effect(
-        f"{slot}.warm_up",
-        slot,
-        basis=_decay,
-        coefficients=(Coefficient(unit, Normal(0.0, size)),),
-        shapes=(Shape("tau", "s", low, high),),
-        columns=("time",),
-        equation="c·exp(−(t − t_start)/τ)",
-        source=source,
-        along="elapsed",
+    """c·exp(−(t − t_start)/τ) within each run; in other forms with two times, or by diffusion of heat.
+
+    Args:
+        size: prior standard deviation of c, in `unit`.
+        low, high: plausible range of τ, s.
+    """
+
+    def form(name: str, basis: Callable[..., Any], parts: Sequence[str], equation: str) -> Effect:
+        return Effect(
+            f"{slot}.{name}",
+            slot,
+            basis=basis,
+            coefficients=tuple(Coefficient(unit, Normal(0.0, size), part) for part in parts),
+            shapes=(Shape("tau", "s", low, high),),
+            columns=("time",),
+            equation=equation,
+            source=source,
+            along="elapsed",
+        )
+
+    slab = BODIES["diffusion"]
+    terms = " + ".join(f"{w:.3g}·exp(−t/({m:.3g}·τ))" for m, w in slab)
+    two = f"c·exp(−t/τ) + d·exp(−t/({FAST:g}·τ)),  t from the run's start"
+    return replace(
+        form("warm_up", partial(_decays, ((1.0, 1.0),)), ("",), "c·exp(−(t − t_start)/τ)"),
+        forms=(
+            form("warm_up.two_times", _two_decays, ("", "fast"), two),
+            form("warm_up.diffusion", partial(_decays, slab), ("",), f"c·({terms})"),
+        ),
     )
