@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import bayescal as bc
@@ -11,26 +12,50 @@ from bayescal_models.differential_pair.environment import DEPARTURE, SHARED
 from bayescal_models.terms import one, progress, term
 
 SOURCE = "source 3; size ours"
+SPLINE = math.sqrt(3.0) - 2.0
+REACH = 12  # neighbours to either side: the next one counts 10⁻⁷
 
 
 def slope(r: bc.Frame, values: Any) -> Any:
-    """Time derivative of a column within each record, the mean of the differences to both neighbours, unit/s."""
-    return difference(r, values, r.step)
+    """Mean time derivative of a column within each reading, unit/s: its change over the reading, by how long that is.
 
-
-def difference(r: bc.Frame, values: Any, over: Any = 1.0) -> Any:
-    """Mean of the differences of a column to both neighbours in its record, each divided by `over`."""
+    A reading lasts from half way to the one before it to half way to the next.
+    """
     import jax.numpy as jnp  # JAX loads when something computes
 
-    ordered = values[r.order]
-    inside = r.step > 0
-    back = jnp.where(inside, jnp.diff(ordered, prepend=ordered[:1]), 0.0)
-    back = back / jnp.where(inside, over, 1.0)
+    back = jnp.where(r.step > 0, r.step, 0.0)
     ahead = jnp.append(back[1:], 0.0)
-    also = jnp.append(inside[1:], False)
-    sides = inside.astype(float) + also.astype(float)
-    mean = (back + jnp.where(also, ahead, 0.0)) / jnp.maximum(sides, 1.0)
-    return jnp.zeros_like(mean).at[r.order].set(mean)
+    sides = (back > 0).astype(float) + (ahead > 0)
+    lasts = jnp.zeros_like(back).at[r.order].set((back + ahead) / jnp.maximum(sides, 1.0))
+    before, after = ends(r, values)
+    return (after - before) / jnp.where(lasts > 0, lasts, 1.0)
+
+
+def ends(r: bc.Frame, values: Any) -> tuple[Any, Any]:
+    """A column at the beginning and at the end of each reading, where a reading is its mean over the time between.
+
+    These are the slopes e of the cubic spline through the integral of the column, which the means give exactly: of a
+    record of even steps eₖ₋₁ + 4·eₖ + eₖ₊₁ = 3·(mean before + mean after), so that e is a mean of neighbours' means
+    with weights z^|j|, z = √3 − 2. Beyond its ends a record goes on as it stood there.
+    Source: C. de Boor, A Practical Guide to Splines (1978), ch. VIII (area matching).
+    """
+    import jax
+    import jax.numpy as jnp
+
+    ordered, place = values[r.order], jnp.arange(r.size)
+    begins = r.step <= 0
+    first = jax.lax.cummax(jnp.where(begins, place, 0))
+    last = jax.lax.cummin(jnp.where(jnp.append(begins[1:], True), place, r.size - 1), reverse=True)
+
+    def at(shift: int) -> Any:
+        return ordered[jnp.clip(place + shift, first, last)]
+
+    weights = {j: SPLINE ** abs(j) for j in range(-REACH, REACH + 1)}
+    total = 2.0 * sum(weights.values())
+    before = sum(w * (at(j - 1) + at(j)) for j, w in weights.items()) / total
+    after = sum(w * (at(j) + at(j + 1)) for j, w in weights.items()) / total
+    empty = jnp.zeros_like(ordered)
+    return empty.at[r.order].set(before), empty.at[r.order].set(after)
 
 
 def direction(r: bc.Frame) -> Any:
@@ -51,10 +76,12 @@ def _softening(r: bc.Frame) -> Any:
     import jax.numpy as jnp
 
     outward = direction(r) * r["acceleration"]
-    # Of a reading, which is a mean, k·⟨a²⟩ = k·(⟨a⟩² + var a): the variance within it goes with the change squared, by
-    # a share that hangs on how long a reading is.
-    change = difference(r, r["acceleration"])
-    within = direction(r) * change**2 / (12.0 * jnp.maximum(r["acceleration"], 1.0))
+    # Of a reading, which is a mean, k·⟨a²⟩ = k·(⟨a⟩² + var a). Between its ends a parabola of that mean has the
+    # variance (a₁ − a₀)²/12 + (3·(a₁ + a₀) − 6·⟨a⟩)²/180; how long a reading is of its step is a share of it.
+    before, after = ends(r, r["acceleration"])
+    bend = 3.0 * (before + after - 2.0 * r["acceleration"])
+    varies = (after - before) ** 2 / 12.0 + bend**2 / 180.0
+    within = direction(r) * varies / jnp.maximum(r["acceleration"], 1.0)
     return jnp.stack([outward, outward**2, within], axis=1)
 
 

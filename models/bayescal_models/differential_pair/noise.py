@@ -11,13 +11,13 @@ from typing import Any, ClassVar
 
 import bayescal as bc
 from bayescal_models.differential_pair.campaign import G
-from bayescal_models.differential_pair.effects import difference
+from bayescal_models.differential_pair.effects import ends
 
 SHARE = "noise.while_changing"
 
 
 class NoiseWhileChanging(bc.Noise):
-    """White noise, larger where the acceleration changes: σᵢ = σ·√(1 + (k·Δaᵢ²)²), Δaᵢ from reading to reading, g.
+    """White noise, larger where the acceleration changes: σᵢ = σ·√(1 + (k·Δaᵢ²)²), Δaᵢ over a reading, g.
 
     Attributes:
         scale: prior of σ, output unit.
@@ -46,5 +46,6 @@ class NoiseWhileChanging(bc.Noise):
         return "1/g^2" if name == SHARE else output
 
     def variance(self, parameters: Any, frame: bc.Frame) -> Any:
-        change = difference(frame, frame["acceleration"]) / G
+        before, after = ends(frame, frame["acceleration"])
+        change = (after - before) / G
         return parameters["noise.white"] ** 2 * (1.0 + (parameters[SHARE] * change**2) ** 2)
