@@ -21,6 +21,9 @@ from bayescal._calibration.predict import Prediction, replicates
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
 from bayescal._inference.joint import expected_with_slopes
+from bayescal._inference.terms import ColumnsOf
+from bayescal._model.effect import Effect
+from bayescal._model.instrument import factor_of
 
 DRAWS = 1000  # replicates, fewer of many readings: p-values to a thousandth
 CELLS = 10_000_000  # replicates × readings, held together
@@ -36,11 +39,13 @@ class HoldoutContradiction:
         p: probability of coefficients that the data pull as far, if the fit is right.
         share: the hold-out error over what it would be, did coefficients and groups' deviations suit these data.
         scatter: of what neither explains, the rms over its expected one.
+        most: the coefficient that they pull the farthest, by itself; empty where there is none.
     """
 
     p: float
     share: float
     scatter: float
+    most: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +56,14 @@ class HoldoutTest:
         calibration: the fit.
         readings: the hold-out data.
         prediction: of them.
+        unseen: deviations of groups that the fit holds none of, and their plausible standard deviation: a single run
+            does not show how far runs are apart, and a few do not show it where it is small.
     """
 
     calibration: Calibration
     readings: Measurements
     prediction: Prediction
+    unseen: tuple[tuple[Effect, float], ...] = ()
 
     @cached_property
     def against(self) -> HoldoutContradiction:
@@ -75,7 +83,13 @@ class HoldoutTest:
         left = max(_squares(errors - whole @ (whole.T @ errors)), TINY)
         usual = np.median(_squares(expected - (expected @ whole) @ whole.T))
         scatter = math.sqrt(left / max(float(usual), TINY))
-        return HoldoutContradiction(p, math.sqrt(float(_squares(errors)) / left), scatter)
+        share = math.sqrt(float(_squares(errors)) / left)
+        away = {
+            name: abs(float(column @ errors)) / max(float(np.std(expected @ column)), TINY)
+            for name, per, column in self._columns
+            if per is None
+        }
+        return HoldoutContradiction(p, share, scatter, max(away, key=lambda n: away[n], default=""))
 
     def worse_than(self, other: HoldoutTest) -> float:
         """Probability that hold-out errors stand as much for another fit as they do, if this fit is right.
@@ -98,14 +112,33 @@ class HoldoutTest:
         """Errors over the noise, and those of replicates."""
         count = max(100, min(DRAWS, CELLS // max(len(self.readings), 1)))
         made = replicates(self.calibration, self.readings, count, self.calibration.seed)
+        made += self._deviations(len(made))
         made -= made.mean(axis=0)
         return self.prediction.residual / self._noise, made / self._noise
 
+    def _deviations(self, count: int) -> Float[np.ndarray, "draws n"]:
+        """What deviations of groups that the fit holds none of would add, output unit."""
+        found, random = np.zeros((count, len(self.readings))), np.random.default_rng(0)
+        if not self.unseen:
+            return found
+        calibration = with_columns(self.calibration, self.readings.columns)
+        assembly = calibration.assembly_on(self.readings, calibration.frame_of(self.readings))
+        mode = calibration.mode
+        rows = np.zeros((len(self.readings), mode.point.rows.shape[1]))
+        slopes = assembly.slopes(mode.point._replace(rows=rows), assembly.hyper(mode.v))
+        for effect, size in self.unseen:
+            c = effect.coefficients[0]
+            column = assembly.record.columns(ColumnsOf.of(effect), ())[:, 0]
+            column = column * factor_of(calibration.model.instrument, effect, c)
+            codes = self.readings.groups(str(c.per))[1]
+            drawn = size * random.standard_normal((count, int(codes.max()) + 2))[:, codes]
+            found += slopes[c.slot or effect.slot] * column * drawn
+        return found
+
     @cached_property
     @on_one_thread
-    def _bases(self) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n m"]]:
-        """Orthonormal columns over the noise, at the mean of the draws: of the coefficients that all readings share,
-        and of these with the deviations of each group."""
+    def _columns(self) -> list[tuple[str, str | None, Float[np.ndarray, "n"]]]:
+        """Of each coefficient its name, its group, and its column over the noise, at the mean of the draws."""
         calibration, readings = with_columns(self.calibration, self.readings.columns), self.readings
         assembly = calibration.assembly_on(readings, calibration.frame_of(readings))
         x, rows, v = calibration.draws()
@@ -113,13 +146,20 @@ class HoldoutTest:
         terms = [t for t in assembly.terms if t.place == "x"]
         hyper = assembly.hyper(v.mean(axis=0))
         slopes = expected_with_slopes(assembly, x.mean(axis=0)[None], none, hyper, terms)[1]
-        shared, own = [], []
-        for t, slope in zip(terms, slopes, strict=True):
-            column = np.broadcast_to(slope, (1, len(readings)))[0] / self._noise
-            if t.known.per is None:
+        each = (np.broadcast_to(slope, (1, len(readings)))[0] / self._noise for slope in slopes)
+        names = (t.known.effect.coefficient_name(t.index) for t in terms)
+        return [(n, t.known.per, c) for n, t, c in zip(names, terms, each, strict=True)]
+
+    @cached_property
+    def _bases(self) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n m"]]:
+        """Orthonormal columns: of the coefficients that all readings share, and of these with the deviations of each
+        group."""
+        shared, own, readings = [], [], self.readings
+        for _, per, column in self._columns:
+            if per is None:
                 shared.append(column)
             else:
-                codes = readings.groups(t.known.per)[1]
+                codes = readings.groups(per)[1]
                 own += [np.where(codes == code, column, 0.0) for code in np.unique(codes)]
         return _orthonormal(shared, len(readings)), _orthonormal([*shared, *own], len(readings))
 

@@ -300,14 +300,35 @@ class Loop:
             if (last := steps[-1].discovery) and (why := self.incomplete(steps)):
                 steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
             steps[-1] = self.said_of_given(steps[-1])
+        last, shares = steps[-1].calibration, ()
+        used = last
+        if self.max_effects > 0 and last.verdict.ok:
+            with suppress(TimeIsUp):  # what is used of it is an average over the structures
+                used, shares = averaged(last, structures, way[len(steps) - 1].noise, self.seed)
+        steps[-1] = self.held_against(steps[-1], used, structures)
         trail = self.trail(steps, structures, complete=not stopped, stopped=stopped)
-        last = trail.final.calibration
-        if self.max_effects == 0 or not last.verdict.ok:
-            return trail
-        with suppress(TimeIsUp):  # what is used of it is an average over the structures
-            average, shares = averaged(last, structures, way[len(steps) - 1].noise, self.seed)
-            return replace(trail, average=None if average is last else average, shares=shares)
-        return trail
+        if used is last:
+            return replace(trail, shares=shares)
+        verdict = trail.final.calibration.verdict
+        notes = dict.fromkeys((*verdict.notes, *used.verdict.notes))
+        used = used.with_verdict(against=verdict.against, notes=tuple(notes))
+        return replace(trail, average=used, shares=shares)
+
+    def held_against(self, step: Step, used: Calibration, structures: Structures) -> Step:
+        """The last step, whose hold-out data are held against what is used of it."""
+        if self.holdout is None or step.holdout_test is None:
+            return step
+        known = {c.effect: c for c in (step.discovery.candidates if step.discovery else ())}
+        unseen = []
+        for name, effect in structures.base.instrument.known.items():
+            c = effect.coefficients[0]
+            if c.per != "run" or c.group_sd is None or effect.shapes or name in used.model.names:
+                continue
+            seen = known.get(name)
+            least = None if seen is None or seen.kind == "not testable" else seen.minimum_detectable
+            unseen.append((effect, c.size if least is None else min(c.size, least)))
+        found = predict(used, self.holdout)
+        return replace(step, holdout_test=HoldoutTest(used, self.holdout, found, tuple(unseen)))
 
     def said_of_given(self, step: Step) -> Step:
         """The last step, noting what the model given has and the one to use has not."""

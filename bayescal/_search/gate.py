@@ -436,10 +436,11 @@ def _contradicted(step: Step) -> list[str]:
     found, unit = step.holdout_test.against, unit_label(step.calibration.unit)
     other = "They are of another device or condition, or the model is wrong."
     if found.p < guarding().chance and found.share > guarding().worse:
+        of = f", {found.most} before all" if found.most else ""
         return [
             f"The hold-out data contradict the last model: its error there, {number(error)} {unit}, would be "
-            f"{number(error / found.share)} with other coefficients, and a right model is so far off with probability "
-            f"{found.p:.2g}. {other}"
+            f"{number(error / found.share)} with other coefficients{of}, and a right model is so far off with "
+            f"probability {found.p:.2g}. {other}"
         ]
     if found.scatter > guarding().expected:
         return [
