@@ -95,6 +95,7 @@ def thermal_lag(
     column: str = "temperature",
     name: str = "thermal_lag",
     bodies: Mapping[str, Modes] = BODIES,
+    short: Effect | None = None,
 ) -> Effect:
     """A thermal lag: c·(T̃ − T), with T̃ a first-order body that lags T by τ; or all that depends on T acts at T̃.
 
@@ -109,6 +110,7 @@ def thermal_lag(
         start: prior standard deviation of the initial state's effect, in `start_unit`.
         name: of the effect, after the slot; another for a second lag.
         bodies: forms in which all that depends on T lags, by name; none where it does not.
+        short: the form that it takes where τ is too short to be seen: a rate.
     """
     return replace(
         _of_a_body(
@@ -137,7 +139,8 @@ def thermal_lag(
                 name=f"{name}.{form}",
             )
             for form, modes in bodies.items()
-        ),
+        )
+        + (() if short is None else (short,)),
     )
 
 

@@ -73,7 +73,6 @@ BASELINE = (CONSTANT, LINE)
 CANDIDATES = (
     QUADRATIC,
     CUBIC,
-    effects.rate("bias", *SIZES["bias.rate"], source=SOURCE),
     effects.thermal_lag(
         "bias",
         *SIZES["bias.thermal_lag"],
@@ -82,6 +81,7 @@ CANDIDATES = (
         start=0.1,
         start_unit="deg/s",
         source=SOURCE,
+        short=effects.rate("bias", *SIZES["bias.rate"], source=SOURCE),
     ),
     term(
         "bias.reference_voltage",

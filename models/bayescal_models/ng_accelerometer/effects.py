@@ -187,7 +187,6 @@ CANDIDATES = (
     effects.warm_up("bias", *SIZES["bias.warm_up"], low=2 * MINUTE, high=3 * HOUR, source=SOURCE),
     effects.deviation("bias", "run", *SIZES["bias.run"], source=SOURCE),
     effects.deviation("scale", "run", *SIZES["scale.run"], source=SOURCE),
-    effects.rate("bias", *SIZES["bias.rate"], source=SOURCE),
     effects.thermal_lag(
         "bias",
         *SIZES["bias.thermal_lag"],
@@ -196,6 +195,7 @@ CANDIDATES = (
         start=5.0,
         start_unit="ug",
         source=SOURCE,
+        short=effects.rate("bias", *SIZES["bias.rate"], source=SOURCE),
     ),
     _effect(
         "bias.hysteresis",

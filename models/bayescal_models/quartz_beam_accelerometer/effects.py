@@ -249,6 +249,8 @@ def temporal(slot: str) -> tuple[bc.Effect, ...]:
             start_unit=unit,
             source=OURS,
             column="temperature_head",
+            # the body of the head is one for both slots, and a form of the bias's lag
+            **({} if slot == "bias" else {"bodies": {}}),
         ),
         _effect(
             slot,

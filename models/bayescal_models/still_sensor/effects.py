@@ -36,12 +36,6 @@ def thermal(unit: str, size: float, span: float, pace: float) -> tuple[bc.Effect
         power(effects.quadratic, 2, 0.5),
         power(effects.cubic, 3, 0.25),
         power(effects.quartic, 4, 0.25),
-        effects.rate(
-            "bias",
-            quarter / pace,
-            f"{unit}/(degC/min)",
-            source=SOURCE.format(share=0.25, at=" at the mean rate of the temperature"),
-        ),
         effects.thermal_lag(
             "bias",
             quarter / (pace * LAG_TIME),
@@ -51,6 +45,12 @@ def thermal(unit: str, size: float, span: float, pace: float) -> tuple[bc.Effect
             start=quarter,
             start_unit=unit,
             source=behind(LAG_TIME),
+            short=effects.rate(
+                "bias",
+                quarter / pace,
+                f"{unit}/(degC/min)",
+                source=SOURCE.format(share=0.25, at=" at the mean rate of the temperature"),
+            ),
         ),
         effects.thermal_lag(
             "bias",
