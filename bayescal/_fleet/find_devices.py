@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from jaxtyping import Float, Int
-from scipy.special import expit
+from scipy.special import expit, logsumexp
 
 from bayescal._core.errors import BayescalError
 from bayescal._data.measurements import Measurements
@@ -92,24 +92,28 @@ def search_device(
     walk(Library(structures), find.max_effects)
     posterior = Posterior.of(structures)
     chosen = posterior.chosen
-    inclusion = {n: posterior.inclusion(n) for n in structures.candidates}
+    inclusion = {n: posterior.inclusion(n) for n in structures.forms}
+    odds = {
+        n: float(logsumexp([structures.log_odds[f] for f in own]))
+        for n, own in structures.forms.items()
+    }
     structure = DeviceStructure(
         sorted(chosen.effects),
         chosen.noise,
-        posterior.nothing(),
+        posterior.complete(structures),
         {n: p for n, p in inclusion.items() if p > fleet_settings().kept},
         [list(finding.effects) for finding in posterior.findings],
-        {n: float(expit(odds)) for n, odds in structures.log_odds.items()},
-        _weighed(posterior, structures.log_odds),
+        {n: float(expit(of_family)) for n, of_family in odds.items()},
+        _weighed(posterior, odds),
     )
     return structure, structures.weigh(chosen).model
 
 
 def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> list[tuple[list[str], float]]:
-    """Sets of effects with their log evidence, the best first."""
+    """Sets of effects, in whatever form, with their log evidence, the best first."""
     total: dict[tuple[str, ...], float] = {}
     for structure, log_posterior in zip(posterior.structures, posterior.total, strict=True):
-        effects = tuple(sorted(structure.effects))
+        effects = tuple(sorted(posterior.families(structure.effects)))
         own = log_posterior - sum(log_odds[name] for name in effects)
         total[effects] = float(np.logaddexp(total.get(effects, -np.inf), own))
     best = max(total.values())

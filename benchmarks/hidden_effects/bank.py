@@ -94,12 +94,14 @@ def simulated(instrument: bc.Instrument, case: Case, later: bool = False) -> bc.
 
 
 def open_effects(model: bc.Model, readings: bc.Measurements) -> list[bc.Effect]:
-    """Candidates that are not in the model and that these readings can show."""
-    return [
-        e
+    """Candidates that are not in the model and that these readings can show; of forms those with a name of their own,
+    before their family."""
+    own = (
+        one
         for e in model.instrument.candidates
-        if e.name not in model.names and testable(e, readings) is None
-    ]
+        for one in (*(f for f in e.forms if not f.name.startswith(f"{e.name}.")), e)
+    )
+    return [e for e in own if e.name not in model.names and testable(e, readings) is None]
 
 
 def plan(instrument: bc.Instrument) -> list[Case]:
@@ -117,6 +119,7 @@ def plan(instrument: bc.Instrument) -> list[Case]:
 def _of_kind(kind: str, instrument: bc.Instrument, effects: list[bc.Effect]) -> Iterator[Case]:
     """Campaigns of one kind; what is drawn of them does not depend on how many there are."""
     size = {e.name: e.coefficients[0].size for e in effects}
+    family = {e.name: e.reported for e in effects}
     names, count, first = list(size), COUNTS[kind], FIRST_SEED[kind]
     rng = np.random.default_rng([20261121, first])
     if kind == "single":
@@ -127,7 +130,10 @@ def _of_kind(kind: str, instrument: bc.Instrument, effects: list[bc.Effect]) -> 
         return
     for turn in range(count):
         if kind == "pair" and len(names) > 1:
-            pair = rng.choice(names, 2, replace=False)
+            while True:  # of two forms of one family a model has one
+                pair = rng.choice(names, 2, replace=False)
+                if len({family[str(n)] for n in pair}) == 2:
+                    break
             yield Case(kind, first + turn, {str(n): _drawn(n, size[n], rng) for n in pair})
         elif kind == "several" and instrument.name in LONG:
             several = LONG[instrument.name][1]

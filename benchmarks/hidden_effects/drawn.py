@@ -33,14 +33,23 @@ def by_law(
     odds = math.exp(structures.log_prior(Structure(noise=WANDER)))
     wanders = WANDER in structures.laws and bool(rng.random() < odds / (1 + odds))
     barred = structures.barred(Structure(noise=WANDER if wanders else ""))
-    odds = {n: o for n, o in structures.log_odds.items() if n not in barred}
-    names = [n for n, o in odds.items() if rng.random() < 1 / (1 + np.exp(-o))]
+    names = list[str]()
+    for forms in structures.forms.values():
+        open_ = [n for n in forms if n not in barred and n not in structures.barred(_with(names))]
+        each = np.exp([structures.log_odds[n] for n in open_])
+        total = each.sum()
+        if open_ and rng.random() < total / (1 + total):
+            names.append(str(rng.choice(open_, p=each / total)))
     added = np.zeros(len(readings))
     if names:
         added += _effects(structures, names, rng)
     if wanders:
         added += _wander(structures, rng)
     return readings.with_column("output", readings["output"] + added), names, wanders
+
+
+def _with(names: list[str]) -> Structure:
+    return Structure(frozenset(names))
 
 
 def _effects(structures: Structures, names: list[str], rng: np.random.Generator) -> np.ndarray:

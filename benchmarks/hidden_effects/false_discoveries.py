@@ -101,7 +101,7 @@ def _one(instrument: bc.Instrument, how: str, seed: int) -> dict[str, Any]:
         "added": sorted(found.chosen.effects),
         "sets": [[list(s.effects), s.probability] for s in found.sets],
         "law": found.structures.noise(found.chosen).in_words,
-        "nothing": found.posterior.nothing(),
+        "nothing": found.posterior.complete(found.structures),
         "seconds": time.perf_counter() - begun,
     }
     if how == "wandering noise":

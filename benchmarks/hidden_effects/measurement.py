@@ -95,13 +95,14 @@ def stated(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
     return {
         "seed": case.seed,
         "kind": case.kind,
-        "hidden": hidden,
+        "hidden": sorted(map(found.structures.family, hidden)),
         "wanders": wanders,
-        "nothing": found.posterior.nothing(),
+        "nothing": found.posterior.complete(found.structures),
         "stated_wanders": found.posterior.noise(WANDER),
         "probabilities": found.probabilities,
         "sets": [[list(s.effects), s.probability] for s in found.sets],
-        "final": sorted(found.chosen.effects),
+        "final": found.reported_names(found.chosen),
+        "forms": sorted(found.chosen.effects),
         "seconds": taken,
         "truth": _against(found, hidden, wanders),
     }
@@ -115,7 +116,7 @@ def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
     found = Searched.of(model, readings)
     final, sets, probabilities = found.chosen, found.sets, found.probabilities
     taken = time.perf_counter() - begun
-    nothing, structures = found.posterior.nothing(), found.structures
+    nothing, structures = found.posterior.complete(found.structures), found.structures
     other = _other_path(structures)
     missing = [OUTSIDE[case.shape]] if case.kind == "outside" else list(case.hidden)
     truth = Structure(frozenset(missing))
@@ -126,7 +127,8 @@ def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
         "seed": case.seed,
         "kind": case.kind,
         "shape": case.shape,
-        "hidden": case.hidden,
+        "hidden": {structures.family(n): size for n, size in case.hidden.items()},
+        "as": sorted(case.hidden),
         "oracle": oracle,
         "oracle_of_each": _oracles(found, truth) if len(missing) > 1 else [oracle] * len(missing),
         "nothing": nothing,
@@ -138,7 +140,8 @@ def campaign(instrument: bc.Instrument, case: Case) -> dict[str, Any]:
         else None,
         "reported": found.reported(),
         "probabilities": probabilities,
-        "final": sorted(final.effects),
+        "final": found.reported_names(final),
+        "forms": sorted(final.effects),
         "noise": "wandering" if final.noise == WANDER else final.noise or "white",
         "undecided": [] if other is None else list(other.added),
         "held_out": [found.error(s, later) for s in (Structure(), final, truth)],
@@ -156,7 +159,7 @@ def _against(found: Searched, missing: list[str], wanders: bool) -> dict[str, An
     if truth == best.structure or not set(missing) <= set(structures.candidates):
         return None
     weighed = truth in structures.visited
-    own, fresh = structures.weigh(truth, found.base), structures._weighed(truth, None, ())
+    own, fresh = structures.weigh(truth, found.base), structures._refitted(truth, None, ())
     return {
         "weighed": weighed,
         "best": [sorted(best.structure.effects), best.structure.noise],
@@ -183,7 +186,8 @@ def _likeness(instrument: bc.Instrument, case: Case, found: Searched) -> float:
     hidden = line.whiten((found.readings["output"] - bare)[:, None])
     inside = line.projected(hidden)
     left = float((hidden.T @ hidden - inside.T @ inside).item())
-    names = [n for n, e in found.structures.candidates.items() if not e.is_placeholder]
+    own = found.structures.candidates
+    names = [n for n in found.library.points if not own[n].is_placeholder]
     alike = [0.0]
     for points in View(found.library, found.base).without().scores(names).values():
         for s in points:
@@ -196,7 +200,11 @@ def _likeness(instrument: bc.Instrument, case: Case, found: Searched) -> float:
 def _exact_set(found: Searched) -> list[str]:
     """The fewest effects that hold 95 % of the posterior over one effect, by the evidence of every single one."""
     structures = found.structures
-    names = [n for n, e in structures.candidates.items() if not e.is_placeholder]
+    names = [
+        n
+        for n, own in structures.forms.items()
+        if n in own and not structures.candidates[n].is_placeholder
+    ]
     single = [structures.weigh(Structure(frozenset({n})), found.base) for n in names]
     evidence = np.array([w.log_evidence for w in single])
     share = np.exp(evidence - logsumexp(evidence))

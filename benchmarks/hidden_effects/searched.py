@@ -72,7 +72,11 @@ class Searched:
     @property
     def probabilities(self) -> dict[str, float]:
         """Of each candidate to be missing."""
-        return {name: self.posterior.inclusion(name) for name in self.structures.candidates}
+        return {name: self.posterior.inclusion(name) for name in self.structures.forms}
+
+    def reported_names(self, structure: Structure) -> list[str]:
+        """Effects of a structure, each by the name of its family."""
+        return sorted(self.posterior.families(structure.effects))
 
     def reported(self) -> list[tuple[list[str], list[list[str]]]]:
         """Effects of each structure on the way to the chosen one, and the sets that are missing from it."""
@@ -80,7 +84,7 @@ class Searched:
         for at in path(self.library, self.chosen):
             sets = Posterior.of(self.structures, at.effects).findings
             if sets:
-                found.append((sorted(at.effects), [list(s.effects) for s in sets]))
+                found.append((self.reported_names(at), [list(s.effects) for s in sets]))
         return found
 
     def error(self, structure: Structure, later: Later) -> float:

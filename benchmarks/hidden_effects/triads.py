@@ -80,7 +80,7 @@ def measure(seed: int) -> tuple[dict[str, Any], str]:
         "hidden": hidden,
         "final": chosen,
         "noise": found.structures.noise(found.chosen).in_words,
-        "nothing": found.posterior.nothing(),
+        "nothing": found.posterior.complete(found.structures),
         "sets": [[list(s.effects), s.probability] for s in found.sets],
         "seconds": taken,
     }

@@ -94,7 +94,7 @@ def _searched(
     row = {
         "final": sorted(found.chosen.effects),
         "noise": found.structures.noise(found.chosen).in_words,
-        "nothing": found.posterior.nothing(),
+        "nothing": found.posterior.complete(found.structures),
         "sets": [[list(s.effects), s.probability] for s in found.sets],
         "seconds": time.perf_counter() - begun,
     }
