@@ -13,7 +13,7 @@ from bayescal.effects.temperature import cubic as cubic
 from bayescal.effects.temperature import linear as linear
 from bayescal.effects.temperature import quadratic as quadratic
 from bayescal.effects.temperature import quartic as quartic
-from bayescal.effects.thermal import die_temperature as die_temperature
+from bayescal.effects.thermal import body as body
 from bayescal.effects.thermal import hysteresis as hysteresis
 from bayescal.effects.thermal import rate as rate
 from bayescal.effects.thermal import temperature_x_lag as temperature_x_lag

@@ -216,47 +216,6 @@ def temperature_x_lag(
     )
 
 
-def die_temperature(
-    slot: str,
-    size: float,
-    unit: str,
-    *,
-    quadratic: float,
-    quadratic_unit: str,
-    low: float,
-    high: float,
-    start: float,
-    start_unit: str,
-    source: str,
-    column: str = "temperature",
-) -> Effect:
-    """c·(T̃ − T) + q·((T̃ − T0)² − (T − T0)²): the output follows the temperature of a die behind the thermometer.
-
-    Beside a line and a quadratic in T it makes both functions of T̃, one time constant for all of it, where c and q are
-    the coefficients of these. They are free, as not every part of an output need lag.
-
-    Args:
-        size: prior standard deviation of c, in `unit`.
-        quadratic: of q, in `quadratic_unit`.
-        low, high: plausible range of τ, s.
-        start: prior standard deviation of what a die that was not at T when a run began adds, in `start_unit`.
-    """
-    return _of_a_body(
-        slot,
-        "die_temperature",
-        _of_the_die,
-        (
-            Coefficient(unit, Normal(0.0, size)),
-            Coefficient(quadratic_unit, Normal(0.0, quadratic), part="quadratic"),
-            Coefficient(start_unit, Normal(0.0, start), part="start", per="run"),
-        ),
-        "c·(T̃ − T) + q·((T̃ − T0)² − (T − T0)²) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃",
-        (low, high),
-        column,
-        source,
-    )
-
-
 def _of_a_body(
     slot: str,
     name: str,
@@ -301,11 +260,6 @@ def _lagging(column: str, r: Frame, tau: Any) -> Any:
 
 def _lag_by_temperature(column: str, r: Frame, tau: Any) -> Any:
     return r.centred(column) * r.lag(tau, column)
-
-
-def _of_the_die(column: str, r: Frame, tau: Any) -> Any:
-    here, behind = r.centred(column), r.lag(tau, column)
-    return jnp.stack([behind, behind * (2 * here + behind), jnp.exp(-r.elapsed / tau)], axis=1)
 
 
 def _one_way(column: str, readings: Measurements) -> str | None:

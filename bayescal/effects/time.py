@@ -14,11 +14,17 @@ from bayescal._model.frame import Frame
 from bayescal._model.prior import Normal
 from bayescal.effects.thermal import BODIES, Modes
 
+BENDS = (0.03, 3.0)  # of the test, after which a drift has slowed down to a half
 FAST = 0.2  # of τ, the shorter one of a warm-up of two times
 
 
 def _progress(r: Frame) -> Any:
     return r.progress
+
+
+def _ageing(r: Frame, bend: Any) -> Any:
+    share = jnp.maximum(r.position("time"), 0.0)
+    return jnp.log1p(share / bend) / jnp.log1p(1.0 / bend) - 0.5
 
 
 def _decays(modes: Modes, r: Frame, tau: Any) -> Any:
@@ -30,15 +36,29 @@ def _two_decays(r: Frame, tau: Any) -> Any:
 
 
 def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
-    """c·(t − t̄)/(tmax − tmin): c is the change over the test."""
-    return Effect(
-        f"{slot}.drift",
-        slot,
-        basis=_progress,
-        coefficients=(Coefficient(unit, Normal(0.0, size)),),
-        columns=("time",),
-        equation="c·(t − t̄)/(tmax − tmin)",
-        source=source,
+    """c·(t − t̄)/(tmax − tmin), or c·ln(1 + s/b)/ln(1 + 1/b) with s from 0 to 1: c is the change over the test.
+
+    The logarithm is how resonators and stressed packages age: fast at first, and ever more slowly.
+    Source of the second form: MIL-PRF-55310E (2006), 6.4.2, f(t) = A·ln(B·t + 1).
+    """
+
+    def form(name: str, basis: Callable[..., Any], shapes: tuple[Shape, ...], equation: str):
+        return Effect(
+            f"{slot}.{name}",
+            slot,
+            basis=basis,
+            coefficients=(Coefficient(unit, Normal(0.0, size)),),
+            shapes=shapes,
+            columns=("time",),
+            equation=equation,
+            source=source,
+        )
+
+    bend = Shape("bend", "1", *BENDS)
+    ageing = "c·(ln(1 + s/b)/ln(1 + 1/b) − ½),  s = (t − tmin)/(tmax − tmin)"
+    return replace(
+        form("drift", _progress, (), "c·(t − t̄)/(tmax − tmin)"),
+        forms=(form("drift.logarithmic", _ageing, (bend,), ageing),),
     )
 
 

@@ -64,7 +64,7 @@ def _regressors(searched: Searched, record: Record) -> Regressors:
     instrument, counts = searched.model.instrument, dict(base.assembly.layout.counts)
     columns, owners = [], []
     for name, effect in searched.structures.candidates.items():
-        if effect.is_placeholder:
+        if effect.is_placeholder or name.startswith(f"{effect.family}."):
             continue
         shapes = effect.column_shapes
         middle = tuple(float(s.prior.value(0.0)) for s in shapes)
@@ -77,7 +77,7 @@ def _regressors(searched: Searched, record: Record) -> Regressors:
             else:
                 codes = record.codes[c.per]
                 columns += [np.where(codes == m, column, 0.0) for m in range(counts[c.per])]
-            owners += [name] * (len(columns) - len(owners))
+            owners += [effect.reported] * (len(columns) - len(owners))
     return Regressors(np.column_stack(columns), np.array(owners), line.jacobian)
 
 

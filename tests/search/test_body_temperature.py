@@ -1,0 +1,175 @@
+"""An output at the temperature of a body behind the thermometer: line and curve at one T̃, of whatever form."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._inference.assembly import Point
+from bayescal._model import forward
+from bayescal._model.frame import build_frame, reference_of
+from bayescal._search.discover import structures_over
+from bayescal._search.structures import Structure
+from bayescal.effects.thermal import BODIES
+from bayescal_models import mems_gyro
+
+GYRO = mems_gyro.INSTRUMENT
+RUNS, HOURS, STEP, FINE = 3, 4, 60.0, 5.0  # s
+LINE, QUADRATIC, DRIFT, NOISE = 0.05, 5e-4, 0.1, 0.05  # °/s/°C, °/s/°C², °/s over the record, °/s
+
+
+def campaign(seed: int) -> tuple[bc.Measurements, float, float]:
+    """Random profiles of temperature, the time constant of the die, s, and the quadratic's coefficient."""
+    random = np.random.default_rng(seed)
+    tau, quadratic = random.uniform(200.0, 700.0), QUADRATIC * random.choice([-1.0, 1.0])
+    time = np.arange(0.0, HOURS * 3600, STEP)
+    fine = np.arange(0.0, time[-1] + FINE, FINE)
+    air, die = [], []
+    for _ in range(RUNS):
+        air.append(np.interp(fine, np.linspace(0, fine[-1], 9), random.uniform(-20.0, 70.0, 9)))
+        behind = [air[-1][0]]
+        for t in air[-1][1:]:
+            behind.append(behind[-1] + (t - behind[-1]) * (1 - np.exp(-FINE / tau)))
+        die.append(np.interp(time, fine, behind))
+    clock = np.concatenate([time + i * (HOURS + 1) * 3600 for i in range(RUNS)])
+    above = np.concatenate(die) - 25.0
+    output = (
+        1 + LINE * above + quadratic * above**2 + DRIFT * (clock - clock.mean()) / np.ptp(clock)
+    )
+    readings = bc.Measurements.from_arrays(
+        GYRO,
+        temperature=np.concatenate([np.interp(time, fine, a) for a in air]),
+        output=output + random.normal(0, NOISE, clock.size),
+        time=clock,
+        run=np.repeat([f"run {i + 1}" for i in range(RUNS)], time.size),
+    )
+    return readings, tau, quadratic
+
+
+BODY = "bias.thermal_lag.body"
+
+
+def found(seed: int, **options: Any) -> tuple[bool, bool, bool]:
+    """Whether it is found, and whether τ and the curvature lie inside their 95 % intervals; options of `calibrate`."""
+    readings, tau, quadratic = campaign(seed)
+    trail = bc.calibrate(GYRO.baseline(), readings, **options)
+    last = trail.final.calibration
+    if BODY not in last.model.names:
+        return False, False, False
+    low, high = np.quantile(last.samples(f"{BODY}.tau"), [0.025, 0.975])
+    below, above = np.quantile(last.samples("bias.temperature_quadratic"), [0.025, 0.975])
+    return True, low <= tau <= high, below <= quadratic <= above
+
+
+def test_it_is_found_with_its_time_constant_and_curvature() -> None:
+    """The noise is white, as it is; the slow test weighs the other laws too."""
+    short = {"method": bc.LeastSquares(draws=400), "max_effects": 2, "widen_noise": False}
+    assert found(2, **short) == (True, True, True)
+
+
+@pytest.mark.slow
+def test_it_is_found_in_twenty_campaigns() -> None:
+    seen, tau, curvature = np.array([found(seed) for seed in range(100, 120)]).sum(axis=0)
+    assert seen >= 18 and tau >= 0.93 * 20 - 1.5 and curvature >= 0.93 * 20 - 1.5
+
+
+@pytest.mark.parametrize("form", BODIES)
+def test_the_engine_and_the_composition_agree(form: str) -> None:
+    """The engine takes T̃ into the columns of what depends on T; the composition corrects the column itself."""
+    readings, *_ = campaign(1)
+    name = f"bias.thermal_lag.{form}"
+    model = GYRO.baseline() + "bias.temperature_quadratic" + name + "bias.run"
+    fitted = bc.fit(model, readings, bc.LeastSquares(draws=50))
+    assembly, frame = fitted.assembly, fitted.frame
+    random = np.random.default_rng(3)
+    x = fitted.mode.point.x + 0.1 * random.standard_normal(assembly.size)
+    hyper = assembly.hyper(fitted.mode.v)
+    rows = np.zeros((len(readings), 0))
+    line = assembly.linearise(Point(x, rows), hyper)
+    whole = forward.linearise(
+        fitted.layout,
+        frame,
+        jnp.asarray(x),
+        jnp.asarray(rows),
+        {k: jnp.asarray(v) for k, v in hyper.items()},
+    )
+    np.testing.assert_allclose(line.mean, whole.mean, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(line.jacobian, whole.jacobian, rtol=1e-7, atol=1e-5)
+
+
+@pytest.mark.parametrize("form", BODIES)
+def test_modes_of_a_body_have_weights_of_one_in_sum(form: str) -> None:
+    assert math.fsum(w for _, w in BODIES[form]) == pytest.approx(1.0)
+
+
+def test_two_stages_are_one_body_behind_another() -> None:
+    """T̃ as Σ wₖ·T̃ₖ, against two bodies integrated one after the other by small steps."""
+    time = np.arange(0.0, 3600.0, 10.0)
+    air = 20.0 + 15.0 * np.sin(time / 400.0)
+    readings = bc.Measurements.from_arrays(
+        GYRO, temperature=air, output=np.zeros(time.size) + air, time=time
+    )
+    frame = build_frame(readings, reference_of(readings))
+    tau = 300.0
+    found = sum(w * frame.behind(jnp.asarray(m * tau)) for m, w in BODIES["two_stages"]) + air
+    fine, steps = 0.05, int(10 / 0.05)
+    first = second = air[0]
+    expected = [second]
+    for here, there in itertools.pairwise(air):
+        for k in range(steps):
+            outside = here + (there - here) * (k + 0.5) / steps
+            first += fine * (outside - first) / tau
+            second += fine * (first - second) / (tau / 2)
+        expected.append(second)
+    np.testing.assert_allclose(found, expected, atol=2e-3)
+
+
+def test_a_family_has_its_odds_whatever_its_forms() -> None:
+    """A form more makes nothing more probable: that nothing is missing has one half, of any catalogue."""
+    readings, *_ = campaign(1)
+    structures, _ = structures_over(GYRO.baseline(), readings, reference_of(readings))
+    odds = [
+        np.logaddexp.reduce([structures.log_odds[n] for n in own])
+        for own in structures.forms.values()
+    ]
+    assert -np.sum(np.logaddexp(0.0, odds)) == pytest.approx(math.log(0.5))
+
+
+def test_a_structure_has_one_form_of_a_family() -> None:
+    readings, *_ = campaign(1)
+    structures, _ = structures_over(GYRO.baseline(), readings, reference_of(readings))
+    open_ = structures.open_to(Structure(frozenset({BODY})))
+    assert not [n for n in open_ if structures.family(n) == "bias.thermal_lag"]
+    assert "bias.temperature_quadratic" in open_
+
+
+def test_an_average_over_forms_is_that_of_its_structures() -> None:
+    """Draws in which a body's temperature is that of the column are those of structures without it; saved or not."""
+    readings, *_ = campaign(4)
+    trail = bc.calibrate(
+        GYRO.baseline(),
+        readings,
+        method=bc.LeastSquares(draws=400),
+        max_effects=2,
+        widen_noise=False,
+    )
+    used = trail.calibration
+    mean = bc.predict(used, draws=400).mean
+    assert np.sqrt(np.mean((readings["output"] - mean) ** 2)) < 1.2 * NOISE + DRIFT
+    assert all(e.held == () or e.name in used.model.names for e in used.model.effects)
+
+
+def test_firmware_holds_one_state_for_a_body(tmp_path: Any) -> None:
+    """Everything at T̃ from one recursion, fed row by row, is what `compensate` makes of the record."""
+    readings, *_ = campaign(1)
+    one = readings.select(np.flatnonzero(readings.groups("run")[1] == 0))
+    model = GYRO.baseline() + "bias.temperature_quadratic" + BODY
+    fitted = bc.fit(model, one, bc.LeastSquares(draws=50))
+    compensator = bc.compensator(fitted)
+    assert [lag.name for lag in compensator.equation.lags] == ["temperature_lag"]
