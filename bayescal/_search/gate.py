@@ -17,6 +17,7 @@ from bayescal._data.dataset_checks import oddities, rounding_step
 from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.unknown_effect import FORMS, FREED, JUMP, covariate_in
+from bayescal._search.one_profile import said_of_profiles
 from bayescal._search.search_path import Gate, Step
 from bayescal._search.taken_over import IN_TIME, TakenOver, taken_over
 
@@ -53,7 +54,13 @@ def against(steps: Sequence[Step]) -> list[str]:
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     """Steps whose last calibration knows what stands against it, wherever it is taken; and the gate."""
     reasons, last = against(steps), steps[-1]
-    notes = [*_confounded(steps), *_not_decidable(steps), *_levels(last), *in_one_order(last)]
+    notes = [
+        *said_of_profiles(last.calibration),
+        *_confounded(steps),
+        *_not_decidable(steps),
+        *_levels(last),
+        *in_one_order(last),
+    ]
     if notes:
         last = last.noted(notes)
         steps = (*steps[:-1], last)
