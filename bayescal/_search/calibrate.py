@@ -85,8 +85,9 @@ def calibrate(
 ) -> SearchPath:
     """Fit, check, find what is missing, add it and fit again: the most probable structure, and the way to it.
 
-    The structures weighed differ by the effects added and by the noise law. What has a
-    probability of 0.95 is added; the steps shown lead from the model given to the one chosen, at each what gains most.
+    The structures weighed differ by the effects added and by the noise law. What is more probable than not is in the
+    model shown, and called missing from a probability of 0.95; what is used is the average over the structures. The
+    steps lead from the model given to the one shown, at each what gains most.
 
     Args:
         model: to begin with. What it has beside the instrument's baseline is where the search begins, and weighed anew

@@ -205,7 +205,22 @@ class SearchPath(Printed):
             f"\n{RISES.strip()} held-out error more than a twentieth above that of the step before"
         )
         rows = [list(row) for row in zip(*cells.values(), strict=True)]
-        return table(list(cells), rows) + (note if any(rises) else "")
+        lines = [table(list(cells), rows) + (note if any(rises) else "")]
+        found = [n for n, p in self.added.items() if p is not None]
+        sure = [n for n in found if (self.added[n] or 0.0) >= searching().found]
+        likely = [f"{n} ({probability(self.added[n])})" for n in found if n not in sure]
+        lines += [f"found: {', '.join(sure)}"] if sure else []
+        lines += [f"more probable than not: {', '.join(likely)}"] if likely else []
+        return "\n".join(lines)
+
+    @property
+    def added(self) -> dict[str, float | None]:
+        """Effects that the last model has beyond the first, with the probability that each was missing from it, in
+        whatever form; none where probabilities would not be honest."""
+        first, last = self.steps[0], self.final.calibration.model
+        had, found = set(first.calibration.model.names), first.discovery
+        known = {c.effect: c.probability for c in found.candidates} if found else {}
+        return {e.name: known.get(e.reported) for e in last.effects if e.name not in had}
 
     def _brief(self) -> str:
         unit = unit_label(self.final.calibration.unit)
