@@ -363,6 +363,9 @@ def _findings(found: Discovery) -> list[str]:
     for s in found.sets:
         names = " or ".join(s.effects)
         tail = "" if len(s.effects) == 1 else "  (one of these; these readings cannot tell which)"
+        form = next((c.form for c in found.candidates if (c.effect,) == s.effects), "")
+        if form not in ("", *s.effects):
+            tail = f"  (in the form {form.removeprefix(f'{s.effects[0]}.')})"
         lines.append(f"missing: {names}, probability {probability(s.probability)}{tail}")
     for c in found.candidates:
         if c.effect.endswith(FREED) and c.probability is not None:
