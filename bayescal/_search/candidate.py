@@ -27,7 +27,7 @@ class Candidate:
 
     Attributes:
         effect: canonical name, of a family of forms that of the family.
-        form: the most probable form, where there are several; `shape` and `size` are its own.
+        form: the most probable form, where there are several.
         probability: that it is missing from the model; None if it cannot be tested.
         log_bayes_factor: of the model with it against the model as it is, natural logarithm.
         source: "refit" where the model was fitted again with it, else "score".
@@ -103,7 +103,7 @@ def judge(
     effect = library.structures.candidates[top.effect]
     found = Candidate(
         effect=name,
-        form=(form if with_it is not None else top.effect) if several else "",
+        form=form if several else "",
         log_bayes_factor=gain_of(points),
         z=_z(top, library.grouped(top.effect)),
         unit=effect.coefficients[0].unit,
