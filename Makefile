@@ -6,6 +6,8 @@
 PYTHON  ?= python3
 VENV    ?= .venv
 WORKERS ?= 2
+DAY     ?= $(shell date -u +%F)
+WITHIN  ?= 600
 ARGS    ?=
 
 IN_VENV := $(VENV)/bin
@@ -14,7 +16,7 @@ VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d.%d" % sys.version_info
 READY   := $(VENV)/.ready-$(VERSION)
 PYTEST  := $(IN_VENV)/python -m pytest -n $(WORKERS) --dist loadfile
 
-.PHONY: help demo workbench test test-all lint bench docs clean
+.PHONY: help demo workbench test test-all test-nightly test-today lint bench docs clean
 .DELETE_ON_ERROR:
 
 help:  ## this list
@@ -30,11 +32,17 @@ workbench: $(READY)-workbench  ## the loop in a browser, on the demonstration's 
 	$(IN_VENV)/bayescal workbench demo_output/campaign.csv --instrument mems_gyro \
 	  --holdout demo_output/later.csv --out demo_output/workbench $(ARGS)
 
-test: $(READY)-test  ## the tests without the slow ones
+test: $(READY)-test  ## the fast tests: what a change must pass
 	$(PYTEST) $(ARGS)
 
-test-all: $(READY)-test  ## every test
-	$(PYTEST) -m "slow or not slow" $(ARGS)
+test-all: $(READY)-test  ## fast and slow ones
+	$(PYTEST) -m "not nightly" $(ARGS)
+
+test-nightly: $(READY)-test  ## those that kill processes, fill disks, start clusters and servers, or execute pages
+	$(PYTEST) -m nightly $(ARGS)
+
+test-today: $(READY)-test  ## of slow and nightly ones those whose turn it is on DAY; none begins after WITHIN seconds
+	$(PYTEST) --no-loadscope-reorder -m "slow or nightly" --day $(DAY) --within $(WITHIN) $(ARGS)
 
 lint: $(READY)-test-lint  ## format, lint rules and types
 	$(IN_VENV)/ruff format --check .

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
+import time
 from collections.abc import Iterator
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +22,7 @@ import pytest
 
 import bayescal  # noqa: F401  before JAX
 from bayescal._core.jax_setup import cache_folder, configure_jax, spare_memory_maps
+from tests.support import references, tiers
 
 if TYPE_CHECKING:
     import jax
@@ -34,7 +39,47 @@ hypothesis.settings.register_profile("bayescal", derandomize=True, deadline=None
 hypothesis.settings.load_profile("bayescal")
 
 SEED = 20261121
+# What the processes of this run share: made by the first, whose environment the others have.
+FIRST = "PYTEST_XDIST_WORKER" not in os.environ
+if FIRST:
+    os.environ[references.FOLDER] = tempfile.mkdtemp(prefix="bayescal-tests-")
+
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+BEGAN = time.monotonic()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("a day's part of the tests")
+    group.addoption(
+        "--day",
+        type=date.fromisoformat,
+        metavar="2026-11-26",
+        help=f"only the tests that have their turn on this day, as each has once in {tiers.DAYS}",
+    )
+    group.addoption(
+        "--within", type=float, metavar="SECONDS", help="skip tests that would begin later"
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    day = config.getoption("--day")
+    if day is None:
+        return
+    chosen = [item for item in items if tiers.has_its_turn(item.nodeid, day)]
+    config.hook.pytest_deselected(items=list({*items} - {*chosen}))
+    items[:] = sorted(chosen, key=lambda item: tiers.place(item.nodeid.partition("::")[0], day))
+
+
+def pytest_unconfigure() -> None:
+    if FIRST:
+        shutil.rmtree(os.environ[references.FOLDER], ignore_errors=True)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    within = item.config.getoption("--within")
+    if within is not None and time.monotonic() - BEGAN > within:
+        pytest.skip("the time given was over; another day begins with another test")
 
 
 @pytest.fixture(autouse=True, scope="module")

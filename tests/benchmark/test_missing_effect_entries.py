@@ -81,6 +81,7 @@ def test_an_entry_that_cheats_is_refused(tasks: Path, tmp_path: Path, how: str) 
     assert said in answer["failed"] and "mean" not in answer
 
 
+@pytest.mark.slow
 def test_what_machine_code_started_ends_with_the_process(tasks: Path, tmp_path: Path) -> None:
     """The hook does not see what libc starts: the process group, or the namespace, ends it."""
     mark = tmp_path / "ran_on"
@@ -215,6 +216,7 @@ def test_a_prediction_is_the_bases_and_what_candidates_add_beyond_it(tmp_path: P
     assert np.all(problem.of_base > 1)
 
 
+@pytest.mark.slow
 def test_the_horseshoes_evidence_is_that_of_the_whole_covariance() -> None:
     jax = pytest.importorskip("jax")
     pytest.importorskip("numpyro")
@@ -250,6 +252,7 @@ def test_the_horseshoe_shrinks_what_is_not_there(tmp_path: Path) -> None:
     assert max(p for n, p in share.items() if n not in known.hidden) < 0.7
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_readme(tmp_path: Path, monkeypatch, capsys) -> None:
     """Its own entry, the oracle beside it, and a page that takes nothing from elsewhere."""
     readme = (PACKAGE / "README.md").read_text("utf-8")

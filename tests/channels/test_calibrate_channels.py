@@ -30,6 +30,7 @@ def unit() -> bc.Channels:
     return bc.calibrate_channels(models, readings, method=bc.LeastSquares(draws=400))
 
 
+@pytest.mark.slow
 def test_what_one_channel_shows_helps_another_and_none_gets_what_it_has_not(unit) -> None:
     models = {n: t.final.calibration.model for n, t in unit.trails.items()}
     assert LAG in models["strong"].names

@@ -33,6 +33,7 @@ def command(folder: Path) -> tuple[object, ...]:
     return ("calibrate", folder / "unit.csv", "--instrument", "still_sensor")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unpainted")
 def test_channels_are_calibrated_saved_and_reported(folder: Path) -> None:
     channels = ("--channels", ",".join(NAMES), "--method", "least-squares")

@@ -125,6 +125,7 @@ def weighed(readings: bc.Measurements) -> Structures:
     return made
 
 
+@pytest.mark.slow
 def test_a_channel_says_what_refits_with_the_shape_held_say() -> None:
     readings = still_sensor.simulate({LAG: 8.0}, seed=3, runs=1, interval=20)
     made = weighed(readings)

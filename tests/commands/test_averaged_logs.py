@@ -44,6 +44,7 @@ def test_a_calibration_of_means_is_saved_verified_and_predicts(log: Path, tmp_pa
     assert predicted["rmse"] == pytest.approx(predicted["expected_rmse"], rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_loop_over_means_sets_spikes_aside_before(tmp_path: Path) -> None:
     log, kept = (write_log(tmp_path / f"{n}.csv", 3000, n, spike=2000.0) for n in (2, 3))
     asked = ("--average", "1s", "--max-effects", 1, *QUICK, "--json")

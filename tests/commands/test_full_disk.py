@@ -15,6 +15,7 @@ from tests.support.command_line import GYRO, QUICK, TABLE, needs_installation
 from tests.support.made_up.gyro_lot import table
 
 pytestmark = [
+    pytest.mark.nightly,
     needs_installation,
     pytest.mark.skipif(os.name != "posix", reason="limits of file size are of POSIX"),
 ]
@@ -36,7 +37,7 @@ COMMANDS = {
 FEW = (0.0, 0.02, 0.97)  # of the largest file that a command writes
 MANY = tuple(np.linspace(0, 0.999, 20).round(4))
 SIZES = [(name, FEW) for name in ("calibrate", "batch")]
-SIZES += [pytest.param(name, MANY, marks=pytest.mark.slow) for name in COMMANDS]
+SIZES += [(name, MANY) for name in COMMANDS]
 
 
 @pytest.mark.parametrize(("name", "parts"), SIZES)

@@ -89,6 +89,7 @@ def test_a_narrow_terminal_breaks_no_table(monkeypatch: pytest.MonkeyPatch) -> N
     assert max(widths) <= 120
 
 
+@pytest.mark.slow
 def test_a_terminal_without_degree_signs_still_prints() -> None:
     done = run_apart("instruments", PYTHONIOENCODING="ascii", PYTHONUTF8="0")
     assert done.returncode == 0, done.stderr

@@ -26,6 +26,7 @@ from tests.support.command_line import GYRO, QUICK, TABLE, needs_installation, r
 from tests.support.made_up.gyro_lot import table
 
 pytestmark = [
+    pytest.mark.nightly,
     needs_installation,
     pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX"),
 ]
@@ -165,7 +166,6 @@ def unbroken(command: list[str], seed: int, folder: Path) -> str:
     return calibration_of(folder)
 
 
-@pytest.mark.slow
 def test_two_commands_into_one_folder_leave_the_results_of_one(tmp_path: Path) -> None:
     out = tmp_path / "loop"
     out.mkdir()
@@ -182,7 +182,6 @@ def test_two_commands_into_one_folder_leave_the_results_of_one(tmp_path: Path) -
         assert os.listdir(tmp_path) == ["loop"]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_files_of_commands_killed_at_each_moment_are_whole(
     name: str, saved: Path, tmp_path: Path
@@ -213,7 +212,6 @@ UNITS = {  # command, and folders of its parts
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("given", "of_unit"), UNITS.items(), ids=["imu", "triad"])
 def test_a_unit_killed_at_random_moments_is_of_one_run(
     given: str, of_unit: tuple[str, ...], tmp_path: Path

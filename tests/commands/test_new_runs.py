@@ -125,6 +125,7 @@ def read_back(path: Path) -> pd.DataFrame:
     return pd.read_csv(path, sep="\t" if path.suffix == ".tsv" else ",", skip_blank_lines=True)
 
 
+@pytest.mark.slow
 def test_a_repeated_row_stays_a_row(lagging, tmp_path) -> None:
     record = bent_sensor.readings(2)
     record.write(tmp_path / "in.csv")

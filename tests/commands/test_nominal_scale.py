@@ -51,6 +51,7 @@ def test_the_raw_file_gives_the_answers_of_the_file_in_its_unit(instrument, tmp_
     assert "by the nominal scale" in found.err
 
 
+@pytest.mark.slow
 def test_a_mapping_keeps_it_and_a_calibration_remembers_it(tmp_path) -> None:
     own, raw = raw_file(tmp_path, "mems_gyro")
     mapping, out = tmp_path / "lab.toml", tmp_path / "new" / "out"

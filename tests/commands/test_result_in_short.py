@@ -10,6 +10,7 @@ from bayescal._cli.output import loop_text
 from bayescal._core.formatting import interval, with_error
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
+from tests.support.tiers import slow_but
 
 CAMPAIGNS = {  # instrument, what is hidden, what must be said, what must not
     "a lag": (mems_gyro, {"bias.thermal_lag": 0.05}, "The output follows the temperature with a lag of", "bends"),
@@ -18,6 +19,7 @@ CAMPAIGNS = {  # instrument, what is hidden, what must be said, what must not
     "a drift": (mems_gyro, {"bias.drift": 1.0}, "drifts by", "lag"),
     "humidity": (mems_gyro, {"unlisted.humidity": 0.05}, "depends on humidity in a form that has no name here", "lag"),
 }  # fmt: skip
+FAST = ("a lag", "nothing", "humidity")
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +37,7 @@ def found():
     return of
 
 
-@pytest.mark.parametrize("name", CAMPAIGNS)
+@pytest.mark.parametrize("name", slow_but(FAST, CAMPAIGNS))
 def test_the_paragraph_says_what_is_true(found, name) -> None:
     trail, (_, hidden, words, never) = found(name), CAMPAIGNS[name]
     said = trail.in_short
@@ -47,7 +49,7 @@ def test_the_paragraph_says_what_is_true(found, name) -> None:
     assert len(said) < 900 and "\n" not in said
 
 
-@pytest.mark.parametrize("name", CAMPAIGNS)
+@pytest.mark.parametrize("name", slow_but(FAST, CAMPAIGNS))
 def test_a_result_fits_on_a_screen(found, name) -> None:
     trail = found(name)
     text = loop_text(trail)
@@ -64,6 +66,7 @@ def test_a_curve_is_one_line(found) -> None:
     assert len(rows) == 1 and "rms" in rows[0] and "at humidity" in rows[0], printed
 
 
+@pytest.mark.slow
 @needs_installation
 @pytest.mark.usefixtures("unpainted")
 def test_what_was_left_out_is_said_at_the_end(tmp_path) -> None:

@@ -23,6 +23,7 @@ import bayescal as bc
 from bayescal._calibration.fitted import Fitted
 from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
 from bayescal_models.mems_gyro.effects import THERMOMETER
+from tests.support.tiers import slow_but
 
 GROUPS = {
     *("posterior", "prior", "posterior_predictive", "log_prior"),
@@ -148,7 +149,10 @@ def test_draws_of_a_tree_with_log_likelihood_are_thinned_together(found, monkeyp
 
 @pytest.mark.parametrize(
     "draw",
-    [plot_trace_dist, plot_forest, plot_trace, plot_dist, plot_ppc_dist, plot_loo_pit],
+    slow_but(
+        [plot_forest],
+        [plot_trace_dist, plot_forest, plot_trace, plot_dist, plot_ppc_dist, plot_loo_pit],
+    ),
     ids=lambda f: f.__name__,
 )
 def test_arviz_draws_it(found, tmp_path, draw) -> None:

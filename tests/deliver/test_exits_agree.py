@@ -24,6 +24,7 @@ from bayescal_models import (
 )
 from tests.support.export_check import needs_compiler, run_c, tilted
 from tests.support.made_up import bent_sensor, split_search
+from tests.support.tiers import slow_but
 
 TIGHT = 1e-12  # of the largest value in a record
 pytestmark = pytest.mark.filterwarnings(
@@ -72,7 +73,10 @@ MADE: dict[str, Callable[[], tuple[bc.Compensator, bc.Measurements]]] = {
 }
 
 
-@pytest.fixture(scope="module", params=list(MADE))
+FAST = ("gyro", "inclinometer", "bent sensor", "averaged over structures")
+
+
+@pytest.fixture(scope="module", params=slow_but(FAST, MADE))
 def case(request) -> tuple[bc.Compensator, bc.Measurements, np.ndarray]:
     """A compensator, one of its runs in order of time, and what that is compensated to by mean and covariance."""
     compensator, readings = MADE[request.param]()

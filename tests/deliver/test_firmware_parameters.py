@@ -150,6 +150,7 @@ def test_one_range_holds_for_all_axes_of_a_sensor_and_ends_the_correction(axes) 
         bc.firmware_parameters({"acc_x": axes["acc_x"], "acc_y": apart}, "ardupilot-params")
 
 
+@pytest.mark.slow
 def test_what_a_cubic_cannot_hold_is_projected_and_said() -> None:
     """A sensor that lags behind its thermometer: the nearest cubic, and what it leaves out."""
     random, (time, temperature) = np.random.default_rng(6), warming()

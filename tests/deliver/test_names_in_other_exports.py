@@ -20,9 +20,9 @@ from bayescal._report.certificate import Certificate, dcc_text
 from bayescal._use.firmware_parameters import FirmwareParameters
 from bayescal._use.vector_correction import VectorCorrection
 from bayescal._use.vector_export import as_text, data
-from bayescal_models import still_sensor
 from tests.deliver.test_names_are_data import BY_HAND, of_any_name, shape_of, tokens_of_c
 from tests.deliver.test_noise_at_rest import told
+from tests.support import references
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler
 
 yaml = pytest.importorskip("yaml")
@@ -66,6 +66,7 @@ def code_lines(text: str) -> list[str]:
     return [line for line in text.splitlines() if not line.startswith("#")]
 
 
+@pytest.mark.slow
 @of_any_name
 def test_a_name_of_an_axis_is_no_code(name: str) -> None:
     """The same code, numbers and keys whatever the texts say; JSON and Python give them back."""
@@ -144,9 +145,7 @@ def test_no_note_is_a_parameter(name: str) -> None:
 
 @cache
 def device() -> tuple[bc.Calibration, bc.Decisions]:
-    readings = still_sensor.simulate(seed=3, runs=2, interval=60)
-    model = still_sensor.INSTRUMENT.for_readings(readings).baseline()
-    calibration = bc.fit(model, readings, bc.LeastSquares(draws=200))
+    calibration = references.calibration("still_sensor")
     return calibration, bc.decide(calibration, "bias.temperature: ±1 g/°C")
 
 

@@ -285,6 +285,7 @@ def test_bad_input_on_the_command_line_is_status_two(tmp_path) -> None:
     assert found.status == 2 and "between 0 and 1" in found.err
 
 
+@pytest.mark.slow
 def test_pictures_of_channels_stand_in_the_folder_whatever_their_names(tmp_path) -> None:
     file = tmp_path / "still.csv"
     drawn = np.random.default_rng(1).normal(size=(600, 2))

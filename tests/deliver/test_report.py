@@ -20,6 +20,7 @@ from bayescal_models import mems_gyro
 from tests.support.browser import Opened, chromium
 from tests.support.command_line import needs_installation, run
 from tests.support.reported import HIDDEN, Page, trail
+from tests.support.tiers import slow_but
 
 FIGURES = {
     "The error, step by step",
@@ -75,13 +76,8 @@ def nasty(calibration: bc.Calibration) -> bc.Calibration:
     return replace(calibration, readings=readings, levels=levels)
 
 
-KINDS = (
-    "a trail",
-    "a folder",
-    *(
-        pytest.param(k, marks=pytest.mark.slow)
-        for k in ("one calibration", "several", "not converged")
-    ),
+KINDS = slow_but(
+    ["a trail"], ["a trail", "a folder", "one calibration", "several", "not converged"]
 )
 
 
@@ -242,6 +238,7 @@ def test_what_makes_no_report_is_refused(tmp_path: Path, given, name: str, said:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("width", [1280, pytest.param(390, marks=pytest.mark.slow)])
 def test_a_browser_shows_it_whole_and_asks_for_nothing(pages, folder: Path, width: int) -> None:
     """Skipped where there is no Chromium. The content policy would log a request that leaves the page."""

@@ -172,6 +172,7 @@ def test_every_documented_key_is_found_in_one_result_or_the_other(
     assert set(DOCUMENTED) - found <= rare
 
 
+@pytest.mark.slow
 def test_the_allan_deviation_of_readings_in_time_is_as_documented(tmp_path: Path) -> None:
     found = read_back(reported.trail(), tmp_path)
     told = {p: v for p, v in values(found) if p.startswith("allan[]")}

@@ -63,6 +63,7 @@ def write(folder: Path, text: str) -> None:
             (hidden / name).write_text(text)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unpainted")
 def test_everything_of_a_calibration_names_it(folder, trail) -> None:
     assert {p.name for p in folder.iterdir()} == NAMES

@@ -16,6 +16,7 @@ from tests.support.made_up.gyro_lot import MODEL
 SMALL = 100
 
 
+@pytest.mark.nightly
 def test_workers_give_the_same_numbers(client, lot_folder, tmp_path) -> None:
     given = {"partition_rows": SMALL, "population": True}
     here = bc.fit_batch(MODEL, lot_folder, out=tmp_path / "here", **given)
@@ -28,6 +29,7 @@ def test_workers_give_the_same_numbers(client, lot_folder, tmp_path) -> None:
     assert again.about["found_done"] == 5
 
 
+@pytest.mark.nightly
 def test_settings_in_force_hold_on_the_workers(client, lot_folder, tmp_path) -> None:
     given = {"out": tmp_path / "out", "client": client, "partition_rows": SMALL}
     with bc.use_settings(bc.RecordSettings(temperature_span=1.0)):
@@ -43,6 +45,7 @@ def test_settings_in_force_hold_on_the_workers(client, lot_folder, tmp_path) -> 
     assert usual.about["found_done"] == 0  # what others had been written with is not taken
 
 
+@pytest.mark.nightly
 def test_a_client_writes_to_a_folder_and_reads_files(client, readings) -> None:
     with pytest.raises(InputError, match="give out="):
         bc.fit_batch(MODEL, readings, client=client)  # pyright: ignore
@@ -50,6 +53,7 @@ def test_a_client_writes_to_a_folder_and_reads_files(client, readings) -> None:
         bc.fit_batch(MODEL, readings, client=client, out="out")  # pyright: ignore
 
 
+@pytest.mark.nightly
 @needs_installation
 def test_the_command_takes_a_scheduler(client, lot_folder, tmp_path) -> None:
     address = client.scheduler.address
@@ -58,6 +62,7 @@ def test_the_command_takes_a_scheduler(client, lot_folder, tmp_path) -> None:
     assert "24 devices, 24 reliable" in ran.out
 
 
+@pytest.mark.nightly
 @needs_installation
 def test_the_workers_get_effects_of_the_users_own(client, lot_folder, tmp_path) -> None:
     file = tmp_path / "effects_of_mine.py"
@@ -88,8 +93,8 @@ def test_wrong_clusters_are_refused(lot_folder, tmp_path, monkeypatch) -> None:
     assert ran.status == 2 and "pip install 'bayescal[fleet]'" in ran.err
 
 
+@pytest.mark.nightly
 @needs_installation
-@pytest.mark.slow
 def test_the_command_starts_workers(lot_folder, tmp_path) -> None:
     ran = run("batch", lot_folder, *GYRO, "-o", tmp_path / "out", "--workers", 2)
     assert ran.status == 0, ran.err

@@ -22,7 +22,7 @@ from bayescal._core.errors import InputError
 from tests.support.made_up.gyro_lot import MODEL, table
 
 pytest.importorskip("distributed", reason="needs Dask: pip install 'bayescal[fleet]'")
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 COPIES = 30  # partitions, each of some readings
 
 

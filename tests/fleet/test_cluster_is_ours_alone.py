@@ -27,6 +27,7 @@ def address_of(client: Client) -> str:
 sealed = importlib.util.find_spec("cryptography") is not None
 
 
+@pytest.mark.nightly
 @needs_proc
 def test_scheduler_and_workers_listen_on_this_computer_alone(capsys) -> None:
     before = listening(os.getpid())
@@ -68,6 +69,7 @@ def stranger(address: str, kind: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False).stdout
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(not sealed, reason="needs keys: pip install cryptography")
 def test_a_stranger_on_this_computer_is_refused() -> None:
     """One without keys, one who speaks plainly, and one who made keys of his own."""

@@ -34,6 +34,7 @@ def same(found: bc.FleetResult, expected: bc.BatchResult, rtol: float = 1e-10) -
     pd.testing.assert_frame_equal(ours, theirs, rtol=rtol, atol=0)
 
 
+@pytest.mark.slow
 def test_partitions_give_what_one_process_gives(lot_folder, result, tmp_path) -> None:
     found = fitted(lot_folder, tmp_path / "out")
     assert found.about["partitions"] == 5
@@ -52,6 +53,7 @@ def test_partitions_give_what_one_process_gives(lot_folder, result, tmp_path) ->
     assert len(covariance) == 72
 
 
+@pytest.mark.slow
 def test_a_population_over_partitions_is_that_of_one_process(lot_folder, tmp_path) -> None:
     files = sorted(lot_folder.glob("*.parquet"))
     one = bc.fit_batch(MODEL, files, population=True)

@@ -72,7 +72,9 @@ def imports_of(name: str, modules: dict[str, Path], package: str) -> Iterator[Im
             yield Import(name, inner or package, getattr(node, "lineno", 0))
 
 
-IMPORTS = [found for name in MODULES for found in imports_of(name, MODULES, "bayescal")]
+@cache
+def imports() -> list[Import]:
+    return [found for name in MODULES for found in imports_of(name, MODULES, "bayescal")]
 
 
 def room_of(module: str) -> str:
@@ -90,7 +92,7 @@ def test_imports_point_down() -> None:
     floor = {room: i for i, room in enumerate(ROOMS)} | {"bayescal": -1}
     upward = {
         f"bayescal/{found.importer} line {found.line} imports {found.imported} above it"
-        for found in IMPORTS
+        for found in imports()
         if found.importer != "bayescal"
         and floor[room_of(found.imported)] > floor[room_of(found.importer)]
     }
@@ -99,7 +101,7 @@ def test_imports_point_down() -> None:
 
 def test_no_modules_import_each_other() -> None:
     graph: dict[str, set[str]] = {}
-    for found in IMPORTS:
+    for found in imports():
         if found.imported != found.importer:
             graph.setdefault(found.importer, set()).add(found.imported)
     try:

@@ -185,13 +185,14 @@ def _shape(line: str) -> str:
     return NUMBER.sub("#", re.sub(r"[<>] (?=\d)", "", " ".join(line.split())))
 
 
+@pytest.mark.nightly
 @needs_installation
 @pytest.mark.parametrize("name", QUICK)
 def test_quick_pages_do_what_they_show(name: str, tmp_path: Path) -> None:
     _follow(name, tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @needs_installation
 @pytest.mark.parametrize("name", [n for n in RUN if n not in (*QUICK, *TESTED_ELSEWHERE)])
 def test_pages_do_what_they_show(name: str, tmp_path: Path) -> None:
@@ -212,7 +213,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_site_asks_for_nothing_outside(site: Path) -> None:
     fetched = re.compile(
         r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"?([^\"\s>]+)|<link\b[^>]*\bhref=\"?([^\"\s>]+)"

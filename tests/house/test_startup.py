@@ -264,6 +264,7 @@ def test_a_cache_that_the_user_configured_is_left_alone(tmp_path: Path) -> None:
     assert not (tmp_path / "other").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not Path("/proc/self/maps").is_file(), reason="counts memory maps as Linux does"
 )

@@ -85,6 +85,7 @@ def made_certain(expected, truth: np.ndarray, x: np.ndarray, size: float):
     )
 
 
+@pytest.mark.slow
 def test_parameters_of_very_different_sizes_are_found_from_afar() -> None:
     truth = np.array([2500.0, 3e-5, -40.0, 900.0])
     x = np.linspace(0.0, 7200.0, 60)

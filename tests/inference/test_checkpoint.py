@@ -139,6 +139,7 @@ def finished(tmp_path_factory, data) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_not_run_again(data, whole, finished, monkeypatch) -> None:
     monkeypatch.setattr(nuts_chains, "_block_of", lambda *_: pytest.fail("it ran"))
     again = bc.fit(MODEL, data[1], CHAINS, seed=3, strict=False, checkpoint=finished)
@@ -208,7 +209,7 @@ def test_a_checkpoint_needs_a_place(tmp_path, data) -> None:
         bc.fit(MODEL, data[1], checkpoint=tmp_path / "none" / "run.nc")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_process_killed_at_any_moment_goes_on(tmp_path, data) -> None:
     method = bc.NUTS(warmup=1000, draws=3000, chains=2)  # 40 blocks
     whole = bc.fit(MODEL, data[1], method, seed=3, strict=False)

@@ -277,6 +277,7 @@ def test_of_many_maxima_the_highest_is_the_mode(place: float) -> None:
     assert a.hyper(mode.v)["unknown(time, jump).place"] == pytest.approx(place, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_lower_maximum_is_left_where_draws_show_a_higher_one() -> None:
     a = stepped(0.61)
     top, at = find_mode(a), [h.name for h in a.hypers].index("unknown(time, jump).place")

@@ -114,6 +114,7 @@ def test_gauss_newton_and_full_hessian_agree_on_a_line(least_squares, table) -> 
 # Marginal against NumPyro's NUTS on every unknown.
 
 
+@pytest.mark.slow
 def test_line_agrees_with_nuts(marginal, table) -> None:
     nuts = bc.fit(BASELINE, table, bc.NUTS())
     assert nuts.verdict.divergences == 0

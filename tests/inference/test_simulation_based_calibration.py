@@ -83,9 +83,8 @@ def test_the_band_notices_a_posterior_that_is_wrong(wrong: str) -> None:
     assert not judge(norm.cdf((truth - shift) / scale), LEVEL).uniform
 
 
-@pytest.mark.parametrize(
-    "draw", [coverage.drawn_one_by_one, pytest.param(in_one_program, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("draw", [coverage.drawn_one_by_one, in_one_program])
 def test_ranks_are_uniform_for_runs_over_a_parabola(draw) -> None:
     check(BASELINE + "bias.run" + "bias.temperature_quadratic", 40, draw=draw)
 

@@ -51,6 +51,7 @@ def test_readings_of_one_direction_are_of_one_mounting_unless_it_is_said() -> No
     assert sorted(readings.groups("axis")[0]) == ["x", "y", "z"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "size"),
     [

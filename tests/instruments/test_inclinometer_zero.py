@@ -70,6 +70,7 @@ def test_a_projection_is_told_from_a_line_and_a_line_is_left(lines: bc.Calibrati
     assert gains["projection"] > 20
 
 
+@pytest.mark.slow
 def test_what_the_zero_test_cannot_see_is_said(lines: bc.Calibration) -> None:
     found = bc.discover(lines)
     assert (found.nothing_missing or 0.0) > 0.5

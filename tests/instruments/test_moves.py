@@ -81,6 +81,7 @@ def test_a_move_without_noise_closes_at_the_true_gyroscopes() -> None:
     assert np.max(np.abs(left(rows))) < 1e-5  # °/s, of rates up to 100
 
 
+@pytest.mark.slow
 def test_what_is_left_over_is_white_with_the_stated_uncertainty() -> None:
     """Each pose ends one move and begins the next, and yet readings are independent of each other."""
     z = []
@@ -108,6 +109,7 @@ def test_scale_and_misalignment_without_a_rate_table() -> None:
     assert np.all(sd[6:] < 0.15)  # mrad
 
 
+@pytest.mark.slow
 def test_the_accelerometers_own_uncertainty_counts() -> None:
     """Axes of the accelerometers known to 1 mrad about z are axes of the gyroscopes known no better.
 
@@ -129,6 +131,7 @@ def test_the_accelerometers_own_uncertainty_counts() -> None:
     assert 0.5 < sds[1] < 1.3
 
 
+@pytest.mark.slow
 def test_a_hidden_sensitivity_to_gravity_is_found_and_corrected() -> None:
     forces, log = both(simulate_log({"bias.g_sensitivity": 0.03}, seed=4))
     correct = bc.vector_correction(bc.fit(FORCE.baseline(), bc.poses(forces, FORCE)))
@@ -164,6 +167,7 @@ def test_both_leave_in_one_frame(tmp_path: Path) -> None:
         bc.export_vector(correct, tmp_path / "imu.json", others=[turned])
 
 
+@pytest.mark.slow
 @needs_installation
 @pytest.mark.usefixtures("unpainted")
 def test_one_command_from_a_log_of_nine_channels(tmp_path: Path) -> None:
@@ -204,6 +208,7 @@ def magnetometers(seed: int) -> tuple[bc.Measurements, VectorCorrection, VectorC
     return drawn, own, bc.in_frame_of(own, drawn, exact(), forces)
 
 
+@pytest.mark.slow
 def test_magnetometers_are_turned_into_the_axes_of_the_accelerometers() -> None:
     chi = []
     for seed in range(4):
@@ -252,6 +257,7 @@ def test_a_level_body_has_one_heading_by_both() -> None:
     assert over[1][0] == pytest.approx(own[1][0], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_heading_counts_the_errors_that_field_and_force_share() -> None:
     """Another calibration of the accelerometers, by one standard deviation of a random combination of its terms, turns
     the magnetometers with it: by as much as their stated covariance says, and the heading follows both."""

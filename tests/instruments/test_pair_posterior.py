@@ -130,6 +130,7 @@ def test_a_factor_of_the_product_is_put_with_the_hyper_parameters(count: int) ->
     assert found.verdict.sampler == "importance sampling"
 
 
+@pytest.mark.slow
 def test_the_mode_is_looked_for_on_both_sides_of_a_product() -> None:
     # With the environment's sign turned, sensitivities are far from 1, and the density is some 25 nats less.
     ground = coverage.Ground.of("differential_pair")
@@ -142,6 +143,7 @@ def test_the_mode_is_looked_for_on_both_sides_of_a_product() -> None:
         assert found @ sensitivity > 0
 
 
+@pytest.mark.slow
 def test_stretches_of_draws_of_which_none_counts_are_passed_over(monkeypatch) -> None:
     monkeypatch.setattr(sampling, "IN_CACHE", 1)
     monkeypatch.setattr(sampling, "NEGLIGIBLE", 1e-9)  # only draws beyond all before them count

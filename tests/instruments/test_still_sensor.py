@@ -180,6 +180,7 @@ def test_the_simulated_laws_are_the_catalogues() -> None:
         assert rms < (0.25 if delayed else 1e-3), effect.name
 
 
+@pytest.mark.slow
 def test_hysteresis_is_the_direction_of_the_temperature() -> None:
     time = np.arange(0.0, 3600.0, 10.0)
     ramp = np.interp(time, [0, 1200, 2400, 3600], [0.0, 20.0, 20.0, -5.0])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,8 @@ from bayescal._model.vector import inverted
 from bayescal_models import accelerometer_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE
 from tests.support.export_check import check_vector_exports
+from tests.support.references import shared
+from tests.support.tiers import slow_but
 
 Campaign = accelerometer_triad.Campaign
 MODEL = accelerometer_triad.INSTRUMENT.baseline()
@@ -32,7 +33,7 @@ def estimates(calibration: bc.Calibration) -> tuple[np.ndarray, np.ndarray]:
     return draws.mean(axis=0), draws.std(axis=0)
 
 
-@cache
+@shared
 def thermal() -> bc.Calibration:
     readings = accelerometer_triad.simulate(
         {"bias.temperature": 0.3, "square.constant": 1.0}, seed=3, campaign=THERMAL
@@ -40,7 +41,7 @@ def thermal() -> bc.Calibration:
     return bc.fit(MODEL + ["bias.temperature", "square.constant"], readings)
 
 
-@cache
+@shared
 def bent() -> bc.Calibration:
     """Second and third order, of axes that are strongly nonlinear; at 0.5 mg of noise K3 would be hardly visible."""
     campaign = replace(THERMAL, noise=1e-4)
@@ -92,7 +93,7 @@ def test_the_estimating_equation_is_unbiased_where_poses_are_noisy() -> None:
 # what is measured -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("noise", [1e-4, 1e-3])
+@pytest.mark.parametrize("noise", slow_but([1e-3], [1e-4, 1e-3]))
 def test_agrees_with_the_poses_by_hand(noise: float) -> None:
     """imu_tk's estimate: f̂ = T·K·(y − b) with |f̂| = 1, by least squares (Tedaldi, Pretto and Menegatti 2014)."""
     readings = accelerometer_triad.simulate(seed=4, campaign=Campaign(poses=40, noise=noise))
@@ -130,7 +131,7 @@ def test_agrees_with_an_ellipsoid() -> None:
     assert np.max(np.abs(50.0 * centre - found.mean(axis=0)) / found.std(axis=0)) < 1.0
 
 
-@pytest.mark.parametrize("pose_uncertainty", [None, 5e-3])
+@pytest.mark.parametrize("pose_uncertainty", slow_but([None], [None, 5e-3]))
 def test_a_hard_iron_larger_than_the_field(pose_uncertainty: float | None) -> None:
     """The origin is outside the readings' ellipsoid: directions of the outputs are none of the field."""
     iron: Any = (150.0, -40.0, 90.0)  # µT, in a field of 50
@@ -142,6 +143,7 @@ def test_a_hard_iron_larger_than_the_field(pose_uncertainty: float | None) -> No
         assert np.all(np.abs(found.mean(axis=0) - true) < 4 * found.std(axis=0))
 
 
+@pytest.mark.slow
 def test_known_directions_measure_the_frame_too() -> None:
     hidden = {"misalignment.frame": 5.0}
     campaign = Campaign(poses=16, noise=1e-3, pose_uncertainty=5e-4)
@@ -228,6 +230,7 @@ def test_what_no_pose_determines_is_said() -> None:
     assert "are determined by no further pose" in str(found)
 
 
+@pytest.mark.slow
 def test_directions_that_shrink_an_uncertainty_are_planned() -> None:
     readings = accelerometer_triad.simulate(seed=1, campaign=Campaign(kind="six", poses=12))
     plan = bc.plan_readings(
@@ -238,6 +241,7 @@ def test_directions_that_shrink_an_uncertainty_are_planned() -> None:
     assert plan.picked[-1].u < 0.1 * plan.u
 
 
+@pytest.mark.slow
 def test_a_family_is_found_as_one_effect() -> None:
     readings = accelerometer_triad.simulate({"bias.temperature": 0.3}, seed=7, campaign=THERMAL)
     found = bc.discover(bc.fit(MODEL, readings))
@@ -268,6 +272,7 @@ def test_intervals_cover(campaign: Campaign) -> None:
     assert abs(each.mean() - 0.95) < 4 * error
 
 
+@pytest.mark.slow
 def test_corrections_that_are_alike_are_computed_for_a_few_draws_only(monkeypatch) -> None:
     """The same posterior to a hundredth of a standard deviation, the response computed for 256 draws of 8,192."""
     from bayescal._core import importance_weights
@@ -319,6 +324,7 @@ def test_a_corrected_vector_is_what_acts_within_its_uncertainty() -> None:
     assert np.max(np.abs(np.sin(roll - np.arctan2(force[:, 1], force[:, 2]))) / sd) < 5
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unpainted")
 def test_the_result_holds_the_matrix_and_the_report_the_sphere(tmp_path: Path) -> None:
     from bayescal._report.plots import residuals_on_sphere, sphere
@@ -340,6 +346,7 @@ def test_the_result_holds_the_matrix_and_the_report_the_sphere(tmp_path: Path) -
     assert "Residuals of the magnitude along the sphere of poses" in text
 
 
+@pytest.mark.slow
 def test_the_result_holds_the_average_that_exports_hold() -> None:
     from bayescal._report.result_json import result
 
@@ -392,6 +399,7 @@ def test_exports_compute_the_same(made: Any, order: int, tmp_path: Path) -> None
     check_vector_exports(correct, np.array([0.3, -0.5, 0.8]), 40.0, tmp_path)
 
 
+@pytest.mark.slow
 def test_kalibrs_matrix_and_ours_give_one_magnitude() -> None:
     correct = bc.vector_correction(thermal())
     yaml = pytest.importorskip("yaml")
@@ -455,6 +463,7 @@ def test_still_stretches_and_the_uncertainty_of_their_means() -> None:
         still_stretches(time[::50], y[::50])
 
 
+@pytest.mark.slow
 def test_a_log_is_read_as_poses() -> None:
     time, y, force = raw_log()
     columns: dict[str, Any] = {f"output_{a}": y[:, i] for i, a in enumerate("xyz")}

@@ -132,6 +132,7 @@ def test_labels_and_ranges_that_are_not_declared_are_said() -> None:
     assert any("column 'pressure' declares no low and high" in n for n in found.notes)
 
 
+@pytest.mark.slow
 def test_columns_of_readings_are_taken_where_they_are_given() -> None:
     readings = bc.Measurements.from_arrays(
         still_sensor.INSTRUMENT,
@@ -145,6 +146,7 @@ def test_columns_of_readings_are_taken_where_they_are_given() -> None:
         bc.check_instrument(still_sensor.INSTRUMENT)
 
 
+@pytest.mark.slow
 def test_an_instrument_that_is_offered_passes() -> None:
     found = bc.check_instrument(mems_gyro.INSTRUMENT)
     assert found.ok, found.errors

@@ -127,7 +127,12 @@ def test_jacobian_is_the_derivative_of_the_mean(promoted) -> None:
     "model",
     [
         RICH,
-        RICH.with_noise(bc.StudentT()).fix({"bias.thermal_lag.tau": 200.0, "bias.constant": 3.0}),
+        pytest.param(
+            RICH.with_noise(bc.StudentT()).fix(
+                {"bias.thermal_lag.tau": 200.0, "bias.constant": 3.0}
+            ),
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["white", "student, some fixed"],
 )

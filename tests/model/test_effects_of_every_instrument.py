@@ -19,13 +19,18 @@ from bayescal_models import INSTRUMENTS
 from tests.support.made_up.rich_gyro import bound
 
 
-def instrument_effects() -> list:
+def instrument_effects(compiled: bool) -> list:
+    """Every effect; where each is compiled by itself, those of most instruments are slow."""
     found = []
     for name in INSTRUMENTS:
         instrument = import_module(f"bayescal_models.{name}").INSTRUMENT
         structural = [e for _, make in instrument.structures for e in make().effects]
         every = {e.name: e for e in (*instrument.effects, *instrument.candidates, *structural)}
-        found += [pytest.param(instrument, e, id=f"{name}-{e.name}") for e in every.values()]
+        slow = compiled and name not in ("mems_gyro", "magnetometer_triad")
+        marks = [pytest.mark.slow] if slow else []
+        found += [
+            pytest.param(instrument, e, id=f"{name}-{e.name}", marks=marks) for e in every.values()
+        ]
     return found
 
 
@@ -51,7 +56,7 @@ def made_up(instrument: bc.Instrument, rows: int = 12) -> bc.Measurements:
     return bc.Measurements.from_arrays(instrument, units=free, **columns)
 
 
-@pytest.mark.parametrize(("instrument", "effect"), instrument_effects())
+@pytest.mark.parametrize(("instrument", "effect"), instrument_effects(True))
 def test_slots_are_affine_in_the_coefficients_of_an_effect(instrument, effect) -> None:
     data = made_up(instrument)
     b = bound(bc.Model(instrument, (effect,), instrument.noise), data)
@@ -77,7 +82,7 @@ def test_slots_are_affine_in_the_coefficients_of_an_effect(instrument, effect) -
     assert np.isfinite(both).all()
 
 
-@pytest.mark.parametrize(("instrument", "effect"), instrument_effects())
+@pytest.mark.parametrize(("instrument", "effect"), instrument_effects(False))
 def test_an_effect_reads_only_the_columns_it_names(instrument, effect) -> None:
     data = made_up(instrument)
     b = bound(bc.Model(instrument, (effect,), instrument.noise), data)

@@ -55,6 +55,7 @@ def test_the_effect_is_a_few_lines() -> None:
     assert len(lines) <= 5
 
 
+@pytest.mark.slow
 def test_check_names_the_column_that_no_effect_uses(followed: dict[str, Ran]) -> None:
     printed = _one(followed, "check").out
     assert_as_shown(printed, blocks(PAGE, "text")[0])

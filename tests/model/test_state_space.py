@@ -8,11 +8,12 @@ import pytest
 from jax.test_util import check_grads
 
 from bayescal._model.state_space import States, filtered
+from tests.support.tiers import slow_but
 
 N, COLUMNS = 12, 2
 
 
-@pytest.mark.parametrize("kind", ["one", "apart", "last", "together"])
+@pytest.mark.parametrize("kind", slow_but(["apart"], ["one", "apart", "last", "together"]))
 def test_slopes_of_the_filter_are_those_of_differences(kind: str, rng) -> None:
     count = 1 if kind == "one" else 3
     root = rng.normal(size=(N, count, count))

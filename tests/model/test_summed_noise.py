@@ -19,6 +19,7 @@ from bayescal._model.noise_law import Noise
 from bayescal._model.noise_terms import ENDLESS, FASTEST, RUNGS
 from bayescal._model.state_space import filtered, of_means
 from bayescal_models import still_sensor
+from tests.support.tiers import slow_but
 
 SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
 STEP, SPAN = 2.0, 150.0  # s
@@ -129,7 +130,9 @@ def in_jax(law: Noise) -> dict[str, Any]:
     return {name: jnp.asarray(VALUES[name]) for name in law.parameters()}
 
 
-@pytest.mark.parametrize("terms", [ALONE, *SUMS], ids=name_of)
+@pytest.mark.parametrize(
+    "terms", slow_but([ALONE, ("walk",), ("tone",)], [ALONE, *SUMS]), ids=name_of
+)
 def test_whitened_by_the_filter_is_whitened_by_the_dense_covariance(terms, rng) -> None:
     frame, _, _ = two_runs()
     time, codes = np.asarray(frame["time"]), np.asarray(frame.codes["run"])
@@ -155,7 +158,10 @@ def test_whitened_by_the_filter_is_whitened_by_the_dense_covariance(terms, rng) 
 
 @pytest.mark.parametrize(
     "terms",
-    [("quantisation",), ("averaging",), ("correlated", "averaging"), ("tone", "quantisation")],
+    slow_but(
+        [("averaging",)],
+        [("quantisation",), ("averaging",), ("correlated", "averaging"), ("tone", "quantisation")],
+    ),
     ids=name_of,
 )
 def test_noise_of_neighbouring_readings_alone(terms, rng) -> None:
@@ -259,7 +265,9 @@ def test_a_smooth_process_has_its_series_where_exponentials_cancel() -> None:
     assert found[0] == pytest.approx(found[1], rel=3e-4)
 
 
-@pytest.mark.parametrize("terms", [ALONE, *SUMS], ids=name_of)
+@pytest.mark.parametrize(
+    "terms", slow_but([ALONE, ("walk",), ("tone",)], [ALONE, *SUMS]), ids=name_of
+)
 def test_the_slow_part_between_and_beyond_readings_is_that_of_the_dense_process(terms, rng) -> None:
     time = np.sort(rng.uniform(0, 100, 30))
     time[5] = time[4]

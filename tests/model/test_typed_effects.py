@@ -193,6 +193,7 @@ def test_a_formula_in_python_meets_its_readings_later(readings) -> None:
 # The command line.
 
 
+@pytest.mark.slow
 @needs_installation
 def test_it_is_found_saved_loaded_compensated_and_exported(tmp_path: Path) -> None:
     random = np.random.default_rng(7)

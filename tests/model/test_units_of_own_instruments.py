@@ -274,6 +274,7 @@ RESONATOR = bc.Instrument(
 )
 
 
+@pytest.mark.slow
 def test_columns_in_hpa_arcsec_and_ppm_are_right_at_the_first_try(tmp_path) -> None:
     """The file is in h, Pa, deg and ppb; what is hidden in it is found, in the units that are declared."""
     assert bc.check_instrument(RESONATOR).ok

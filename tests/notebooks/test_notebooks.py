@@ -15,7 +15,7 @@ NOTEBOOKS = ROOT / "docs" / "notebooks"
 DATA = Path(os.environ.get("BAYESCAL_SHARED", ROOT.parent / "shared")) / "data"
 RECORD = DATA / "thermal_ramp" / "imu_thermal_ramp.csv"
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 def executed(name: str, folder: Path):

@@ -86,6 +86,7 @@ def test_a_saved_calibration_that_states_more_than_it_holds_is_refused(tmp_path)
         bc.load(path)
 
 
+@pytest.mark.slow
 def test_many_columns_are_looked_at_once_each(tmp_path, monkeypatch) -> None:
     """20,000 columns took 11 s, or 100 with units: each column looked through all the others."""
     count = 0

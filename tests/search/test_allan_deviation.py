@@ -157,6 +157,7 @@ def fitted(readings: bc.Measurements, noise: bc.Noise | None = None) -> bc.Calib
     return bc.fit(model, readings, bc.LeastSquares(draws=200), strict=False)
 
 
+@pytest.mark.slow
 def test_a_check_says_where_the_noise_law_is_contradicted() -> None:
     rng = np.random.default_rng(2)
     made = 0.02 * rng.standard_normal(3000) + ornstein_uhlenbeck(rng, 3000, 300.0, 5e-4)

@@ -37,6 +37,17 @@ SLOW = {
     "noise below the resolution of doubles",
     "unequal runs",
     "wrong unit of the known input",
+    "the first rows of every run cut",
+    "gaps",
+    "several readings on one tick of the clock",
+    "30 % outliers, one-sided",
+    "scatter only when hot",
+    "two to four readings",
+    "zero far from nominal",
+    "slope far from nominal",
+    "time in minutes under a header in seconds",
+    "clock running fast, with jitter",
+    "constant 1e+04 times the noise",
 }
 
 

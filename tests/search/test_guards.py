@@ -313,6 +313,7 @@ def test_nothing_is_said_that_so_few_readings_cannot_show(line: bc.Calibration) 
     assert "3 readings are too few for 2 unknowns" in gate([only]).reason
 
 
+@pytest.mark.slow
 def test_a_search_goes_on_where_readings_and_prior_contradict_each_other() -> None:
     readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
     off = readings.with_column("output", readings["output"] + OFFSET)

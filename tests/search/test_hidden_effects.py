@@ -125,6 +125,7 @@ OTHERS = {
 MISSED = {"bias.gradient": ALIAS}
 
 
+@pytest.mark.slow
 def test_an_effect_hidden_in_an_inclinometers_campaign() -> None:
     elsewhere("inclinometer", "zero.placement_quadratic", seed=7)
 

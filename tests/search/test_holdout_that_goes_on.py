@@ -84,6 +84,7 @@ def test_a_clock_of_dates_goes_on_in_a_second_file(tmp_path: Path) -> None:
     assert bc.predict(fitted(early), late).rmse == pytest.approx(NOISE, rel=0.2)
 
 
+@pytest.mark.slow
 def test_the_gate_judges_by_the_record_that_goes_on() -> None:
     early, late = readings(WHOLE, EARLY), readings(WHOLE, LATE)
     path = bc.calibrate(

@@ -61,7 +61,9 @@ SEVERAL = {"run": 0.03, "temperature_quadratic": 1e-4}
 LONG = [pytest.param(truth, FEW, marks=pytest.mark.slow) for truth in ({}, {"thermal_lag": 0.02})]
 
 
-@pytest.mark.parametrize(("truth", "few"), [*LONG, (SEVERAL, FEW[:4])])
+@pytest.mark.parametrize(
+    ("truth", "few"), [*LONG, pytest.param(SEVERAL, FEW[:4], marks=pytest.mark.slow)]
+)
 def test_the_walk_finds_what_enumeration_finds(
     truth: dict[str, float], few: tuple[str, ...]
 ) -> None:
@@ -151,6 +153,7 @@ def test_what_cannot_be_told_apart_is_one_finding() -> None:
     assert len(posterior.chosen.effects) == 1
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is_hidden() -> None:
     for seed in range(20, 26):
         made = structures(hidden(seed))
@@ -161,6 +164,7 @@ def test_nothing_is_found_where_nothing_is_hidden() -> None:
         assert posterior.complete(made) > 0.4
 
 
+@pytest.mark.slow
 def test_one_effect_may_stand_in_the_place_of_two() -> None:
     """A drift with run offsets, or a curve in time: the drift is found as one of these, the offsets are not."""
     readings = hidden(35, temperature_quadratic=5e-4, drift=0.25)
@@ -289,6 +293,7 @@ def test_what_a_law_gains_on_residuals_is_what_a_refit_gains() -> None:
                 assert found.log_evidence - own == pytest.approx(gain, abs=0.4), name
 
 
+@pytest.mark.slow
 def test_white_noise_is_rarely_taken_for_another_and_no_law_is_refitted_in_vain() -> None:
     taken = 0
     for seed in range(40, 48):

@@ -45,6 +45,7 @@ def evidence(amplitude: float, seed: int) -> tuple[float, dict[str, float]]:
     return with_it.log_evidence - plain.log_evidence, values
 
 
+@pytest.mark.slow
 def test_a_folded_tone_that_moves_is_found_with_its_frequency() -> None:
     gain, values = evidence(0.8, seed=2)
     assert gain > 100

@@ -122,6 +122,7 @@ def test_its_prior_is_a_smooth_process_of_the_stated_amplitude() -> None:
     assert np.allclose(kernel[np.ix_(inner, inner)], exact[np.ix_(inner, inner)], atol=0.3)
 
 
+@pytest.mark.slow
 def test_its_gradient_is_finite_at_any_length() -> None:
     readings = mems_gyro.simulate({}, seed=1).select(np.arange(20))
     frame = build_frame(readings, reference_of(readings))

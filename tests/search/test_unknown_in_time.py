@@ -46,6 +46,7 @@ def cycled() -> bc.SearchPath:
     return bc.calibrate(INSTRUMENT.baseline(), readings, method=METHOD)
 
 
+@pytest.mark.slow
 def test_a_jump_is_found_where_it_is_and_as_high_as_it_is(jumped: bc.SearchPath) -> None:
     final = jumped.final.calibration
     assert [s.added for s in jumped.steps if s.added] == ["unknown(time, jump)"]

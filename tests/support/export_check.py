@@ -14,6 +14,7 @@ import pytest
 import bayescal as bc
 from bayescal._core.quoting import identifier
 from bayescal_models import inclinometer
+from tests.support.references import shared
 
 COMPILER = shutil.which("cc")
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-ffp-contract=off")
@@ -43,6 +44,7 @@ int main(void)
 """
 
 
+@shared
 def tilted() -> tuple[bc.Compensator, bc.Measurements]:
     """Of an axis of an inclinometer that reads arcsec and is turned back into rad, by the whole geometry."""
     campaign = replace(inclinometer.VERIFICATION, grid=(-40.0, -20.0, 0.0, 20.0, 40.0), exact=True)

@@ -1,26 +1,18 @@
-"""A calibration to report of and to draw, made once in a test process; and a page taken apart."""
+"""A search to report of and to draw, and a page taken apart."""
 
 from __future__ import annotations
 
-from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 
-import bayescal as bc
 from bayescal._report import report
-from bayescal_models import mems_gyro
+from tests.support import references
 
 HIDDEN = "bias.thermal_lag"
+trail = references.gyro_search
 VOID = {"meta", "link", "img", "br", "input", "hr"}
-
-
-@cache
-def trail() -> bc.SearchPath:
-    """The loop on a simulated gyroscope (seed 1) with a thermal lag hidden in it."""
-    readings = mems_gyro.simulate({HIDDEN: 0.05}, seed=1)
-    return bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings, method=bc.LeastSquares())
 
 
 def unpaint(patch: pytest.MonkeyPatch) -> None:

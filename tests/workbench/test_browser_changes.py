@@ -10,7 +10,7 @@ import pytest
 from tests.support.command_line import needs_installation
 from tests.workbench.real_page import Bench, Seen, opened
 
-pytestmark = [needs_installation, pytest.mark.slow]
+pytestmark = [needs_installation, pytest.mark.nightly]
 
 
 @pytest.fixture

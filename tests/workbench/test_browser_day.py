@@ -16,7 +16,7 @@ from tests.support.browser import chromium
 from tests.support.command_line import GYRO, needs_installation
 from tests.workbench.real_page import Bench, Seen, bench, browser, opened, write_campaign
 
-pytestmark = [needs_installation, pytest.mark.slow]
+pytestmark = [needs_installation, pytest.mark.nightly]
 SECOND = 1000  # ms
 DROP = """text => {
   const given = new DataTransfer();

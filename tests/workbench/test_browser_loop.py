@@ -14,7 +14,7 @@ from tests.support.browser import chromium
 from tests.support.command_line import GYRO, needs_installation
 from tests.workbench.real_page import MAIN, ROOT, Bench, bench, opened, write_campaign
 
-pytestmark = [needs_installation, pytest.mark.slow]
+pytestmark = [needs_installation, pytest.mark.nightly]
 FLOOR = 0.05  # °/s: the noise of the readings
 
 

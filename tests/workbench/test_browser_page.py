@@ -11,7 +11,7 @@ from tests.support.browser import chromium
 from tests.support.command_line import GYRO, needs_installation
 from tests.workbench.real_page import Bench, Seen, bench, opened, write_campaign
 
-pytestmark = needs_installation
+pytestmark = [needs_installation, pytest.mark.nightly]
 NAME = "<img src=x onerror=alert(1)>"  # of a column
 FOCUSED = """() => {
   let at = document.activeElement;

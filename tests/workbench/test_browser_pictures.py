@@ -13,7 +13,7 @@ import pytest
 from tests.support.command_line import needs_installation
 from tests.workbench.real_page import Bench, Seen, opened
 
-pytestmark = [needs_installation, pytest.mark.slow]
+pytestmark = [needs_installation, pytest.mark.nightly]
 TABS = (
     *("Side by side", "Verdict", "Budget", "Decision", "Where to measure", "Next experiment"),
     *("Allan deviation", "Report", "Export", "Python", "File", "Describe"),

@@ -56,6 +56,7 @@ def same_states(one: Session, other: Session) -> None:
         assert identity(again.calibration) == identity(state.calibration)
 
 
+@pytest.mark.slow
 def test_resumed_as_it_was(session: Session) -> None:
     session.load_draft(OWN)
     session.add("bias.steps")
@@ -87,7 +88,7 @@ def test_a_file_read_with_every_option_is_gone_on_with(campaign: Campaign, tmp_p
     assert again.script() == begun.script() and "ignore=['a', 'b']" in again.script()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @needs_installation
 @pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
 def test_killed_at_any_moment(campaign: Campaign, tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """A workbench that is killed at any moment while somebody works with its page goes on with the same numbers.
 
-`BAYESCAL_KILLS=50 python -m pytest -m slow tests/workbench/test_killed_servers.py` kills so many; usually few.
+`BAYESCAL_KILLS=50 python -m pytest -m nightly tests/workbench/test_killed_servers.py` kills so many; usually few.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from tests.workbench.visitor import Gone, Visitor
 
 pytest.importorskip("panel", reason="bayescal[workbench] is not installed")
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.nightly,
     needs_installation,
     pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX"),
     # Tornado leaves sockets to the garbage collector where the other end was killed.

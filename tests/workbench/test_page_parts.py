@@ -129,6 +129,7 @@ def test_substitutes_stand_together_and_what_cannot_be_tested_last() -> None:
     assert not rows[-1]["actions"] and rows[-1]["note"] == "needs the column rate"
 
 
+@pytest.mark.slow
 def test_every_pane_is_made_without_a_browser(session: Session) -> None:
     """Of each state, on either ground; a dropped file gets a form for its columns."""
     bench = Workbench(session)

@@ -90,6 +90,7 @@ def test_files_as_they_were_read(campaign: Campaign, tmp_path: Path) -> None:
     same(session, tmp_path)
 
 
+@pytest.mark.slow
 def test_the_script_of_a_search(session: Session, tmp_path: Path) -> None:
     session.find_all()
     same(session, tmp_path)

@@ -73,6 +73,7 @@ def server(campaign: Campaign, tmp_path_factory: pytest.TempPathFactory) -> Iter
     one.end(signal.SIGKILL)
 
 
+@pytest.mark.nightly
 @needs_installation
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as POSIX does")
 def test_only_the_whole_address_is_served(server: Server) -> None:
@@ -99,6 +100,7 @@ def asked_as(server: Server, host: str, path: str = "", body: bytes = b"", **hea
     return answer.status
 
 
+@pytest.mark.nightly
 @needs_installation
 def test_another_host_is_refused(server: Server) -> None:
     """DNS rebinding: a page of another name that is made to lead to 127.0.0.1."""
@@ -119,6 +121,7 @@ def test_another_host_is_refused(server: Server) -> None:
         assert asked_as(server, host, "/static/js/bokeh.min.js") == 200, host
 
 
+@pytest.mark.nightly
 @needs_installation
 def test_a_request_of_a_megabyte_is_refused(server: Server) -> None:
     server.ready()
@@ -129,6 +132,7 @@ def test_a_request_of_a_megabyte_is_refused(server: Server) -> None:
         assert asked_as(server, host, "/", Cookie="x" * 2**20) in (400, 431)
 
 
+@pytest.mark.nightly
 @needs_installation
 @needs_proc
 def test_it_listens_on_this_computer_alone(server: Server) -> None:
@@ -136,6 +140,7 @@ def test_it_listens_on_this_computer_alone(server: Server) -> None:
     assert listening(server.process.pid) == {("127.0.0.1", server.port)}
 
 
+@pytest.mark.nightly
 @needs_installation
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as POSIX does")
 def test_a_websocket_needs_the_address_and_comes_from_it(server: Server) -> None:
@@ -168,7 +173,7 @@ def test_a_websocket_needs_the_address_and_comes_from_it(server: Server) -> None
     assert asyncio.run(opened(f"{server.path}/ws", "null")) == 403
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @needs_installation
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as POSIX does")
 def test_ended_and_gone_on_with(campaign: Campaign, tmp_path: Path) -> None:
@@ -248,6 +253,7 @@ def test_an_address_that_others_reach_says_so() -> None:
     )
 
 
+@pytest.mark.slow
 def test_sessions_of_a_server(session: Session, tmp_path: Path) -> None:
     """A tab without a name begins one; a name gives the same again; two at once begin two."""
     from bayescal._workbench.serve import Sessions

@@ -60,7 +60,7 @@ def test_a_step_is_what_fit_gives(session: Session, campaign: Campaign) -> None:
         ("take_out", ("bias.temperature",), "− bias.temperature"),
         ("fix", ("bias.temperature", 0.05), "bias.temperature = 0.05 fixed"),
         ("resize", ("bias.temperature", 0.2), "bias.temperature of plausible size 0.2 °/s/°C"),
-        ("noise", ("student_t",), "noise: Student-t"),
+        pytest.param("noise", ("student_t",), "noise: Student-t", marks=pytest.mark.slow),
     ],
 )
 def test_consequences_come_before_the_change(
@@ -92,6 +92,7 @@ def test_refusals_are_sentences(session: Session) -> None:
     assert len(session.states) == 1
 
 
+@pytest.mark.slow
 def test_find_all_is_what_calibrate_finds(session: Session, campaign: Campaign) -> None:
     told: list[int] = []
     session.find_all(lambda trail: told.append(trail.search.weighed if trail.search else 0))
@@ -108,6 +109,7 @@ def test_find_all_is_what_calibrate_finds(session: Session, campaign: Campaign) 
     assert told == sorted(told)
 
 
+@pytest.mark.slow
 def test_a_search_is_stopped_and_gone_on_with(session: Session) -> None:
     begun = threading.Event()
 
@@ -175,6 +177,7 @@ def test_other_readings_begin_a_session_beside(session: Session) -> None:
     assert len(other.states) == len(session.states) == 1
 
 
+@pytest.mark.slow
 def test_what_a_look_found_is_added_at_the_size_that_it_found_likeliest(
     campaign: Campaign, tmp_path: Path
 ) -> None:

@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
 from bayescal import effects
+from tests.support.references import shared
 
 SOURCE = "made up for tests"
 BIAS, TEMPCO, SCALE, SECOND, LAG, TAU, NOISE = 100.0, 3.0, 500.0, 1e4, 4.0, 400.0, 1.0
 
-HUMIDITY = bc.Effect(  # the user's own, with what a catalogue would not think of
-    "bias.humidity",
-    "bias",
-    basis=lambda r: jnp.stack(
+
+def _humid(r):
+    return jnp.stack(
         [
             jnp.where(r["humidity"] > 45.0, jnp.tanh((r["humidity"] - 45.0) / 20.0), 0.0),
             jnp.sqrt(r["humidity"]) * jnp.sum(jnp.array([0.5, -0.25]) @ jnp.eye(2)),
         ],
         axis=1,
-    ),
+    )
+
+
+HUMIDITY = bc.Effect(  # the user's own, with what a catalogue would not think of
+    "bias.humidity",
+    "bias",
+    basis=_humid,
     coefficients=(
         bc.Coefficient("ug", bc.Normal(0.0, 5.0)),
         bc.Coefficient("ug", bc.Normal(0.0, 5.0), part="root"),
@@ -31,9 +35,10 @@ HUMIDITY = bc.Effect(  # the user's own, with what a catalogue would not think o
 )
 
 
-def _response(slots, r):
+def _on_its_rig(slots, r):
     a = r["acceleration"]
-    return slots["bias"] + (1 + slots["scale"]) * a + slots["second_order"] * a**2
+    scale, second_order = slots["scale"], slots["second_order"]
+    return slots["bias"] + (1 + scale) * a + second_order * a**2 + slots["rig"]
 
 
 SENSOR = bc.Instrument(
@@ -52,7 +57,7 @@ SENSOR = bc.Instrument(
         bc.Slot("second_order", "1/ug"),
         bc.Slot("rig", "ug", "of the test rig: not there in use"),
     ),
-    response=lambda slots, r: _response(slots, r) + slots["rig"],
+    response=_on_its_rig,
     effects=(
         effects.constant("bias", 1000.0, "ug", source=SOURCE),
         effects.linear("bias", 10.0, "ug/degC", source=SOURCE),
@@ -92,12 +97,12 @@ def readings(seed: int, rows: int = 200) -> bc.Measurements:
     )
 
 
-@cache
+@shared
 def calibration() -> bc.Calibration:
     return bc.fit(SENSOR.baseline(), readings(1), bc.LeastSquares(draws=800))
 
 
-@cache
+@shared
 def gyro() -> bc.Calibration:
     """A gyro on its table: a straight line in the rate, runs that differ, and nothing of the past."""
     from bayescal_models import mems_gyro

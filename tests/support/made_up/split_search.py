@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import bayescal as bc
 from bayescal_models import mems_gyro
+from tests.support.references import shared
 
 
 def readings(seed: int = 3) -> bc.Measurements:
@@ -13,6 +12,6 @@ def readings(seed: int = 3) -> bc.Measurements:
     return mems_gyro.simulate({"bias.thermal_lag": 0.006}, seed=seed)
 
 
-@cache
+@shared
 def trail() -> bc.SearchPath:
     return bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings())
