@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -137,12 +137,15 @@ def _coefficients(
         truths["time"] = (lags, sensor.body.behind)
     if sensor.structure == "added":
         truths["lag"] = (["bias.thermal_lag"], sensor.share * sensor.slope)
+    stated = {"bias.constant", "bias.temperature", *final, *(f"{n}.tau" for n in final)}
     found = {}
     for what, (own, true) in truths.items():
         held = [n for n in own if n in names]
         if len(held) != 1:
             continue
         draws = calibration.samples(held[0])
+        if (freed := f"{held[0]}.freed") in names:  # what its stated size does not reach
+            draws = draws + calibration.samples(freed)
         low, high = credible_interval(draws)
         found[what] = {
             "name": held[0],
@@ -152,10 +155,6 @@ def _coefficients(
             "high": high,
             "true": float(true),
             "inside": bool(low <= true <= high),
+            "stated": held[0] in stated,
         }
     return found
-
-
-def nats(oracle: Mapping[str, float], least: float, most: float = np.inf) -> list[str]:
-    """Hidden families whose oracle lies there."""
-    return [name for name, value in oracle.items() if least <= value < most]

@@ -6,6 +6,9 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 
 # Parts of a name by family; the first family that has one of them counts.
 FAMILIES: Mapping[str, tuple[str, ...]] = {
+    "line": (
+        ".freed",
+    ),  # the instrument's own slope, its stated size set aside: it is always there
     "supply": ("supply",),  # a column that only it can stand for: unknown(supply) names it too
     "warm-up": ("warm_up",),
     "lag": ("thermal_lag", "body", "rate", "die_temperature", "_x_lag"),
@@ -36,11 +39,13 @@ def invented(
 ) -> list[str]:
     """Named effects that stand alone, and sets, of which nothing is there; descriptions are no names."""
 
+    there = {*true, "line"}
+
     def right(members: Iterable[str]) -> bool:
-        return any(family(n) in true for n in members)
+        return any(family(n) in there for n in members)
 
     excused = {n for members in sets if right(members) for n in members}
-    found = [n for n in names if n not in excused and family(n) not in {*true, "description"}]
+    found = [n for n in names if n not in excused and family(n) not in {*there, "description"}]
     for members in sets:
         named = [n for n in members if family(n) != "description"]
         if named and not right(members) and not set(named) & set(found):

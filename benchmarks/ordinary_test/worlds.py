@@ -33,6 +33,8 @@ SLOPE_SD = 0.05
 NOISES = (0.02, 0.1)  # °/s, log-uniform
 LARGEST = 8.0  # rms of what is hidden, in parts of the noise; log-uniform up to this
 SMALLEST = 3.0  # from this, over the square root of the readings (of the runs, for their offsets)
+# As far as a gyroscope's stated sizes reach, three of them: no test of priors. °/s/°C², °/s, °/s
+PLAUSIBLE = {"curve": 1.5e-3, "warm-up": 1.5, "run": 0.15}
 TIMES = (45.0, 1800.0)  # s, log-uniform: the time by which a body is behind a steady ramp
 WARM_UPS = (200.0, 2400.0)  # s, log-uniform
 MONTH = 30 * 86400.0  # s, between what is fitted and what is held out
@@ -262,9 +264,11 @@ def drawn(
             "supply": (bare.supply - bare.supply.mean(), len(bare.time)),
             "run": (np.ones(1), len(bare.time) / count),
         }[name]
-        size = noise * _log_uniform(rng, (SMALLEST / np.sqrt(seen), LARGEST))
+        unit = np.sqrt(np.mean(column**2)) / noise
+        low, high = SMALLEST / np.sqrt(seen) / unit, LARGEST / unit
+        high = max(low, min(high, PLAUSIBLE.get(name, high)))
         sign = 1.0 if name == "run" else rng.choice((-1.0, 1.0))
-        sizes[name] = float(sign * size / np.sqrt(np.mean(column**2)))
+        sizes[name] = sign * _log_uniform(rng, (low, high))
     beside = Further() if further is None else further(rng, bare, noise)
     own = plan.structure, plan.body, plan.middle, plan.slope, plan.share
     sensor = Sensor(*own, sizes, noise, beside.law)
