@@ -41,21 +41,21 @@ def judged(campaign: Campaign, name: str) -> dict[str, Any]:
     """What came of a campaign read as an instrument of this name."""
     instrument = INSTRUMENTS[name]
     path, seconds = calibrated(campaign, instrument)
-    row = {"instrument": name, **_true(campaign), **_said(path), "seconds": seconds}
-    sets = [members for members, _ in row["sets"]]
-    named = naming.said(row["final"], sets)
-    row["lost"] = [h for h in campaign.hidden if h not in named]
-    row["invented"] = naming.invented(row["final"], sets, campaign.hidden)
-    row["descriptions"] = [n for n in row["final"] if naming.family(n) == "description"]
-    row["coefficients"] = _coefficients(path.calibration, campaign, row["final"])
+    row = {"instrument": name, **outcome(path, campaign), "seconds": seconds}
     true, made = campaign.errors_of_true(), {}
     for kind, record in campaign.later.items():
         later = read(campaign, record, instrument, LATER)
         found = bc.predict(path.calibration, later)
         errors = within_runs(found.residual, record.run), float(found.rmse)
         made[kind] = {"tool": errors[0], "true": true[kind], "with_offsets": errors[1]}
-    row["holdout"] = made
-    return row
+    return {**row, "holdout": made}
+
+
+def outcome(path: bc.SearchPath, campaign: Campaign) -> dict[str, Any]:
+    """What is true, what was said, and the coefficients."""
+    said = _said(path)
+    held = _coefficients(path.calibration, campaign, said["final"])
+    return {**_true(campaign), **said, "coefficients": held}
 
 
 def _true(campaign: Campaign) -> dict[str, Any]:

@@ -240,6 +240,7 @@ def drawn(
     hidden: tuple[str, ...],
     *,
     recorded: bool,
+    offsets: float | None = None,
     further: Callable[[np.random.Generator, Record, float], Further] | None = None,
 ) -> Campaign:
     """A campaign with these families hidden in it, all else at random.
@@ -251,6 +252,7 @@ def drawn(
         readings: how many, nearly.
         hidden: of "run", "warm-up", "curve", "supply".
         recorded: whether the supply is in the file.
+        offsets: standard deviation of the runs' offsets in parts of the noise; at random if not given.
         further: makes an effect that no family describes, of the readings to fit and the noise.
     """
     plan = Plan.of(rng, structure, repeats, readings)
@@ -269,6 +271,8 @@ def drawn(
         high = max(low, min(high, PLAUSIBLE.get(name, high)))
         sign = 1.0 if name == "run" else rng.choice((-1.0, 1.0))
         sizes[name] = sign * _log_uniform(rng, (low, high))
+    if offsets is not None:
+        sizes["run"] = offsets * noise
     beside = Further() if further is None else further(rng, bare, noise)
     own = plan.structure, plan.body, plan.middle, plan.slope, plan.share
     sensor = Sensor(*own, sizes, noise, beside.law)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import dblquad, quad
 from scipy.stats import multivariate_normal
 
-from benchmarks.ordinary_test import naming
+from benchmarks.ordinary_test import good_records, naming, no_family, own_unit, page
 from benchmarks.ordinary_test.bodies import Body, Chamber, lump, slab, two_stages
 from benchmarks.ordinary_test.measurement import READINGS, SEEDS, Cell, made, plan
 from benchmarks.ordinary_test.oracle import least_squares, log_evidence
+from benchmarks.ordinary_test.planned import go_through, in_order
 from benchmarks.ordinary_test.worlds import (
     STEP,
     STRUCTURES,
@@ -24,6 +27,7 @@ from benchmarks.ordinary_test.worlds import (
     drawn,
     within_runs,
 )
+from benchmarks.record import read_lines
 
 BODIES = {
     "die": lump(300.0),
@@ -206,8 +210,6 @@ def test_errors_lose_the_mean_of_each_run() -> None:
 def test_the_plan_is_one_order_and_a_part_of_it_is_its_beginning() -> None:
     cells = plan()
     assert len(set(cells)) == len(cells) == len(STRUCTURES) * 2 * len(READINGS) * SEEDS
-    small = plan((200,))
-    assert small == [c for c in cells if c.readings == 200]
     # Drawn before anything was measured: this is that order.
     assert [tuple(c) for c in cells[:2]] == [
         ("added", True, 200, 1), ("die", False, 200, 0),
@@ -238,3 +240,67 @@ def test_a_body_needs_no_start_to_be_in_balance() -> None:
     for body in BODIES.values():
         assert isinstance(body, Body)
         np.testing.assert_allclose(body.inside(still, 1.0), 40.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("shape", no_family.SHAPES)
+def test_what_no_family_describes_has_its_strength_and_its_columns(shape: str) -> None:
+    """It is as large as drawn, a function of what is recorded or of time, and the same law in hold-out runs."""
+    plan = Plan.of(np.random.default_rng(1), "die", False, 200)
+    bare = plan.record(np.random.default_rng(2), plan.programs[:2])
+    law, columns = no_family.SHAPES[shape](np.random.default_rng(3), bare)
+    assert law is not None and np.std(law(bare)) > 0
+    assert list(columns) == (["fan_speed [Hz]"] if shape == "column" else [])
+    if shape == "column":
+        order = np.argsort(columns["fan_speed [Hz]"](bare))
+        assert np.all(np.diff(law(bare)[order]) > -1e-3)
+    if shape == "elapsed":
+        first, second = (law(bare)[bare.run == r] for r in (0, 1))
+        np.testing.assert_allclose(first[:50], second[:50], atol=0.02)
+    if shape == "step":
+        assert set(np.unique(law(bare))) == {0.0, 1.0}
+
+
+ROW: dict[str, Any] = {
+    "core": "0", "structure": "die", "repeats": True, "readings": 1600, "instrument": "mems_gyro",
+    "hidden": ["lag", "run"], "oracle": {"lag": 100.0, "run": 3.0, "further": 20.0},
+    "final": ["bias.rate", "unknown(elapsed)", "bias.drift"], "sets": [[["bias.drift"], 0.99]],
+    "noise_law": "white", "status": 1, "reason": "The coefficient is not measured.", "seconds": 10.0,
+    "coefficients": {"slope": {"inside": False, "stated": True}},
+    "holdout": {k: {"tool": 1.2, "true": 1.0} for k in ("same", "other")}, "shape": "elapsed",
+    "doubted": ["notes"], **{f"held_{k}": {"open": k != "unit"} for k in ("same", "other", "unit")},
+}  # fmt: skip
+
+
+def test_rows_become_a_page() -> None:
+    assert page.lost(ROW) == [] and page.lost({**ROW, "final": []}) == ["lag"]
+    assert page.invented(ROW) == ["bias.drift"] and page.described(ROW) == ["unknown(elapsed)"]
+    said = page.ordinary([ROW, {"core": "0", "crash": "KeyError: 'x'"}])
+    assert "1 campaigns; ended in an error: 1" in said
+    assert "| status 0 | ≥ 90 % | 0/1 (0–98 %) |" in said
+    assert "| named, and not there | bias.drift | 1 |" in said
+    assert "| elapsed | 1 | 1/1" in page.no_family([ROW])
+    right = {**ROW, "status": 0, "final": ["bias.rate"], "sets": []}
+    assert "| another unit | ≥ 95 % | 1/1 (3–100 %) | 2/2 (16–100 %) |" in page.own_unit(
+        [right, ROW]
+    )
+    assert "| all | 1 | 1/1" in page.good_records([ROW])
+
+
+def test_a_plan_goes_on_where_it_was_and_keeps_what_ends_in_an_error(tmp_path: Path) -> None:
+    cells, rows = in_order([own_unit.Cell(200, seed) for seed in range(5)]), tmp_path / "rows.jsonl"
+
+    def measure(cell: own_unit.Cell) -> dict[str, Any]:
+        return {"one": 1 / (cell.seed - cells[1].seed)}
+
+    for count in ("2", "3"):
+        assert go_through(cells, measure, rows, ["--count", count]) == rows
+    found = read_lines(rows)
+    assert [r["seed"] for r in found] == [c.seed for c in cells[:3]]
+    assert found[1]["crash"] == "ZeroDivisionError: division by zero" and "crash" not in found[2]
+    go_through(cells, measure, tmp_path / "none", ["--readings", "1600"])
+    assert not read_lines(tmp_path / "none")
+
+
+def test_good_records_are_of_six_instruments() -> None:
+    cells = good_records.plan()
+    assert len(cells) == 300 and len({c.instrument for c in cells}) == 6
