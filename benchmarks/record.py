@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
@@ -14,6 +15,18 @@ DOCS = ROOT / "docs"
 RESULTS = ROOT / "benchmarks" / "results"
 REFERENCE_DATA = ROOT.parent / "shared" / "data"  # beside the checkout; not part of it
 PACKAGES = ("bayescal", "jax", "jaxlib", "numpy", "scipy", "optimistix", "equinox", "lineax")
+
+
+DECIDING = ("bayescal/_model", "bayescal/_inference", "bayescal/_calibration", "bayescal/_search")
+DECIDING = (*DECIDING, "bayescal/effects", "models")  # sources on which a result hangs
+
+
+def core() -> str:
+    """Digest of the sources that decide a result, which a row carries."""
+    found = hashlib.sha256()
+    for path in sorted(p for folder in DECIDING for p in (ROOT / folder).rglob("*.py")):
+        found.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
+    return found.hexdigest()[:12]
 
 
 def surroundings() -> dict[str, Any]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,7 +22,10 @@ def chosen(names: Iterable[str]) -> list[str]:
 
 
 def go_on(
-    path: Path, cases: Iterable[T], measure: Callable[[T], tuple[dict[str, Any], str]]
+    path: Path,
+    cases: Iterable[T],
+    measure: Callable[[T], tuple[dict[str, Any], str]],
+    workers: int = 1,
 ) -> None:
     """Measure cases and add a line for each to a file; after `SECONDS`, say so and stop.
 
@@ -29,13 +33,23 @@ def go_on(
         path: of the file.
         cases: those that do not stand in it yet.
         measure: from a case to its line, and what is told of it.
+        workers: processes that measure at once; lines of two or more come in the order in which they end.
     """
     seconds = float(os.environ.get("BAYESCAL_SECONDS", SECONDS))
     begun = time.perf_counter()
-    for case in cases:
+    for row, told in _measured(cases, measure, workers):
+        add_line(path, row)
+        print(f"{path.stem} {told}", file=sys.stderr)
         if time.perf_counter() - begun > seconds:
             print(f"{path.stem}: stopped after {seconds:.0f} s; run again to go on")
             return
-        row, told = measure(case)
-        add_line(path, row)
-        print(f"{path.stem} {told}", file=sys.stderr)
+
+
+def _measured(
+    cases: Iterable[T], measure: Callable[[T], tuple[dict[str, Any], str]], workers: int
+) -> Iterator[tuple[dict[str, Any], str]]:
+    if workers == 1:
+        yield from map(measure, cases)
+        return
+    with get_context("spawn").Pool(workers) as pool:
+        yield from pool.imap_unordered(measure, cases)

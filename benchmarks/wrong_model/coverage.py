@@ -2,7 +2,7 @@
 
     python -m benchmarks wrong_model
 
-Campaigns of two instruments whose laws are none of the catalogue's, fitted by `calibrate` alone. A line a campaign in
+Campaigns of three instruments whose laws are none of the catalogue's, fitted by `calibrate` alone. A line a campaign in
 results/wrong_model_INSTRUMENT.jsonl.
 """
 
@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
+import bayescal_models.inclinometer
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 from benchmarks.hidden_effects.resume import chosen, go_on
 from benchmarks.record import RESULTS, read_lines
 from benchmarks.wrong_model import page
-from benchmarks.wrong_model.worlds import World, gyro, quartz
+from benchmarks.wrong_model.worlds import World, gyro, inclinometer, quartz
 
 COUNT = 200  # campaigns of each
 WORLDS = {
@@ -31,8 +32,33 @@ WORLDS = {
             for slot in ("bias", "scale")
         },
     ),
+    "inclinometer": (
+        bayescal_models.inclinometer.INSTRUMENT,
+        inclinometer,
+        {f"zero({axis})": ("constant", "placement") for axis in "xy"},
+    ),
 }
-THERMOMETER = {"mems_gyro": "T0", "quartz_beam_accelerometer": "temperature_head_0"}
+THERMOMETER = {
+    "mems_gyro": "T0",
+    "quartz_beam_accelerometer": "temperature_head_0",
+    "inclinometer": "T0",
+}
+RADIAN = np.deg2rad(1.0)  # what a coefficient of sin ω adds to the slope, by degree
+# What an average may hold beside a coefficient that is the same at ω = 0: their sum has the truth.
+BESIDE = {
+    "zero.constant": {
+        "zero.projection[pendulum]": 1.0,
+        "dividing.wobble[cos1]": 1.0,
+        "dividing.wobble[cos2]": 1.0,
+        "dividing.face": 1.0,
+    },
+    "zero.placement": {
+        "zero.projection[door]": RADIAN,
+        "zero.cross_axis": RADIAN,
+        "dividing.wobble[sin1]": RADIAN,
+        "dividing.wobble[sin2]": 2 * RADIAN,
+    },
+}
 Z = 1.959964  # of a 95 % interval
 
 
@@ -99,6 +125,17 @@ def _covered(calibration: bc.Calibration, world: World, powers: Any) -> dict[str
     assert isinstance(reference, float)
     for slot, names in powers.items():
         for name, truth in zip(names, world.about(slot, reference, len(names)), strict=True):
-            draws = calibration.samples(f"{slot}.{name}")
+            draws = _draws(calibration, slot, name)
             row[f"{slot}.{name}"] = [float(np.mean(draws)), float(np.std(draws)), float(truth)]
     return row
+
+
+def _draws(calibration: bc.Calibration, slot: str, name: str) -> np.ndarray:
+    """Draws of a baseline's coefficient; of "zero(x)" those of the axis x, with what is the same as they."""
+    base, _, axis = slot.rstrip(")").partition("(")
+    found = calibration.samples(f"{base}.{name}")
+    for other, factor in BESIDE.get(f"{base}.{name}", {}).items():
+        if other in calibration.posterior:
+            values = factor * calibration.samples(other)
+            found = found + (values if values.ndim == found.ndim else values[:, None])
+    return found[:, calibration.levels["axis"].index(axis)] if axis else found

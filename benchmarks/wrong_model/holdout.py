@@ -54,13 +54,13 @@ def campaign(seed: int) -> tuple[dict[str, Any], str]:
     row: dict[str, Any] = {"seed": seed, "hidden": hidden, "final": sorted(names)}
     row["right"] = names == set(hidden)
     for kind, world in worlds.items():
-        row[kind] = _judged(path.steps, world.later)
+        row[kind] = judged_by(path.steps, world.later)
     row["seconds"] = time.perf_counter() - begun
     shut = {kind: row[kind]["reason"] for kind in worlds}
     return row, f"{seed} {row['final']} {shut}"
 
 
-def _judged(steps: Sequence[Step], later: bc.Measurements) -> dict[str, Any]:
+def judged_by(steps: Sequence[Step], later: bc.Measurements) -> dict[str, Any]:
     """What the gate says of steps with these hold-out data."""
     kept = [(s, bc.predict(s.calibration, later)) for s in steps]
     steps = [

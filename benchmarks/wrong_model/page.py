@@ -23,16 +23,17 @@ HEAD = """# Where the model may be wrong
 
 Rendered by `python -m benchmarks wrong_model holdout one_profile starts` from `benchmarks/results`.
 
-Campaigns of two instruments whose laws are none of the catalogue's: a lag of two stages, a warm-up of two decays, a
-logarithmic drift, saturating gradients, offsets of runs that are not normal. None to two effects are hidden, at sizes
-from 0.05 to 5 times the plausible one, so that many are too small to be seen. `calibrate` is given the readings alone.
+Campaigns of three instruments whose laws are none of the catalogue's: a lag of two stages, a warm-up of two decays, a
+logarithmic drift, saturating gradients and temperatures, a hysteresis that turns round over degrees, offsets of runs
+that are not normal. None to two effects are hidden, at sizes from 0.05 to 5 times the plausible one, so that many are
+too small to be seen. `calibrate` is given the readings alone.
 """
 
 
 def write() -> None:
     """The page, from what was measured so far."""
     parts = [HEAD]
-    for name in ("mems_gyro", "quartz_beam_accelerometer"):
+    for name in ("mems_gyro", "quartz_beam_accelerometer", "inclinometer"):
         if rows := read_lines(RESULTS / f"wrong_model_{name}.jsonl"):
             parts += [f"## {name}\n", _coverage(rows), _said(rows), _bands(rows)]
     for title, file, chapter in (

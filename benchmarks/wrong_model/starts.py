@@ -37,7 +37,7 @@ def main() -> None:
 
 def campaign(seed: int) -> tuple[dict[str, Any], str]:
     """One campaign from its starts: what each ends at, and its log evidence."""
-    name = sorted(WORLDS)[seed % 2]
+    name = sorted(HIDDEN_IN)[seed % 2]
     instrument, made, _ = WORLDS[name]
     rng = np.random.default_rng([39, seed])
     names = rng.choice(HIDDEN_IN[name], size=EFFECTS, replace=False)

@@ -1,4 +1,4 @@
-"""Two instruments whose laws are none of the catalogue's: effects in closed form, at sizes from tiny to large."""
+"""Three instruments whose laws are none of the catalogue's: effects in closed form, at sizes from tiny to large."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import bayescal as bc
+import bayescal_models.inclinometer
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 
 SIZES = (0.05, 5.0)  # of the plausible one, log-uniform
@@ -16,6 +17,9 @@ EVERY = 1e4  # s between the beginnings of runs
 SPAN = 5 * EVERY + 2400.0  # s of the runs that are fitted
 LATER = 11  # label of the first hold-out run
 COUNTS = (0, 0, 1, 1, 2)  # hidden effects, one of these at random
+
+
+Course = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,8 @@ class World:
         later: hold-out readings: runs of their own.
         later_truth: of these.
         hidden: size over the plausible one, by name.
-        static: each slot as a function of temperature alone, °C, at the middle of the record, reported units.
+        static: of each slot, given T0, °C, its course about the point at which the baseline's coefficients are, at the
+            middle of the record, reported units: of °C from T0; of an inclinometer's axis of degrees from 0.
     """
 
     readings: bc.Measurements
@@ -36,12 +41,12 @@ class World:
     later: bc.Measurements
     later_truth: np.ndarray
     hidden: dict[str, float]
-    static: dict[str, Callable[[np.ndarray], np.ndarray]]
+    static: dict[str, Callable[[float], Course]]
 
     def about(self, slot: str, reference: float, count: int) -> np.ndarray:
-        """The first terms of a slot's power series about a temperature, °C: what a baseline's coefficients are."""
+        """The first terms of a slot's power series, T0 being `reference`, °C: what a baseline's coefficients are."""
         step = 5.0 * np.linspace(-1.0, 1.0, 13)
-        fitted = np.polynomial.polynomial.polyfit(step, self.static[slot](reference + step), 6)
+        fitted = np.polynomial.polynomial.polyfit(step, self.static[slot](reference)(step), 6)
         return fitted[:count]
 
 
@@ -140,14 +145,99 @@ def quartz(seed: int, hidden: Mapping[str, float] | None = None) -> World:
     return World(readings, truth, later, later_truth, hidden, laws)
 
 
+def inclinometer(seed: int, hidden: Mapping[str, float] | None = None) -> World:
+    """A two-axis inclinometer on a dividing table: ±45° by 3°, to and fro, three mountings of each axis, 2″ of noise.
+
+    Args:
+        seed: of everything.
+        hidden: sizes over the plausible ones; at random if not given.
+    """
+    rng = np.random.default_rng([40, seed])
+    hidden = _drawn(rng, _INCLINOMETER) if hidden is None else dict(hidden)
+    own = {axis: rng.normal(0.0, (100.0, 1.0)) for axis in "xy"}
+    share = {axis: rng.uniform(0.5, 1.0) * rng.choice((-1.0, 1.0)) for axis in "xy"}
+    angles = np.arange(-45.0, 46.0, 3.0)
+    degrees = np.concatenate([angles, angles[::-1]])
+    turned = np.concatenate([np.full(angles.size, np.inf), angles - angles[0]])
+    forward = np.repeat([1.0, -1.0], angles.size)
+    swing, phase = rng.uniform(1.0, 6.0), rng.uniform(0.0, 2 * np.pi)
+
+    def made(mountings: int, first: int) -> tuple[bc.Measurements, np.ndarray]:
+        parts, clock = [], 0.0 if first == 1 else 0.5 * EVERY
+        offsets = 2.0 * _uniform(rng, 2 * mountings)
+        for i, offset in enumerate(offsets):
+            axis, time = "xy"[i % 2], clock + 60.0 * np.arange(degrees.size)
+            warmth = swing * np.sin(2 * np.pi * time / 14_000.0 + phase)
+            at = Table(degrees, warmth, time, forward, turned)
+            value = offset + own[axis][0] + own[axis][1] * degrees
+            for name, size in hidden.items():
+                value = value + share[axis] * size * _INCLINOMETER[name](at)
+            label = f"{axis}{first + i // 2}"
+            parts.append((np.full(degrees.size, axis), np.full(degrees.size, label), at, value))
+            clock += EVERY
+        axes, labels, tables, values = zip(*parts, strict=True)
+        truth = np.concatenate(values)
+        columns = {
+            name: np.concatenate([getattr(at, name) for at in tables])
+            for name in ("degrees", "warmth", "time", "forward")
+        }
+        readings = bc.Measurements.from_arrays(
+            bayescal_models.inclinometer.INSTRUMENT,
+            axis=np.concatenate(axes),
+            run=np.concatenate(labels),
+            placement_angle=np.deg2rad(columns["degrees"]),
+            temperature=20.0 + columns["warmth"],
+            time=columns["time"],
+            direction=np.where(columns["forward"] > 0, "forward", "backward"),
+            output=truth + rng.normal(0.0, 2.0, truth.size),
+        )
+        return readings, truth
+
+    readings, truth = made(3, 1)
+    later, later_truth = made(2, LATER)
+
+    def of_axis(axis: str) -> Callable[[float], Course]:
+        none, time = np.zeros(1), readings["time"][readings["axis"] == axis]
+
+        def at(reference: float, step: np.ndarray) -> np.ndarray:
+            value = own[axis][0] + own[axis][1] * step
+            for name, size in hidden.items():
+                if name != "zero.hysteresis":
+                    t = time if name == "base_tilt.drift" else none
+                    warm = np.full(1, reference - 20.0)
+                    found = [
+                        np.mean(_INCLINOMETER[name](Table(np.full(1, w), warm, t, none, none)))
+                        for w in step
+                    ]
+                    value = value + share[axis] * size * np.array(found)
+            return value
+
+        return lambda reference: lambda step: at(reference, step)
+
+    laws = {f"zero({axis})": of_axis(axis) for axis in "xy"}
+    return World(readings, truth, later, later_truth, hidden, laws)
+
+
+@dataclass(frozen=True)
+class Table:
+    """What an effect of an inclinometer may depend on: the placement angle, °; °C from 20 °C; s; +1 forward and −1
+    backward; ° since the direction changed."""
+
+    degrees: np.ndarray
+    warmth: np.ndarray
+    time: np.ndarray
+    forward: np.ndarray
+    turned: np.ndarray
+
+
 def _static(
     laws: Mapping[str, Callable[[Sweep], np.ndarray]],
     hidden: Mapping[str, float],
     slot: str,
     own: tuple[float, ...],
     readings: bc.Measurements,
-) -> Callable[[np.ndarray], np.ndarray]:
-    """A slot as a function of temperature, long after switching on, a drift at its mean over the readings."""
+) -> Callable[[float], Course]:
+    """A slot as a function of °C from T0, long after switching on, a drift at its mean over the readings."""
     nothing, time = np.zeros(1), readings["time"]
 
     def found(temperature: np.ndarray) -> np.ndarray:
@@ -161,7 +251,7 @@ def _static(
                 value = value + size * np.mean(laws[name](Sweep(0 * time, time, time, time)))
         return value
 
-    return found
+    return lambda reference: lambda step: found(reference + step)
 
 
 def _cubic(rng: np.random.Generator, constant: float, slope: float) -> tuple[float, ...]:
@@ -240,6 +330,13 @@ _QUARTZ: Mapping[str, Callable[[Sweep], np.ndarray]] = {
     "scale.gradient": lambda at: 2.0 * 40.0 * np.tanh(at.gradient / 40.0),
     "scale.thermal_lag": lambda at: 2.0 * _behind(at, 600.0),
     "second_order": lambda at: np.full_like(at.warmth, 10.0),
+}
+
+_INCLINOMETER: Mapping[str, Callable[[Table], np.ndarray]] = {
+    "zero.placement_quadratic": lambda at: 0.005 * 2 * (np.cosh(0.02 * at.degrees) - 1) / 4e-4,
+    "zero.temperature": lambda at: 2.0 * 8.0 * np.tanh(at.warmth / 8.0),
+    "zero.hysteresis": lambda at: 2.0 * at.forward * (1 - 2 * np.exp(-at.turned / 3.0)),
+    "base_tilt.drift": lambda at: 2.0 * np.log1p(2 * at.time / SPAN) / np.log(3.0),
 }
 
 HIDDEN_IN = {"mems_gyro": sorted(_GYRO), "quartz_beam_accelerometer": sorted(_QUARTZ)}

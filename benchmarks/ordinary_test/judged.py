@@ -1,0 +1,160 @@
+"""One campaign calibrated from its file as a user would, and what came out beside what is true."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import bayescal as bc
+from bayescal_models import mems_gyro, still_sensor
+from benchmarks.intervals import credible_interval
+from benchmarks.ordinary_test import naming
+from benchmarks.ordinary_test.worlds import Campaign, Record, within_runs
+
+INSTRUMENTS = {"mems_gyro": mems_gyro.INSTRUMENT, "still_sensor": still_sensor.INSTRUMENT}
+LATER = 101  # label of the first hold-out run
+
+
+def read(campaign: Campaign, record: Record, instrument: bc.Instrument, first: int = 1):
+    """Readings of a file that holds a record."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "record.csv"
+        pd.DataFrame(campaign.file(record, first)).to_csv(path, index=False)
+        return bc.read(path, instrument)
+
+
+def calibrated(campaign: Campaign, instrument: bc.Instrument) -> tuple[bc.SearchPath, float]:
+    """The whole loop, and its processor seconds."""
+    begun = time.process_time()
+    readings = read(campaign, campaign.fitted, instrument)
+    model = instrument.for_readings(readings).baseline()
+    return bc.calibrate(model, readings), time.process_time() - begun
+
+
+def judged(campaign: Campaign, name: str) -> dict[str, Any]:
+    """What came of a campaign read as an instrument of this name."""
+    instrument = INSTRUMENTS[name]
+    path, seconds = calibrated(campaign, instrument)
+    row = {"instrument": name, **outcome(path, campaign), "seconds": seconds}
+    true, made = campaign.errors_of_true(), {}
+    for kind, record in campaign.later.items():
+        later = read(campaign, record, instrument, LATER)
+        found = bc.predict(path.calibration, later)
+        errors = within_runs(found.residual, record.run), float(found.rmse)
+        made[kind] = {"tool": errors[0], "true": true[kind], "with_offsets": errors[1]}
+    return {**row, "holdout": made}
+
+
+def outcome(path: bc.SearchPath, campaign: Campaign) -> dict[str, Any]:
+    """What is true, what was said, and the coefficients."""
+    said = _said(path)
+    held = _coefficients(path.calibration, campaign, said["final"])
+    return {**_true(campaign), **said, "coefficients": held}
+
+
+def _true(campaign: Campaign) -> dict[str, Any]:
+    sensor = campaign.sensor
+    return {
+        "hidden": list(campaign.hidden),
+        "oracle": campaign.oracle(),
+        "truth": {
+            "noise": sensor.noise,
+            "slope": sensor.slope,
+            "share": sensor.share,
+            "time": sensor.body.behind,
+            "sizes": dict(sensor.sizes),
+            "readings": len(campaign.fitted.time),
+            "runs": len(np.unique(campaign.fitted.run)),
+            "recorded": campaign.recorded,
+        },
+    }
+
+
+def _said(path: bc.SearchPath) -> dict[str, Any]:
+    """What the search says, in names, probabilities and sentences."""
+    final, base = path.final, {*path.steps[0].calibration.model.names}
+    effects = [e for e in final.calibration.model.effects if e.name not in base]
+    inclusion: dict[str, float] = {}
+    for share in path.shares:
+        for effect in share.effects:
+            inclusion[effect] = inclusion.get(effect, 0.0) + share.probability
+    found = final.discovery
+    sets = {
+        tuple(s.effects): s.probability
+        for step in path.steps
+        if step.discovery
+        for s in step.discovery.sets
+    }
+    return {
+        "final": [e.name for e in effects],
+        "equations": {e.name: e.equation for e in effects},
+        "noise_law": final.calibration.model.noise.law,
+        "inclusion": inclusion,
+        "missing": {}
+        if found is None
+        else {c.effect: c.probability for c in found.candidates if (c.probability or 0) > 0.01},
+        "sets": [[list(members), p] for members, p in sets.items()],
+        "complete": None if found is None else found.nothing_missing,
+        "status": 0 if path.ok else 1,
+        "reason": "" if path.ok else path.gate.reason,
+        "notes": list(final.calibration.verdict.notes),
+        "flags": list(final.calibration.readings.flags),
+    }
+
+
+def _coefficients(
+    calibration: bc.Calibration, campaign: Campaign, final: Collection[str]
+) -> dict[str, Any]:
+    """Each coefficient that has a truth: mean, standard uncertainty, 95 % interval, and that truth.
+
+    The truth is the settled output as a power series about the tool's own T0: constant (the runs' and the supply's
+    mean), slope, quadratic; the supply's sensitivity; the time of a body that is one; the size of a lag that is an
+    addition.
+    """
+    sensor, names = campaign.sensor, [str(n) for n in calibration.posterior]
+    T0 = calibration.reference["T0"]
+    assert isinstance(T0, float)
+    step = np.linspace(-10.0, 10.0, 21)
+    settled = np.polynomial.polynomial.polyfit(step, sensor.settled(T0 + step), 2)
+    truths: dict[str, tuple[Iterable[str], float]] = {
+        "slope": (["bias.temperature"], settled[1]),
+    }
+    if "run" not in campaign.hidden and "supply" not in campaign.hidden:
+        truths["constant"] = (["bias.constant"], settled[0])
+    if "curve" in campaign.hidden:
+        truths["quadratic"] = (["bias.temperature_quadratic"], settled[2])
+    if "supply" in campaign.hidden:
+        own = [n for n in names if "supply" in n and "unknown" not in n and "." not in n[5:]]
+        truths["supply"] = (own, sensor.sizes["supply"])
+    if sensor.structure in ("die", "added"):
+        lags = [f"{n}.tau" for n in final if naming.family(n) == "lag"]
+        truths["time"] = (lags, sensor.body.behind)
+    if sensor.structure == "added":
+        truths["lag"] = (["bias.thermal_lag"], sensor.share * sensor.slope)
+    stated = {"bias.constant", "bias.temperature", *final, *(f"{n}.tau" for n in final)}
+    found = {}
+    for what, (own, true) in truths.items():
+        held = [n for n in own if n in names]
+        if len(held) != 1:
+            continue
+        draws = calibration.samples(held[0])
+        if (freed := f"{held[0]}.freed") in names:  # what its stated size does not reach
+            draws = draws + calibration.samples(freed)
+        low, high = credible_interval(draws)
+        found[what] = {
+            "name": held[0],
+            "mean": float(np.mean(draws)),
+            "sd": float(np.std(draws)),
+            "low": low,
+            "high": high,
+            "true": float(true),
+            "inside": bool(low <= true <= high),
+            "stated": held[0] in stated,
+        }
+    return found

@@ -1,0 +1,120 @@
+"""What no family describes, hidden in the ordinary test: is it called unknown, or by a wrong name?
+
+    python -m benchmarks no_family
+
+A further recorded column that the output follows; a resonance in the temperature of the die; a step at a moment; a
+function of the time in a run that is no warm-up. A line a campaign in results/no_family.jsonl.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.ordinary_test import page
+from benchmarks.ordinary_test.judged import INSTRUMENTS, judged
+from benchmarks.ordinary_test.planned import go_through, in_order
+from benchmarks.ordinary_test.worlds import STRUCTURES, Array, Further, Record, drawn
+from benchmarks.record import RESULTS
+
+PATH = RESULTS / "no_family.jsonl"
+READINGS = (200, 1600)
+SEEDS = 15
+BESIDE = ("run", "warm-up", "curve")  # each hidden beside it in one campaign of four
+STRENGTHS = (0.3, 5.0)  # rms, in parts of the noise; log-uniform
+
+
+class Cell(NamedTuple):
+    """One campaign of the plan."""
+
+    shape: str
+    repeats: bool
+    readings: int
+    seed: int
+
+
+def plan() -> list[Cell]:
+    """All cells, in their order."""
+    return in_order(
+        [
+            Cell(shape, r, n, seed)
+            for shape in SHAPES
+            for r in (True, False)
+            for n in READINGS
+            for seed in range(SEEDS)
+        ]
+    )
+
+
+def column(rng: np.random.Generator, bare: Record) -> Further:
+    """The output follows the speed of a fan, and saturates; nothing in the catalogue knows of fans."""
+    seed, bend = int(rng.integers(2**31)), rng.uniform(0.3, 2.0)
+
+    def wave(record: Record) -> Array:
+        own = np.random.default_rng([seed, int(record.time[0])])
+        knots = np.arange(0.0, np.ptp(record.time) + 900.0, 900.0)
+        values = own.standard_normal(len(knots))
+        return np.interp(record.time - record.time[0], knots, values)
+
+    return Further(
+        lambda record: np.tanh(bend * wave(record)) / bend,
+        {"fan_speed [Hz]": lambda record: np.round(50 + 5 * wave(record), 3)},
+    )
+
+
+def resonance(rng: np.random.Generator, bare: Record) -> Further:
+    """Two modes cross at one temperature of the die: the output rises there by a Lorentz curve."""
+    low, high = np.quantile(bare.inner, [0.2, 0.8])
+    at, width = rng.uniform(low, high), rng.uniform(1.0, 4.0)
+    return Further(lambda record: 1 / (1 + ((record.inner - at) / width) ** 2))
+
+
+def step(rng: np.random.Generator, bare: Record) -> Further:
+    """The output steps at one moment, within a run, and stays."""
+    at = float(rng.choice(np.quantile(bare.time, np.linspace(0.25, 0.75, 50))))
+    return Further(lambda record: (record.time > at).astype(float))
+
+
+def elapsed(rng: np.random.Generator, bare: Record) -> Further:
+    """In every run the output swings after power-on, and the swing dies away: no warm-up does that."""
+    longest = float(bare.since.max())
+    period, dies = longest * rng.uniform(0.25, 0.7, 2)
+    phase = rng.uniform(0.0, 2 * np.pi)
+    return Further(lambda r: np.sin(2 * np.pi * r.since / period + phase) * np.exp(-r.since / dies))
+
+
+SHAPES = {"column": column, "resonance": resonance, "step": step, "elapsed": elapsed}
+
+
+def measured(cell: Cell) -> dict[str, Any]:
+    """One campaign's row."""
+    shape = list(SHAPES).index(cell.shape)
+    rng = np.random.default_rng([54, shape, cell.repeats, cell.readings, cell.seed])
+    structure = str(rng.choice(("none", *STRUCTURES)))
+    hidden = tuple(f for f in BESIDE if rng.random() < 0.25)
+    low, high = np.log(STRENGTHS)
+    strength = float(np.exp(rng.uniform(low, high)))
+
+    def further(rng: np.random.Generator, bare: Record, noise: float) -> Further:
+        made = SHAPES[cell.shape](rng, bare)
+        assert made.law is not None
+        law, spread = made.law, float(np.std(made.law(bare)))
+        return Further(lambda record: strength * noise / spread * law(record), made.columns)
+
+    whole = (structure, cell.repeats, cell.readings, hidden)
+    campaign = drawn(rng, *whole, recorded=False, further=further)
+    instrument = sorted(INSTRUMENTS)[int(rng.integers(2))]
+    return {"structure": structure, "strength": strength, **judged(campaign, instrument)}
+
+
+def main(arguments: Sequence[str] = ()) -> None:
+    """Run what is missing, and render the page."""
+    if go_through(plan(), measured, PATH, arguments) == PATH:
+        page.write()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,480 @@
+"""A sensor on a package in a chamber: what is recorded of a campaign, and every true column behind it.
+
+The thermometer stands on the package, the sensor is a body behind it (or its electronics is). A campaign has three to
+five runs of one to two and a half hours; each begins with the power going on, in a chamber that came from somewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from benchmarks.ordinary_test.bodies import (
+    Array,
+    Body,
+    Chamber,
+    lump,
+    slab,
+    two_stages,
+)
+from benchmarks.ordinary_test.oracle import least_squares, log_evidence
+
+STEP = 1.0  # s, of the integration: half of it moves no body by a thousandth of a degree
+STRUCTURES = ("die", "two stages", "diffusing", "added")
+ZERO, CONSTANT_SD = 20.0, 50.0  # °/s
+SLOPES = (0.01, 0.1)  # °/s/°C, log-uniform, of either sign
+SLOPE_SD = 0.05
+NOISES = (0.02, 0.1)  # °/s, log-uniform
+LARGEST = 8.0  # rms of what is hidden, in parts of the noise; log-uniform up to this
+SMALLEST = 3.0  # from this, over the square root of the readings (of the runs, for their offsets)
+# As far as a gyroscope's stated sizes reach, three of them: no test of priors. °/s/°C², °/s, °/s
+PLAUSIBLE = {"curve": 1.5e-3, "warm-up": 1.5, "run": 0.15}
+TIMES = (45.0, 1800.0)  # s, log-uniform: the time by which a body is behind a steady ramp
+WARM_UPS = (200.0, 2400.0)  # s, log-uniform
+MONTH = 30 * 86400.0  # s, between what is fitted and what is held out
+STYLES = ("mixed", "ramps", "steps")  # of a program
+
+
+class Program(NamedTuple):
+    """Set points of a chamber through a run: corners of a line.
+
+    Attributes:
+        time: s since power-on.
+        goal: °C.
+    """
+
+    time: Array
+    goal: Array
+
+
+@dataclass(frozen=True)
+class Record:
+    """Runs as they were recorded, and what is behind each reading.
+
+    Attributes:
+        run: index of each reading's run, from 0.
+        time: s, one origin over all runs.
+        package: true temperature under the thermometer, °C.
+        thermometer: as recorded, °C.
+        inner: temperature of the body behind it, °C.
+        warming: what self-heating still lacks, 1 at power-on.
+        supply: as recorded, V.
+        output: °/s.
+        clean: the same without noise.
+        since: s since a run's first reading.
+    """
+
+    run: NDArray[np.int64]
+    time: Array
+    package: Array
+    thermometer: Array
+    inner: Array
+    warming: Array
+    supply: Array
+    output: Array
+    clean: Array
+    since: Array
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What is true of one sensor.
+
+    Attributes:
+        structure: of `STRUCTURES`; "none": nothing lags.
+        body: behind the package.
+        middle: °C, about which its laws are written.
+        slope: of the settled output, °/s/°C.
+        share: of it, the electronics'; of `added` alone.
+        sizes: °/s over a unit of each hidden family's own column: °/s/°C² for the curve, °/s for warm-up and runs
+            (standard deviation), °/s/V for the supply.
+        noise: °/s.
+        further: an effect that no family describes, °/s.
+    """
+
+    structure: str
+    body: Body
+    middle: float
+    slope: float
+    share: float
+    sizes: Mapping[str, float]
+    noise: float
+    further: Callable[[Record], Array] | None = None
+
+    def acting(self, record: Record) -> Array:
+        """Temperature at which the sensor's own terms act, from the middle, °C."""
+        at = record.package if self.structure in ("added", "none") else record.inner
+        return at - self.middle
+
+    def thermal(self, record: Record) -> Array:
+        """What follows the temperatures, °/s."""
+        acts = self.acting(record)
+        found = self.slope * acts + self.sizes.get("curve", 0.0) * acts**2
+        if self.structure == "added":
+            found = found + self.share * self.slope * (record.inner - record.package)
+        return found
+
+    def measured(self, rng: np.random.Generator, record: Record) -> Record:
+        """The same runs with an output, each run with an offset of its own."""
+        runs = len(np.unique(record.run))
+        offsets = self.sizes.get("run", 0.0) * rng.standard_normal(runs)
+        clean = ZERO + offsets[record.run] + self.thermal(record)
+        clean = clean + self.sizes.get("warm-up", 0.0) * record.warming
+        clean = clean + self.sizes.get("supply", 0.0) * (record.supply - 5.0)
+        if self.further is not None:
+            clean = clean + self.further(record)
+        output = clean + self.noise * rng.standard_normal(len(clean))
+        return replace(record, clean=clean, output=output)
+
+    def settled(self, temperature: Array) -> Array:
+        """Output long after the temperature and the power came on, °/s, runs and supply at their means."""
+        u = temperature - self.middle
+        return ZERO + self.slope * u + self.sizes.get("curve", 0.0) * u**2
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign to fit, two to predict, and the sensor.
+
+    Attributes:
+        sensor: what is true.
+        fitted: readings to fit.
+        later: hold-out readings of the same kind of profile, and of another kind.
+        hidden: families that are there.
+        recorded: whether the supply is a column of the file.
+        columns: further ones, by header.
+    """
+
+    sensor: Sensor
+    fitted: Record
+    later: Mapping[str, Record]
+    hidden: tuple[str, ...]
+    recorded: bool
+    columns: Mapping[str, Callable[[Record], Array]]
+
+    def file(self, record: Record, first: int = 1) -> dict[str, Array]:
+        """Columns of a file by header; runs are numbered from `first`."""
+        found = {
+            "run": np.array([f"{first + int(r)}" for r in record.run]),
+            "time [s]": np.round(record.time, 3),
+            "temperature [degC]": np.round(record.thermometer, 3),
+        }
+        if self.recorded:
+            found["supply [V]"] = np.round(record.supply, 5)
+        found |= {header: made(record) for header, made in self.columns.items()}
+        return {**found, "output [deg/s]": np.round(record.output, 6)}
+
+    def design(self, record: Record, without: str = "") -> tuple[Array, Array, list[str]]:
+        """True columns of a model (n, k), prior standard deviations of their coefficients, and whose each is.
+
+        Args:
+            record: readings.
+            without: a family to leave out; all temperature terms then act at the thermometer.
+        """
+        sensor, sizes = self.sensor, self.sensor.sizes
+        lags = without != "lag" and sensor.structure not in ("added", "none")
+        acts = record.inner - sensor.middle if lags else record.thermometer - sensor.middle
+        found = [("constant", np.ones_like(acts), CONSTANT_SD), ("slope", acts, SLOPE_SD)]
+        if sensor.structure == "added":
+            found.append(("lag", record.inner - record.thermometer, sensor.share * sensor.slope))
+        if sensor.further is not None:
+            found.append(("further", sensor.further(record), 1.0))
+        own = {
+            "curve": [acts**2],
+            "warm-up": [record.warming],
+            "supply": [record.supply - 5.0],
+            "run": [(record.run == r).astype(float) for r in np.unique(record.run)],
+        }
+        for name in self.hidden:
+            found += [(name, column, sizes[name]) for column in own.get(name, ())]
+        kept = [one for one in found if one[0] != without]
+        names = [name for name, _, _ in kept]
+        return np.array([c for _, c, _ in kept]).T, np.abs([s for _, _, s in kept]), names
+
+    def oracle(self) -> dict[str, float]:
+        """Log Bayes factor of each hidden family: all true columns against these without its own, in nats."""
+        y = self.fitted.output
+        columns, sd, _ = self.design(self.fitted)
+        whole = log_evidence(y, columns, sd)
+        found = {}
+        names = (*self.hidden, *(("further",) if self.sensor.further is not None else ()))
+        for name in names:
+            columns, sd, _ = self.design(self.fitted, without=name)
+            found[name] = whole - log_evidence(y, columns, sd)
+        return found
+
+    def errors_of_true(self) -> dict[str, float]:
+        """Hold-out errors of the true model, fitted by least squares, °/s rms, a constant of each run removed."""
+        columns, _, names = self.design(self.fitted)
+        # Of a constant and an offset for every run, one is too many: the latter have the level.
+        kept = [i for i, n in enumerate(names) if n != "constant" or "run" not in self.hidden]
+        found = least_squares(self.fitted.output, columns[:, kept])
+        level = np.array([names[i] not in ("run", "constant") for i in kept])
+        made = {}
+        for kind, record in self.later.items():
+            there, _, own = self.design(record)
+            chosen = [i for i, n in enumerate(own) if n not in ("run", "constant")]
+            expected = there[:, chosen] @ found[level]
+            made[kind] = within_runs(record.output - expected, record.run)
+        return made
+
+
+def within_runs(errors: Array, run: NDArray[np.int64]) -> float:
+    """Root mean square of errors whose mean in each run is removed."""
+    codes = np.unique(run, return_inverse=True)[1]
+    means = np.bincount(codes, errors) / np.bincount(codes)
+    return float(np.sqrt(np.mean((errors - means[codes]) ** 2)))
+
+
+def drawn(
+    rng: np.random.Generator,
+    structure: str,
+    repeats: bool,
+    readings: int,
+    hidden: tuple[str, ...],
+    *,
+    recorded: bool,
+    offsets: float | None = None,
+    further: Callable[[np.random.Generator, Record, float], Further] | None = None,
+) -> Campaign:
+    """A campaign with these families hidden in it, all else at random.
+
+    Args:
+        rng: of everything.
+        structure: of `STRUCTURES`, or "none".
+        repeats: whether all runs have one profile.
+        readings: how many, nearly.
+        hidden: of "run", "warm-up", "curve", "supply".
+        recorded: whether the supply is in the file.
+        offsets: standard deviation of the runs' offsets in parts of the noise; at random if not given.
+        further: makes an effect that no family describes, of the readings to fit and the noise.
+    """
+    plan = Plan.of(rng, structure, repeats, readings)
+    noise = _log_uniform(rng, NOISES)
+    bare, count = plan.record(rng, plan.programs), len(plan.programs)
+    sizes = {}
+    for name in hidden:
+        column, seen = {
+            "curve": (_beyond_line((bare.inner - plan.middle) ** 2, bare.inner), len(bare.time)),
+            "warm-up": (bare.warming - bare.warming.mean(), len(bare.time)),
+            "supply": (bare.supply - bare.supply.mean(), len(bare.time)),
+            "run": (np.ones(1), len(bare.time) / count),
+        }[name]
+        unit = np.sqrt(np.mean(column**2)) / noise
+        low, high = SMALLEST / np.sqrt(seen) / unit, LARGEST / unit
+        high = max(low, min(high, PLAUSIBLE.get(name, high)))
+        sign = 1.0 if name == "run" else rng.choice((-1.0, 1.0))
+        sizes[name] = sign * _log_uniform(rng, (low, high))
+    if offsets is not None:
+        sizes["run"] = offsets * noise
+    beside = Further() if further is None else further(rng, bare, noise)
+    own = plan.structure, plan.body, plan.middle, plan.slope, plan.share
+    sensor = Sensor(*own, sizes, noise, beside.law)
+    later = {
+        kind: sensor.measured(rng, plan.record(rng, programs, (1 + i) * MONTH))
+        for i, (kind, programs) in enumerate(plan.later.items())
+    }
+    true = () if structure == "none" else ("lag",)
+    fitted = sensor.measured(rng, bare)
+    return Campaign(sensor, fitted, later, (*true, *hidden), recorded, beside.columns)
+
+
+class Further(NamedTuple):
+    """An effect that no family describes, and the columns that are recorded for it."""
+
+    law: Callable[[Record], Array] | None = None
+    columns: Mapping[str, Callable[[Record], Array]] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a campaign goes: the sensor's bodies, the programs of its runs, the times of readings.
+
+    Attributes:
+        structure, body, warm, middle: as of `Sensor`.
+        package: under the thermometer, in the chamber's air.
+        chamber: in which it is tested.
+        slope, share: likewise.
+        programs: of each fitted run.
+        later: of hold-out runs, by kind: "same", "other".
+        duration: of a run, s.
+        interval: between readings, s.
+        delay: of the logger, from power-on to a run's first reading, s.
+    """
+
+    structure: str
+    body: Body
+    warm: Body
+    package: Body
+    chamber: Chamber
+    middle: float
+    slope: float
+    share: float
+    programs: tuple[Program, ...]
+    later: Mapping[str, tuple[Program, ...]]
+    duration: float
+    interval: float
+    delay: float
+
+    @classmethod
+    def of(cls, rng: np.random.Generator, structure: str, repeats: bool, readings: int) -> Plan:
+        """A plan at random."""
+        runs = int(rng.integers(3, 6))
+        duration = rng.uniform(1.2, 2.5) * 3600
+        low = rng.uniform(-40.0, 25.0)
+        ends = low, low + rng.uniform(35.0, min(90.0, 85.0 - low))
+        style = str(rng.choice(STYLES))
+        other = str(rng.choice([s for s in STYLES if s != style]))
+
+        def programs(count: int, style: str, one: bool) -> tuple[Program, ...]:
+            made = [_program(rng, style, ends, duration) for _ in range(1 if one else count)]
+            return tuple(made * count if one else made)
+
+        fitted = programs(runs, style, repeats)
+        same = (fitted[0], fitted[0]) if repeats else programs(2, style, False)
+        return cls(
+            structure,
+            _body(rng, structure),
+            _warm(rng),
+            lump(rng.uniform(30.0, 120.0)),
+            Chamber(
+                rng.uniform(240.0, 600.0),
+                rng.uniform(0.4, 0.9),
+                rng.uniform(3.0, 8.0) / 60,
+                0.1,
+            ),
+            float(np.mean(ends)),
+            _log_uniform(rng, SLOPES) * rng.choice((-1.0, 1.0)),
+            rng.uniform(0.2, 1.0) * rng.choice((-1.0, 1.0)),
+            fitted,
+            {"same": same, "other": programs(2, other, False)},
+            duration,
+            duration * runs / readings,
+            rng.uniform(0.0, 60.0),
+        )
+
+    def record(
+        self, rng: np.random.Generator, programs: tuple[Program, ...], begun: float = 0.0
+    ) -> Record:
+        """Runs through these programs, one after the other, the power off between them; no output yet."""
+        parts = []
+        for i, program in enumerate(programs):
+            one = _run(rng, self, program)
+            count = len(one["since"])
+            parts.append({**one, "run": np.full(count, i), "time": begun + one["since"]})
+            begun += self.duration + rng.uniform(0.5, 15.0) * 3600
+        joined = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
+        nothing = np.zeros_like(joined["time"])
+        return Record(**joined, output=nothing, clean=nothing)
+
+
+def _run(rng: np.random.Generator, plan: Plan, program: Program) -> dict[str, Array]:
+    """One run: the chamber comes from somewhere, soaks, the power goes on, and the program runs."""
+    first = float(program.goal[0])
+    came = rng.uniform(18.0, 28.0)
+    # Who tests knows about how slow the part is: it has come to within a degree or two.
+    soak = max(float(rng.choice((600.0, 1800.0, 5400.0))), rng.uniform(2.0, 5.0) * plan.body.behind)
+    before = abs(came - first) / plan.chamber.fastest + soak
+    grid = np.arange(0.0, before + plan.duration + 2 * STEP, STEP)
+    ramp = abs(came - first) / plan.chamber.fastest
+    corners = [0.0, max(ramp, STEP), before]
+    goal = np.interp(
+        grid,
+        [*corners, *(before + STEP + program.time)],
+        [came, first, first, *program.goal],
+    )
+    air = plan.chamber.air(goal, STEP, rng)
+    package = plan.package.inside(air, STEP)
+    inner = plan.body.inside(package, STEP)
+    on = plan.delay
+    since = np.arange(0.0, plan.duration - on, plan.interval)
+    at = before + on + since
+    ticks = np.arange(0.0, plan.duration + 2 * STEP, STEP)
+    there = np.interp(at, grid, package)
+    return {
+        "since": since,
+        "package": there,
+        "thermometer": there + 0.005 * rng.standard_normal(len(at)),
+        "inner": np.interp(at, grid, inner),
+        "warming": np.interp(on + since, ticks, plan.warm.warming(ticks, STEP)),
+        "supply": np.interp(on + since, ticks, _supply(rng, len(ticks))),
+    }
+
+
+def _supply(rng: np.random.Generator, count: int) -> Array:
+    """A supply of 5 V that wanders over 20 min, with steps of its load, V."""
+    share = STEP / 1200.0
+    kicks = np.sqrt(2 * share) * rng.standard_normal(count)
+    kicks[0] = rng.standard_normal()
+    wander = lfilter([1.0], [1.0, share - 1.0], kicks)
+    steps = np.zeros(count)
+    for at in rng.integers(0, count, rng.poisson(3)):
+        steps[at:] += 0.04 * rng.standard_normal()
+    return 5.0 + 0.05 * np.asarray(wander) + steps
+
+
+def _program(
+    rng: np.random.Generator, style: str, ends: tuple[float, float], duration: float
+) -> Program:
+    """Ramps, steps and dwells between two temperatures."""
+    time, goal = [0.0], [float(rng.uniform(*ends))]
+    up = bool(rng.integers(2))
+    while time[-1] < duration:
+        low, high = ends
+        span = high - low
+        # Ramps go from one end's third to the other's; steps anywhere.
+        to = rng.uniform(high - span / 3, high) if up else rng.uniform(low, low + span / 3)
+        if style == "steps" or (style == "mixed" and rng.random() < 0.3):
+            to = float(
+                np.clip(goal[-1] + rng.choice((-1, 1)) * span * rng.uniform(0.1, 0.4), *ends)
+            )
+            took, dwell = 30.0, rng.uniform(8.0, 30.0) * 60
+        else:
+            took = abs(to - goal[-1]) / (_log_uniform(rng, (0.7, 4.0)) / 60)
+            dwell = 0.0 if style == "ramps" and rng.random() < 0.6 else rng.uniform(3.0, 25.0) * 60
+        up = not up
+        for seconds in (took, dwell):
+            if seconds > 0:
+                time.append(time[-1] + seconds)
+                goal.append(float(to))
+    return Program(np.array(time), np.array(goal))
+
+
+def _body(rng: np.random.Generator, structure: str) -> Body:
+    """A body whose settled lag on a ramp is log-uniform over `TIMES`."""
+    time = _log_uniform(rng, TIMES)
+    ratio, contact, mean = (
+        _log_uniform(rng, (0.2, 1.0)),
+        _log_uniform(rng, (2, 50)),
+        rng.integers(2),
+    )
+    if structure == "two stages":
+        made = two_stages(1.0, ratio, rng.uniform(0.1, 0.5))
+    elif structure == "diffusing":
+        made = slab(1.0, contact, bool(mean))
+    else:
+        made = lump(1.0)
+    return Body(made.capacity * time / made.behind, made.conductance, made.weight)
+
+
+def _warm(rng: np.random.Generator) -> Body:
+    """What heats itself: an exponential of two times, or a slab."""
+    time, ratio = _log_uniform(rng, WARM_UPS), _log_uniform(rng, (0.1, 0.4))
+    made = two_stages(1.0, ratio, ratio) if rng.random() < 0.5 else slab(2.5, 3.0, False)
+    return Body(made.capacity * time, made.conductance, made.weight)
+
+
+def _beyond_line(column: Array, along: Array) -> Array:
+    """What a constant and a line leave of a column."""
+    line = np.array([np.ones_like(along), along - along.mean()]).T
+    return column - line @ least_squares(column, line)
+
+
+def _log_uniform(rng: np.random.Generator, ends: tuple[float, float]) -> float:
+    return float(np.exp(rng.uniform(*np.log(ends))))

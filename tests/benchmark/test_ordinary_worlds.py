@@ -1,0 +1,306 @@
+"""The ordinary test's own worlds and oracle: energy is kept, steps are fine enough, evidences are exact."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import dblquad, quad
+from scipy.stats import multivariate_normal
+
+from benchmarks.ordinary_test import good_records, naming, no_family, own_unit, page
+from benchmarks.ordinary_test.bodies import Body, Chamber, lump, slab, two_stages
+from benchmarks.ordinary_test.measurement import READINGS, SEEDS, Cell, made, plan
+from benchmarks.ordinary_test.oracle import least_squares, log_evidence
+from benchmarks.ordinary_test.planned import go_through, in_order
+from benchmarks.ordinary_test.worlds import (
+    STEP,
+    STRUCTURES,
+    TIMES,
+    ZERO,
+    Campaign,
+    Plan,
+    drawn,
+    within_runs,
+)
+from benchmarks.record import read_lines
+
+BODIES = {
+    "die": lump(300.0),
+    "two stages": two_stages(200.0, 120.0, 0.3),
+    "slab, its mean": slab(900.0, 5.0, True),
+    "slab, its far face": slab(900.0, 20.0, False),
+}
+
+
+SLOW = ("die", "two stages")  # of structures that end alike, two in the fast tests
+
+
+def outside(step: float, seconds: float = 3600.0) -> np.ndarray:
+    """A ramp, a hold and a wave, °C."""
+    t = np.arange(0.0, seconds + 0.5 * step, step)
+    return np.interp(t, [0, 600, 1500, 2400, seconds], [25, 25, 70, 70, -10]) + np.sin(t / 200)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_heat_that_enters_is_stored(name: str) -> None:
+    body, face = BODIES[name], outside(1.0)
+    cells = body.cells(face, 1.0, body.settled(face[0]))
+    flow = body.conductance[0] * (face - cells[:, 0])  # W
+    entered = np.cumsum(0.5 * (flow[1:] + flow[:-1]))
+    stored = (cells[1:] - cells[0]) @ body.capacity
+    np.testing.assert_allclose(entered, stored, rtol=1e-9, atol=1e-9 * np.ptp(stored))
+
+
+def test_heat_of_a_heater_leaves_through_the_face() -> None:
+    """In the end all of its power does, and the cells stand as far above the outside as `settled` says."""
+    body, still = BODIES["slab, its far face"], np.zeros(40_000)
+    last = body.cells(still, 1.0, 0 * body.capacity, power=3.0)[-1]
+    assert body.conductance[0] * last[0] == pytest.approx(3.0, rel=1e-9)
+    np.testing.assert_allclose(last, body.settled(0.0, 3.0), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_half_the_step_changes_nothing(name: str) -> None:
+    body = BODIES[name]
+    coarse, fine = (body.inside(outside(step), step) for step in (STEP, 0.5 * STEP))
+    assert np.max(np.abs(fine[::2] - coarse)) < 1e-3  # °C, of 80
+
+
+@pytest.mark.parametrize("mean", [True, False])
+def test_twice_the_cells_change_nothing(mean: bool) -> None:
+    once, twice = (slab(900.0, 5.0, mean, cells).inside(outside(1.0), 1.0) for cells in (60, 120))
+    assert np.max(np.abs(once - twice)) < 1e-3 * np.ptp(once)
+
+
+def test_a_slab_follows_the_series_of_its_eigenfunctions() -> None:
+    """Its mean after a step of its face: 1 − Σ 8/(π²k²)·exp(−k²π²t/4τ), k odd (Carslaw & Jaeger, 1959, §3.3)."""
+    tau, t = 900.0, np.arange(0.0, 2001.0)
+    k = np.arange(1, 400, 2)[:, None]
+    true = 1 - (8 / (np.pi * k) ** 2 * np.exp(-((k * np.pi) ** 2) * t / (4 * tau))).sum(axis=0)
+    face = np.ones_like(t)
+    body = slab(tau, 1e9, True)
+    found = body.cells(face, 1.0, 0 * body.capacity) @ body.weight
+    assert np.max(np.abs(found - true)[30:]) < 2e-3
+
+
+def test_one_body_and_two_follow_their_exponentials() -> None:
+    t = np.arange(0.0, 3000.0)
+    face = np.ones_like(t)
+    one = lump(300.0).cells(face, 1.0, np.zeros(1))[:, 0]
+    np.testing.assert_allclose(one, 1 - np.exp(-t / 300.0), atol=1e-5)
+    body = BODIES["two stages"]
+    rates, modes = np.linalg.eig(body.between / body.capacity[:, None])
+    parts = np.linalg.solve(modes, np.ones(2))
+    true = 1 - (modes[1, :, None] * parts[:, None] * np.exp(rates[:, None] * t)).sum(axis=0)
+    found = body.cells(face, 1.0, np.zeros(2))[:, 1]
+    np.testing.assert_allclose(found, true, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_a_body_is_behind_a_steady_ramp_by_its_time(name: str) -> None:
+    body, ramp = BODIES[name], 0.01 * np.arange(0.0, 30_000.0)
+    assert 100 * (ramp[-1] - body.inside(ramp, 1.0)[-1]) == pytest.approx(body.behind, rel=1e-6)
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_how_far_a_drawn_body_is_behind_is_in_its_range(structure: str) -> None:
+    for seed in range(20):
+        body = Plan.of(np.random.default_rng(seed), structure, True, 200).body
+        assert TIMES[0] <= body.behind <= TIMES[1]
+
+
+def test_a_chamber_overshoots_and_comes_to_rest() -> None:
+    chamber = Chamber(400.0, 0.5, 5.0 / 60, 0.0)
+    goal = np.where(np.arange(6000) < 100, 20.0, 60.0)
+    air = chamber.air(goal, 1.0, np.random.default_rng(0))
+    assert 60.5 < air.max() < 66 and abs(air[-1] - 60) < 1e-3
+    fine = chamber.air(np.repeat(goal, 4), 0.25, np.random.default_rng(0))[::4]
+    assert np.max(np.abs(fine - air)) < 0.5
+
+
+WHOLE = [pytest.param(s, marks=[pytest.mark.slow] * (s in SLOW)) for s in STRUCTURES]
+
+
+@pytest.fixture(scope="module", params=WHOLE)
+def campaign(request: pytest.FixtureRequest) -> Campaign:
+    hidden = ("run", "warm-up", "curve", "supply")
+    return drawn(np.random.default_rng(3), request.param, False, 200, hidden, recorded=True)
+
+
+def test_true_columns_make_the_output(campaign: Campaign) -> None:
+    """Their fit to the output without noise leaves next to nothing, in what is fitted and in what is held out."""
+    for record in (campaign.fitted, *campaign.later.values()):
+        columns, _, _ = campaign.design(record)
+        left = record.clean - columns @ least_squares(record.clean, columns)
+        assert np.max(np.abs(left)) < 0.3 * campaign.sensor.noise  # of the thermometer's noise
+
+
+def test_the_true_model_predicts_to_the_noise(campaign: Campaign) -> None:
+    for error in campaign.errors_of_true().values():
+        assert 0.7 < error / campaign.sensor.noise < 1.4
+
+
+def test_settled_output_is_what_a_chamber_that_holds_shows(campaign: Campaign) -> None:
+    record, sensor = campaign.fitted, campaign.sensor
+    at = replace(record, inner=record.package)
+    expected = ZERO + sensor.thermal(at)
+    np.testing.assert_allclose(sensor.settled(record.package), expected, rtol=1e-12)
+
+
+def test_a_file_is_what_a_logger_writes(campaign: Campaign) -> None:
+    file = campaign.file(campaign.fitted, first=4)
+    assert list(file) == [
+        "run", "time [s]", "temperature [degC]", "supply [V]", "output [deg/s]",
+    ]  # fmt: skip
+    assert file["run"][0] == "4" and np.all(np.diff(file["time [s]"]) > 0)
+
+
+def small_problem(k: int, n: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(k)
+    columns, sd = rng.standard_normal((n, k)), rng.uniform(0.5, 3.0, k)
+    return columns @ (sd * rng.standard_normal(k)) + 0.7 * rng.standard_normal(n), columns, sd
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_evidence_is_that_of_the_whole_covariance(k: int) -> None:
+    y, columns, sd = small_problem(k)
+
+    def density(log_sigma: float) -> float:
+        covariance = (columns * sd**2) @ columns.T + math.exp(2 * log_sigma) * np.eye(len(y))
+        return math.exp(multivariate_normal(np.zeros(len(y)), covariance).logpdf(y))  # pyright: ignore[reportArgumentType]
+
+    true = math.log(quad(density, -5, 5, epsabs=0, limit=400)[0])
+    assert log_evidence(y, columns, sd) == pytest.approx(true, abs=1e-3)
+
+
+def test_evidence_is_the_integral_over_coefficient_and_noise() -> None:
+    y, columns, sd = small_problem(1)
+
+    def density(c: float, log_sigma: float) -> float:
+        sigma = math.exp(log_sigma)
+        left = (y - columns[:, 0] * c) / sigma
+        log = -0.5 * left @ left - len(y) * (log_sigma + 0.5 * math.log(2 * math.pi))
+        prior = -0.5 * (c / sd[0]) ** 2 - math.log(sd[0] * math.sqrt(2 * math.pi))
+        return math.exp(log + prior)
+
+    true = math.log(dblquad(density, -3, 3, -6, 6, epsabs=0, epsrel=1e-6)[0])
+    assert log_evidence(y, columns, sd) == pytest.approx(true, abs=1e-3)
+
+
+def test_what_is_not_there_has_no_evidence() -> None:
+    """The mean over data of exp(−log Bayes factor) under the larger model is one, so it favours the smaller rarely."""
+    rng, gains = np.random.default_rng(5), []
+    for _ in range(200):
+        columns, sd = rng.standard_normal((50, 3)), np.ones(3)
+        y = columns[:, :2] @ rng.standard_normal(2) + rng.standard_normal(50)
+        gains.append(log_evidence(y, columns, sd) - log_evidence(y, columns[:, :2], sd[:2]))
+    assert np.mean(gains) < 0 and np.mean(np.exp(gains)) < 3
+
+
+def test_errors_lose_the_mean_of_each_run() -> None:
+    run = np.array([0, 0, 1, 1])
+    assert within_runs(np.array([1.0, 3.0, 10.0, 12.0]), run) == pytest.approx(1.0)
+
+
+def test_the_plan_is_one_order_and_a_part_of_it_is_its_beginning() -> None:
+    cells = plan()
+    assert len(set(cells)) == len(cells) == len(STRUCTURES) * 2 * len(READINGS) * SEEDS
+    # Drawn before anything was measured: this is that order.
+    assert [tuple(c) for c in cells[:2]] == [
+        ("added", True, 200, 1), ("die", False, 200, 0),
+    ]  # fmt: skip
+
+
+def test_a_cell_is_the_same_each_time() -> None:
+    cell = Cell("die", True, 200, 0)
+    (one, name), (other, same) = made(cell), made(cell)
+    assert name == same and np.array_equal(one.fitted.output, other.fitted.output)
+    assert one.oracle() == other.oracle()
+
+
+def test_names_and_sets_are_families() -> None:
+    said = naming.said(["bias.rate"], [("bias.warm_up", "unknown(elapsed)")])
+    assert said == {"lag", "warm-up", "description"}
+    assert naming.family("unknown(supply)") == "supply"
+    true = {"lag", "supply"}
+    assert naming.invented(["bias.body", "unknown(elapsed)"], [], true) == []
+    assert naming.invented(["bias.hysteresis"], [("bias.hysteresis", "bias.rate")], true) == []
+    assert naming.invented(["bias.drift"], [], true) == ["bias.drift"]
+    sets = [("bias.drift", "unknown(time)"), ("unknown(time)", "unknown(elapsed)")]
+    assert naming.invented([], sets, true) == ["bias.drift or unknown(time)"]
+
+
+def test_a_body_needs_no_start_to_be_in_balance() -> None:
+    still = np.full(100, 40.0)
+    for body in BODIES.values():
+        assert isinstance(body, Body)
+        np.testing.assert_allclose(body.inside(still, 1.0), 40.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("shape", no_family.SHAPES)
+def test_what_no_family_describes_has_its_strength_and_its_columns(shape: str) -> None:
+    """It is as large as drawn, a function of what is recorded or of time, and the same law in hold-out runs."""
+    plan = Plan.of(np.random.default_rng(1), "die", False, 200)
+    bare = plan.record(np.random.default_rng(2), plan.programs[:2])
+    law, columns = no_family.SHAPES[shape](np.random.default_rng(3), bare)
+    assert law is not None and np.std(law(bare)) > 0
+    assert list(columns) == (["fan_speed [Hz]"] if shape == "column" else [])
+    if shape == "column":
+        order = np.argsort(columns["fan_speed [Hz]"](bare))
+        assert np.all(np.diff(law(bare)[order]) > -1e-3)
+    if shape == "elapsed":
+        first, second = (law(bare)[bare.run == r] for r in (0, 1))
+        np.testing.assert_allclose(first[:50], second[:50], atol=0.02)
+    if shape == "step":
+        assert set(np.unique(law(bare))) == {0.0, 1.0}
+
+
+ROW: dict[str, Any] = {
+    "core": "0", "structure": "die", "repeats": True, "readings": 1600, "instrument": "mems_gyro",
+    "hidden": ["lag", "run"], "oracle": {"lag": 100.0, "run": 3.0, "further": 20.0},
+    "final": ["bias.rate", "unknown(elapsed)", "bias.drift"], "sets": [[["bias.drift"], 0.99]],
+    "noise_law": "white", "status": 1, "reason": "The coefficient is not measured.", "seconds": 10.0,
+    "coefficients": {"slope": {"inside": False, "stated": True}},
+    "holdout": {k: {"tool": 1.2, "true": 1.0} for k in ("same", "other")}, "shape": "elapsed",
+    "doubted": ["notes"], **{f"held_{k}": {"open": k != "unit"} for k in ("same", "other", "unit")},
+}  # fmt: skip
+
+
+def test_rows_become_a_page() -> None:
+    assert page.lost(ROW) == [] and page.lost({**ROW, "final": []}) == ["lag"]
+    assert page.invented(ROW) == ["bias.drift"] and page.described(ROW) == ["unknown(elapsed)"]
+    said = page.ordinary([ROW, {"core": "0", "crash": "KeyError: 'x'"}])
+    assert "1 campaigns; ended in an error: 1" in said
+    assert "| status 0 | ≥ 90 % | 0/1 (0–98 %) |" in said
+    assert "| named, and not there | bias.drift | 1 |" in said
+    assert "| elapsed | 1 | 1/1" in page.no_family([ROW])
+    right = {**ROW, "status": 0, "final": ["bias.rate"], "sets": []}
+    assert "| another unit | ≥ 95 % | 1/1 (3–100 %) | 2/2 (16–100 %) |" in page.own_unit(
+        [right, ROW]
+    )
+    assert "| all | 1 | 1/1" in page.good_records([ROW])
+
+
+def test_a_plan_goes_on_where_it_was_and_keeps_what_ends_in_an_error(tmp_path: Path) -> None:
+    cells, rows = in_order([own_unit.Cell(200, seed) for seed in range(5)]), tmp_path / "rows.jsonl"
+
+    def measure(cell: own_unit.Cell) -> dict[str, Any]:
+        return {"one": 1 / (cell.seed - cells[1].seed)}
+
+    for count in ("2", "3"):
+        assert go_through(cells, measure, rows, ["--count", count]) == rows
+    found = read_lines(rows)
+    assert [r["seed"] for r in found] == [c.seed for c in cells[:3]]
+    assert found[1]["crash"] == "ZeroDivisionError: division by zero" and "crash" not in found[2]
+    go_through(cells, measure, tmp_path / "none", ["--readings", "1600"])
+    assert not read_lines(tmp_path / "none")
+
+
+def test_good_records_are_of_six_instruments() -> None:
+    cells = good_records.plan()
+    assert len(cells) == 300 and len({c.instrument for c in cells}) == 6
