@@ -24,10 +24,11 @@ import numpy as np
 
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
-from bayescal._core.json_shape import read_json
-from bayescal._core.quoting import c_comment, identifier, number_text
+from bayescal._core.json_shape import OneOf, read_json
+from bayescal._core.quoting import c_comment, python_words
 from bayescal._core.version import __version__
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, convert, same_dimension
+from bayescal._use.code_writer import include_guard, refuse_without_uncertainty, sensor_name
 from bayescal._use.expression_graph import template
 from bayescal._use.firmware_parameters import AUTOPILOTS
 from bayescal._use.vector_correction import NEWTON, SIZES, VectorCorrection
@@ -35,13 +36,15 @@ from bayescal._use.vector_correction import NEWTON, SIZES, VectorCorrection
 SHAPE = {
     "made_by": str,
     "calibration": str,
+    "instrument": str,
     "outputs": (str, str, str),
     "unit": str,
     "equation": str,
     "order_of_terms": str,
     "beside?": [str],
     "reference_degC": float,
-    "temperatures_degC": (float, float),
+    "temperatures_degC": OneOf(None, (float, float)),
+    "reach": float,
     "terms": [[float]],
     "covariance": [[float]],
     "noise": float,
@@ -57,13 +60,15 @@ def data(correction: VectorCorrection) -> dict[str, Any]:
     return {
         "made_by": f"bayescal {__version__}",
         "calibration": correction.source,
+        "instrument": correction.instrument,
         "outputs": list(correction.outputs),
         "unit": correction.unit,
         "equation": "outputs = offset + matrix·f (+ higher orders) (+ beside·g), each a polynomial of T − reference",
         "order_of_terms": "offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; cubes; beside by rows",
         "beside": list(correction.beside),
         "reference_degC": correction.reference,
-        "temperatures_degC": [correction.low, correction.high],
+        "temperatures_degC": None if correction.low is None else [correction.low, correction.high],
+        "reach": correction.reach,
         "terms": correction.terms.tolist(),
         "covariance": correction.covariance.tolist(),
         "noise": correction.noise,
@@ -91,7 +96,7 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
             raise ValueError(
                 f"terms of shape {terms.shape} with a covariance of shape {covariance.shape}"
             )
-        low, high = found["temperatures_degC"]
+        low, high = found["temperatures_degC"] or (None, None)
         shared = found.get("covariance_with_axes_of")
         return VectorCorrection(
             outputs=tuple(found["outputs"]),
@@ -105,6 +110,8 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
             notes=tuple(found["notes"]),
             source=found["calibration"],
             beside=tuple(found.get("beside", ())),
+            instrument=found["instrument"],
+            reach=found["reach"],
             axes_of=found.get("axes_of", ""),
             shared=None if shared is None else np.array(shared, dtype=float),
         )
@@ -222,12 +229,30 @@ def autopilot_parameters(correction: VectorCorrection, autopilot: str) -> dict[s
     )
 
 
-def as_text(correction: VectorCorrection, format: str, name: str = "triad") -> str:
-    """The correction as "json", "c", "python", "yaml", "px4-params" or "ardupilot-params".
+def as_text(
+    correction: VectorCorrection,
+    format: str,
+    *,
+    name: str | None = None,
+    others: Sequence[VectorCorrection] = (),
+    uncertainty: bool = True,
+) -> str:
+    """The correction in a format, as `export_vector` writes it.
 
     Raises:
-        InputError: another format, or one that has no place for this quantity.
+        InputError: another format, or one that has no place for this quantity, for others or for no uncertainty; a name
+            that is none in C.
     """
+    unit = [correction, *others]
+    names = names_in_unit(name, unit) if others else [sensor_name(name, correction.instrument)]
+    named = dict(zip(names, unit, strict=True))
+    if others and format not in TOGETHER:
+        raise InputError(
+            f"{format} holds one triad: several go into one file as {', '.join(TOGETHER)}; write the others to files "
+            "of their own"
+        )
+    if not uncertainty:
+        refuse_without_uncertainty(format)
     if format in AUTOPILOTS:
         line = AUTOPILOTS[format].line
         values = autopilot_parameters(correction, format)
@@ -238,20 +263,65 @@ def as_text(correction: VectorCorrection, format: str, name: str = "triad") -> s
         return "\n".join([*head, *(line(n, float(v)) for n, v in values.items())]) + "\n"
     writers: Mapping[str, Callable[[], str]] = {
         "json": lambda: json.dumps(data(correction), indent=1, ensure_ascii=False) + "\n",
-        "c": lambda: template(
-            "vector.h.jinja", {"comment": c_comment, "number": number_text}
-        ).render(c=correction, name=identifier(name), newton=NEWTON),
-        "python": lambda: template("vector.py.jinja", {}).render(
-            data=repr(data(correction)), pairs=NEWTON
-        ),
-        "yaml": lambda: kalibr_yaml_of(correction),
+        "c": lambda: "\n".join(_header(n, c, uncertainty) for n, c in named.items()),
+        "python": lambda: _module(named, uncertainty),
+        "yaml": lambda: kalibr_yaml_of(correction, *others),
     }
     if format not in writers:
         raise InputError(f"format {format!r} is not one of {', '.join([*writers, *AUTOPILOTS])}")
     return writers[format]()
 
 
+def names_in_unit(name: str | None, unit: Sequence[VectorCorrection]) -> list[str]:
+    """What the sensors of a unit are called in C and Python: after their instruments, behind a name of the unit.
+
+    Raises:
+        InputError: the name is none in C, or two are of one instrument.
+    """
+    first = "" if name is None else f"{sensor_name(name, '')}_"
+    found = [sensor_name(None, f"{first}{one.instrument}") for one in unit]
+    if twice := [n for n in found if found.count(n) > 1]:
+        raise InputError(
+            f"two of these are of {unit[found.index(twice[0])].instrument}: a unit has one of each; write the other to "
+            "a file of its own, with a name"
+        )
+    return found
+
+
+def _header(name: str, c: VectorCorrection, uncertainty: bool) -> str:
+    """One correction as C99."""
+    return template("vector.h.jinja", {"comment": c_comment}).render(
+        c=c,
+        name=name,
+        guard=include_guard(
+            name, c.terms.tolist(), c.covariance.tolist(), c.low, c.high, uncertainty
+        ),
+        uncertainty=uncertainty,
+        recorded=c.low is not None,
+        thermal=len(c.terms) > 1,
+        # Twelve numbers, and no equation to solve.
+        plain=not uncertainty and c.terms.shape == (1, 12),
+        inverse=np.linalg.inv(c.matrix).tolist(),
+        newton=1 if c.order == 1 else NEWTON,
+    )
+
+
+def _module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
+    """Corrections as one Python module."""
+    held = {n: data(c) for n, c in named.items()}
+    for one in () if uncertainty else held.values():
+        del one["covariance"]
+        one.pop("covariance_with_axes_of", None)
+    return template("vector.py.jinja", {"comment": python_words}).render(
+        named=named,
+        data={n: repr(one) for n, one in held.items()},
+        uncertainty=uncertainty,
+        newton=NEWTON,
+    )
+
+
 SUFFIXES = {".json": "json", ".h": "c", ".py": "python", ".yaml": "yaml", ".yml": "yaml"}
+TOGETHER = ("c", "python", "yaml")  # formats of several triads in one file
 
 
 def export_vector(
@@ -260,6 +330,8 @@ def export_vector(
     format: str | None = None,
     *,
     others: Sequence[VectorCorrection] = (),
+    name: str | None = None,
+    uncertainty: bool = True,
 ) -> Path:
     """Write by the suffix of the path (.h, .py, .json, .yaml) or in a `format`.
 
@@ -267,10 +339,14 @@ def export_vector(
         correction: to write.
         path: of the file.
         format: "json", "c", "python", "yaml", "px4-params" or "ardupilot-params", whatever the suffix.
-        others: beside it in a YAML file, in the same body axes: gyroscopes beside accelerometers.
+        others: beside it in one file of C, Python or YAML, in the same body axes: gyroscopes beside accelerometers.
+        name: of the sensor in C and Python; that of the instrument if not given. With `others`, of the unit.
+        uncertainty: with the covariance; False for C and Python that give what acts alone: of a plain offset and matrix
+            twelve numbers are left.
 
     Raises:
-        InputError: another suffix or format, others in another format than YAML, or a place that cannot be written to.
+        InputError: another suffix or format, others or no uncertainty in a format that holds none such, two triads of
+            one instrument, a name that is none in C, or a place that cannot be written to.
     """
     path = Path(path)
     chosen = format or SUFFIXES.get(path.suffix.lower())
@@ -278,11 +354,7 @@ def export_vector(
         raise InputError(
             f"{path.name}: a correction is written as {', '.join(SUFFIXES)}, or give the format"
         )
-    if others and chosen != "yaml":
-        raise InputError(
-            f"{path.name}: a file of several triads is .yaml; write the others to files of their own"
-        )
-    text = kalibr_yaml_of(correction, *others) if others else as_text(correction, chosen, path.stem)
+    text = as_text(correction, chosen, name=name, others=others, uncertainty=uncertainty)
     return write_text(text, path)
 
 
