@@ -31,7 +31,6 @@ from bayescal._core.errors import InputError, ModelError
 
 if TYPE_CHECKING:
     from bayescal._tables.raw_table import Problem
-    from bayescal._use.vector_correction import VectorCorrection
 
 commands = Commands()
 MOST = 5  # effects that are added
@@ -270,11 +269,14 @@ def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str
     """All that there is of three axes, to a folder that is not seen yet."""
     from bayescal._report.save_search import write_search
     from bayescal._report.whole_folder import list_files
+    from bayescal._use.vector_export import left_out
 
     write_search(trail, folder)
     bc.report(trail, folder / "report.html")
     for name in FILES:
         bc.export_vector(correction, folder / name, name=sensor)
+    if said := left_out(correction, "yaml"):
+        print_notes([f"{correction.instrument}, YAML: {said}"])
     readings.write(folder / "poses.csv")
     list_files(folder, None)
 
@@ -396,16 +398,19 @@ def export(
 
 
 def _export_triads(
-    triads: Sequence[VectorCorrection], format: str | None, out: Path | None, **how: Any
+    triads: Sequence[bc.VectorCorrection], format: str | None, out: Path | None, **how: Any
 ) -> None:
     """Write what corrects three axes, or those of a unit, to a file or on standard output."""
-    from bayescal._use.vector_export import as_text
+    from bayescal._use.vector_export import as_text, format_of, left_out
 
     how["others"] = triads[1:]
+    format = format_of(out, format)
     if out is None:
-        print(as_text(triads[0], str(format), **how), end="")
+        print(as_text(triads[0], format, **how), end="")
     else:
         print(f"written: {bc.export_vector(triads[0], out, format, **how)}")
+    said = ((c.instrument, left_out(c, format)) for c in triads)
+    print_notes([f"{name}: {words}" for name, words in said if words])
     exit_unless_reliable({f"{c.instrument}:": c for c in triads})
 
 

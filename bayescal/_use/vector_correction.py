@@ -236,11 +236,12 @@ class VectorCorrection:
     def at(self, temperature: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Terms (n, p) at temperatures in °C, and their covariance (n, p, p)."""
         k, p = self.terms.shape
-        powers = self._powers(np.atleast_1d(np.asarray(temperature, float)))
+        powers = self.powers(np.atleast_1d(np.asarray(temperature, float)))
         blocks = self.covariance.reshape(k, p, k, p)
         return powers @ self.terms, np.einsum("nk,kplq,nl->npq", powers, blocks, powers)
 
-    def _powers(self, temperature: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n k"]:
+    def powers(self, temperature: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n k"]:
+        """Of T − T0, of temperatures in °C."""
         return (temperature - self.reference)[:, None] ** np.arange(len(self.terms))
 
     @property
@@ -325,7 +326,7 @@ class VectorCorrection:
         covariance = slope @ own @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(
             0, 2, 1
         )
-        slopes = TermSlopes(self, self._powers(warm), slope)
+        slopes = TermSlopes(self, self.powers(warm), slope)
         return CorrectedVector(force, covariance, self.unit, self.is_outside(warm), slopes)
 
     def in_poses(
@@ -348,7 +349,7 @@ class VectorCorrection:
         if run.temperature is not None:
             warm = np.array([np.mean(run.temperature[run.inside(*w)]) for w in windows])
         force, inverse, slope, warm = self._solved(run.means(windows), warm, None)
-        shared = np.einsum("nk,nip->nikp", self._powers(warm), slope)
+        shared = np.einsum("nk,nip->nikp", self.powers(warm), slope)
         noise = run.still.of_second**2 / (windows[:, 1] - windows[:, 0])
         own = noise[:, None, None] * inverse @ inverse.transpose(0, 2, 1)
         return force, shared.reshape(3 * len(force), -1), np.asarray(block_diag(*own))
@@ -383,22 +384,18 @@ class VectorCorrection:
             raise InputError(
                 f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
             )
-        terms = self._powers(warm) @ self.terms
-        by_beside = []
+        terms = self.powers(warm) @ self.terms
+        acts = None
         if self.beside:
             acts = np.broadcast_to(np.asarray(beside, float), y.shape)
-            by_beside = [_by_rows(acts)]
             terms, last = terms[:, :-9].copy(), terms[:, -9:]
-            terms[:, :3] += (by_beside[0] @ last[..., None])[..., 0]
+            terms[:, :3] += (_by_rows(acts) @ last[..., None])[..., 0]
         force = y.copy()
         for _ in range(NEWTON):
             there, slopes = _outputs(terms, force)
             force = force - np.linalg.solve(slopes, (there - y)[..., None])[..., 0]
         inverse = np.linalg.inv(_outputs(terms, force)[1])
-        by_terms = [np.broadcast_to(np.eye(3), (len(y), 3, 3)), _by_rows(force)]
-        by_terms += [_by_rows(_products(force))] if self.order > 1 else []
-        by_terms += [force[:, :, None] ** 3 * np.eye(3)] if self.order > 2 else []
-        return force, inverse, inverse @ np.concatenate([*by_terms, *by_beside], axis=2), warm
+        return force, inverse, inverse @ slopes_by_terms(force, self.order, acts), warm
 
 
 class TermRow(NamedTuple):
@@ -444,6 +441,17 @@ def term_rows(
             if value or sd
         ]
     return found
+
+
+def slopes_by_terms(
+    force: Float[np.ndarray, "n 3"], order: int, beside: Float[np.ndarray, "n 3"] | None
+) -> Float[np.ndarray, "n 3 p"]:
+    """Slopes of the three outputs by the terms of a correction up to an order in what acts."""
+    found = [np.broadcast_to(np.eye(3), (len(force), 3, 3)), _by_rows(force)]
+    found += [_by_rows(_products(force))] if order > 1 else []
+    found += [force[:, :, None] ** 3 * np.eye(3)] if order > 2 else []
+    found += [] if beside is None else [_by_rows(beside)]
+    return np.concatenate(found, axis=2)
 
 
 def _products(force: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 6"]:

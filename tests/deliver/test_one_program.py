@@ -92,8 +92,9 @@ int main(void)
 """
 
 
-def middle(compensator: bc.Compensator) -> list[float]:
-    return [i.middle for i in compensator.inputs]
+def inputs_of(compensator: bc.Compensator) -> dict[str, Any]:
+    """Each in the middle of its range."""
+    return {i.name: i.middle for i in compensator.inputs}
 
 
 @needs_compiler
@@ -112,7 +113,9 @@ def test_all_headers_in_one_program(real: str, tmp_path: Path) -> None:
     bc.export_vector(spare, tmp_path / "spare.h", name="spare", uncertainty=False)
     source = PROGRAM
     for word, one in (("BENT", bent), ("LINE", line)):
-        values = ", ".join(f"(BAYESCAL_REAL){v}" for v in ("row[0]", *map(repr, middle(one))))
+        values = ", ".join(
+            f"(BAYESCAL_REAL){v}" for v in ("row[0]", *map(repr, inputs_of(one).values()))
+        )
         source = source.replace(word, values)
     y = np.array([0.3, -0.5, 0.8])
     found = run_c(source, np.r_[y, WARM, NOISE, GRAVITY], tmp_path, real)
@@ -123,7 +126,7 @@ def test_all_headers_in_one_program(real: str, tmp_path: Path) -> None:
     assert found[:21] == pytest.approx(np.concatenate([w.ravel() for w in wanted]), rel=1e-9)
     exact = 1e-9 if real == "double" else 1e-4
     for k, one in enumerate((bent, line, line)):
-        inputs = dict(zip((i.name for i in one.inputs), middle(one), strict=True))
+        inputs = inputs_of(one)
         value = one(output=y[0], method="first order", warn=False, **inputs).value[0]
         assert found[21 + k] == pytest.approx(value, rel=exact)
     assert found[24] == 0
@@ -175,7 +178,7 @@ def test_all_modules_in_one_process(tmp_path: Path) -> None:
     vector, outside = load_module(path).spare_correct(y, 90.0)
     assert vector == pytest.approx(spare(y).vector[0], rel=1e-12) and outside
     for one in (line, bent):
-        inputs = dict(zip((i.name for i in one.inputs), middle(one), strict=True))
+        inputs = inputs_of(one)
         wanted = one(output=0.3, method="first order", noise=False, warn=False, **inputs)
         path = one.export(tmp_path / "one.py")
         value, own, *_ = load_module(path).compensate(0.3, *inputs.values())

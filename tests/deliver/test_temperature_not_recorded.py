@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ FORMATS = ("c", "python", "json", "yaml", "px4-params", "ardupilot-params")
 def correction(*temperatures: float) -> bc.VectorCorrection:
     """Of 24 poses, without a column `temperature` or with these, one after the other."""
     made = accelerometer_triad.simulate(seed=3, campaign=accelerometer_triad.Campaign(poses=24))
-    given = {f"output_{a}": made[f"output_{a}"] for a in "xyz"}
+    given: dict[str, Any] = {f"output_{a}": made[f"output_{a}"] for a in "xyz"}
     if temperatures:
         given["temperature"] = np.resize(temperatures, len(made))
     readings = bc.Measurements.from_arrays(INSTRUMENT, **given)
@@ -67,7 +68,7 @@ def test_python_says_what_c_says(tmp_path: Path) -> None:
     for correct in (correction(), correction(24.0, 26.5)):
         loaded = bc.load_vector_correction(bc.export_vector(correct, tmp_path / "c.json"))
         assert np.array_equal(loaded(y, at).outside, correct(y, at).outside)
-        space: dict = {}
+        space: dict[str, Any] = {}
         exec(as_text(correct, "python", name="s"), space)
         found = [space["s_correct"](y[0], t)[2] for t in at]
         assert found == correct(y, at).outside.tolist()
