@@ -261,8 +261,15 @@ def _calibrated(
     correction = turned(correction)
     print_notes(correction.notes)
     if not asked.json_:
-        print(f"{trail}\n\n{calibration}")
+        print(triad_text(trail, correction))
     return trail, correction
+
+
+def triad_text(trail: bc.SearchPath, correction: bc.VectorCorrection) -> str:
+    """What is found of three axes: the errors, the coefficients, and offset and matrix as exports have them."""
+    from bayescal._cli.output import coefficients_text
+
+    return f"{trail}\n\n{coefficients_text(trail)}\n\n{correction}"
 
 
 def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str | None) -> None:

@@ -190,12 +190,7 @@ def export(
         InputError: another suffix or format, a name that is none in C, or a place that cannot be written to.
     """
     path = Path(path)
-    format = format or FORMATS.get(path.suffix.lower(), "")
-    if format not in FORMATS.values():
-        raise InputError(
-            f"a compensator cannot be written as {format or path.name!r}: choose json, c, python "
-            "or html (.json, .h, .py, .html)"
-        )
+    format = format or FORMATS.get(path.suffix.lower(), path.name)
     return write_text(as_text(program, format, name=name, uncertainty=uncertainty), path)
 
 
@@ -224,8 +219,12 @@ def as_text(
     """The program as a C99 header ("c"), a Python module ("python"), a page ("html") or "json".
 
     Raises:
-        InputError: a name that is none in C, or a page or JSON without uncertainty.
+        InputError: another format, a name that is none in C, or a page or JSON without uncertainty.
     """
+    if format not in FORMATS.values():
+        raise InputError(
+            f"a compensator cannot be written as {format!r}: choose json, c, python or html (.json, .h, .py, .html)"
+        )
     name = sensor_name(name, program.about.instrument)
     if not uncertainty:
         refuse_without_uncertainty(format)

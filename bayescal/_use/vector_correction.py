@@ -490,7 +490,7 @@ def _outputs(
 
 
 def vector_correction(
-    calibration: Calibration, *, draws: int = 2000, seed: int = 0
+    calibration: Calibration, *, draws: int | None = None, seed: int = 0
 ) -> VectorCorrection:
     """The correction of a calibrated instrument of three axes.
 
@@ -499,7 +499,7 @@ def vector_correction(
     Args:
         calibration: of an instrument with `vector`, or an average over structures: over those that need no further
             input than the likely ones.
-        draws: of the posterior, at most, that mean and covariance are of.
+        draws: of the posterior, at most, that mean and covariance are of; all if not given, as in every table.
         seed: of the deviations of a new run.
 
     Raises:
@@ -601,7 +601,11 @@ def _notes(calibration: Calibration, made: VectorCorrection) -> tuple[str, ...]:
 
 
 def _taylor(
-    calibration: Calibration, grid: np.ndarray, beside: tuple[str, ...], draws: int, seed: int
+    calibration: Calibration,
+    grid: np.ndarray,
+    beside: tuple[str, ...],
+    draws: int | None,
+    seed: int,
 ) -> Float[np.ndarray, "s g p"]:
     """Offset, matrix, second order and what acts beside at temperatures, of draws."""
     each, grid = len(grid), np.tile(grid, 1 + len(beside))  # at none, then at one of each
