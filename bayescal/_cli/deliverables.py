@@ -6,7 +6,7 @@ Heavy modules load inside the commands.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -252,11 +252,11 @@ def _calibrated(
     trail = bc.calibrate(
         model, readings, seed=asked.seed, max_effects=0 if asked.baseline else MOST
     )
-    calibration = trail.final.calibration
     try:
         correction = bc.vector_correction(trail.calibration)  # averaged over the structures
     except ModelError as error:
-        correction = bc.vector_correction(calibration)
+        trail = replace(trail, average=None)
+        correction = bc.vector_correction(trail.calibration)
         print_notes([f"The correction is of the model shown, not averaged over models: {error}"])
     correction = turned(correction)
     print_notes(correction.notes)
