@@ -370,7 +370,7 @@ def export(
         raise InputError(f"--format {format_!r} is not one of {known}")
     gravity = local_gravity or STANDARD_GRAVITY
     several = saved.of_units(paths, saved.CALIBRATION) if format_ in saved.PARAMETERS else paths
-    loaded, triads = saved.corrections_from(several, own)
+    loaded, triads = saved.corrections_from([] if format_ == saved.DCC else several, own)
     how: dict[str, Any] = {"name": name, "uncertainty": not without_uncertainty}
     if triads:
         _export_triads(triads, format_, out, **how)
@@ -390,11 +390,12 @@ def export(
             + (", and --axis or --device-id" if axis or device_id else "")
             + f": several, by axis, make parameters (--format {' or '.join(saved.PARAMETERS)})"
         )
-    ((_, chosen),) = loaded
     if format_ == saved.DCC:
+        chosen = saved.compensator_from(paths[0], own)
         text = saved.certified(chosen, certificate, gravity, limit, by)
         print(text.rstrip("\n") if out is None else f"written: {write_text(text, out)}")
         return
+    ((_, chosen),) = loaded
     if out is None:
         from bayescal._use import code_writer
 
