@@ -236,8 +236,10 @@ def autopilot_parameters(
         values, vectors = np.linalg.eigh(back.T @ back)
         symmetric = (vectors * np.sqrt(values)) @ vectors.T
         turn = back @ np.linalg.inv(symmetric)
-        angle = np.degrees(np.linalg.norm(Rotation.from_matrix(turn).as_rotvec()))
-        said = f"{plain.said} The axes keep a rotation of {angle:.2g}° to those of this calibration.".lstrip()
+        hand = np.sign(np.linalg.det(turn))
+        angle = np.degrees(Rotation.from_matrix(hand * turn).magnitude())
+        kept = f"{'' if hand > 0 else 'a reflection and '}a rotation of {angle:.2g}°"
+        said = f"{plain.said} The axes keep {kept} to those of this calibration.".lstrip()
         gauss = np.asarray(convert(plain.offset, correction.unit, "gauss"))
         beside = dict(zip("XYZ", (symmetric[0, 1], symmetric[0, 2], symmetric[1, 2]), strict=True))
         if px4:
@@ -331,7 +333,7 @@ def _header(name: str, c: VectorCorrection, uncertainty: bool) -> str:
         c=c,
         name=name,
         guard=include_guard(
-            name, c.terms.tolist(), c.covariance.tolist(), c.low, c.high, uncertainty
+            name, c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high, uncertainty
         ),
         uncertainty=uncertainty,
         recorded=c.low is not None,

@@ -145,6 +145,15 @@ def test_an_accelerometer_of_an_autopilot_is_right_on_its_axes() -> None:
         assert abs(left.mean()) < 5 * np.std(left) / np.sqrt(len(left))
 
 
+def test_axes_that_an_autopilot_mirrors_are_said() -> None:
+    c = triad("magnetometer_triad")
+    terms = c.terms.copy()
+    terms[0, 3:6] *= -1
+    assert "The axes keep a reflection and a rotation of " in left_out(
+        replace(c, terms=terms), "px4-params"
+    )
+
+
 def test_one_thing_beside_is_held_by_kalibr() -> None:
     c = triad("gyro_triad")
     found = yaml.safe_load(as_text(c, "yaml"))["imu0"]
