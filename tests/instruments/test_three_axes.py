@@ -403,9 +403,8 @@ def test_kalibrs_matrix_and_ours_give_one_magnitude() -> None:
     assert np.allclose(m @ turn, correct.matrix, atol=1e-8)  # which second order adds nothing to
     assert np.allclose(turn @ turn.T, np.eye(3), atol=1e-8)
     values, left = autopilot_parameters(correct, "ardupilot-params")
-    nearest = (
-        correct.offset[0] + correct.terms[0, 12:15].sum() / 3
-    )  # of second order; T0 is the middle
+    squares = correct.terms[0, 12:15].sum() * correct.reach**2 / 3  # over all directions
+    nearest = correct.offset[0] + squares  # T0 is the middle of the temperatures
     assert values["INS_ACCOFFS_X"] == pytest.approx(9.80665 * nearest)
     assert "misalignments" in left and "second order" in left
 
