@@ -19,7 +19,7 @@ from bayescal._calibration.guards import (
 )
 from bayescal._calibration.posterior_tree import build_tree, with_log_likelihood
 from bayescal._calibration.storage import save
-from bayescal._calibration.summary import calibration_text, summary
+from bayescal._calibration.summary import null_directions, summary, unknowns_text
 from bayescal._core.formatting import WIDTH, Printed
 from bayescal._model.model import in_short
 
@@ -44,11 +44,18 @@ class Calibration(Printed, Fitted):
     """
 
     def __str__(self) -> str:
-        against = [f"conflict: {words}" for words in self.conflicts]
-        against += [f"unit? {words}" for words in self.off_scale]
+        return f"{unknowns_text(self)}\n{self.said_of_it}"
+
+    @property
+    def said_of_it(self) -> str:
+        """What was not measured, the verdict, and what stands against the result, a line each."""
+        lines = [f"not measured: {d['in_words']}" for d in null_directions(self)]
+        lines.append(str(self.verdict))
+        lines += [f"conflict: {words}" for words in self.conflicts]
+        lines += [f"unit? {words}" for words in self.off_scale]
         found = (words for words in self.verdict.against if words not in self.conflicts)
-        against += [f"not reliable: {words}" for words in found]
-        return "\n".join([calibration_text(self), *(textwrap.fill(w, WIDTH) for w in against)])
+        lines += [f"not reliable: {words}" for words in found]
+        return "\n".join(textwrap.fill(line, WIDTH) for line in lines)
 
     def _brief(self) -> str:
         verdict = "converged" if self.verdict.ok else "NOT converged"

@@ -26,8 +26,8 @@ TRACE = 0.01  # of the largest entry, from which a coefficient is named
 MOST_MEMBERS = 4  # of a group, that have a line each
 
 
-def calibration_text(calibration: Fitted) -> str:
-    """Unknowns with standard uncertainty and 95 % credible interval; the verdict.
+def unknowns_text(calibration: Fitted) -> str:
+    """Unknowns with standard uncertainty and 95 % credible interval, and what is held.
 
     A curve (an unknown dependence) is one line, and so are the members of a large group: single
     coefficients of these mean nothing by themselves.
@@ -53,8 +53,6 @@ def calibration_text(calibration: Fitted) -> str:
         lines.append(f"fixed: {fixed}")
     if at := [f"{k} = {v:g} °C" for k, v in calibration.hold_at.items()]:
         lines.append("constants hold at " + ", ".join(at))
-    lines += [f"not measured: {d['in_words']}" for d in null_directions(calibration)]
-    lines.append(str(calibration.verdict))
     return "\n".join([lines[0], *(textwrap.fill(line, WIDTH) for line in lines[1:])])
 
 

@@ -6,7 +6,7 @@ Heavy modules load inside the commands.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,13 +42,9 @@ SENSORS = {
 FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 
 
-def exit_unless_reliable(given: Mapping[str, bc.Compensator]) -> None:
+def exit_unless_reliable(given: Mapping[str, bc.Compensator | bc.VectorCorrection]) -> None:
     """Leave with status 1 if what was written is of a result that is not to be used."""
-    told = []
-    for name, one in given.items():
-        of = one.calibration.verdict if one.calibration else one.loaded and one.loaded.about
-        if of and of.why_not:
-            told.append(f"{name} {of.why_not}".strip())
+    told = [f"{name} {one.why_not}".strip() for name, one in given.items() if one.why_not]
     exit_unless(not told, "; ".join(told))
 
 
@@ -87,6 +83,7 @@ class TriadOptions:
     baseline: bool = False
     seed: int = 0
     out: Path | None = None
+    name: str | None = None
     json_: bool = False
 
 
@@ -104,8 +101,10 @@ def triad(
 ) -> None:
     """Calibrate three axes by poses at rest or known rates; corrections as C99, Python, JSON and YAML."""
     from bayescal._cli.request import open_request
+    from bayescal._use.code_writer import sensor_name
     from bayescal._use.vector_export import data
 
+    sensor_name(asked.name, "")  # refused before anything takes time
     chosen, model, readings = open_request(ReadRequest(instrument, files, columns, ModelOptions()))
     if chosen.vector is None:
         raise InputError(
@@ -127,7 +126,7 @@ def triad(
             from bayescal._report.whole_folder import whole_folder
 
             with whole_folder(folder) as hidden:
-                _write(hidden, trail, correction, readings)
+                _write(hidden, trail, correction, readings, asked.name)
         if asked.json_:
             print_result(data(correction))
         elif folder is not None:
@@ -147,8 +146,10 @@ def imu(
     """Calibrate accelerometers by poses, gyroscopes by moves between them, magnetometers: one log, one frame."""
     from bayescal._cli.request import instrument_named
     from bayescal._tables.raw_table import Problems
-    from bayescal._use.vector_export import data
+    from bayescal._use.code_writer import sensor_name
+    from bayescal._use.vector_export import data, names_in_unit
 
+    sensor_name(asked.name, "")
     how = columns.for_read()
     given = dict(zip(SENSORS, (accelerometers, gyroscopes), strict=False))
     given |= {"magnetometer_triad": magnetometers} if magnetometers else {}
@@ -185,17 +186,21 @@ def imu(
         if folder is not None:
             from bayescal._report.whole_folder import whole_folder
 
+            each = [correction for _, correction, _ in found.values()]
+            named = names_in_unit(asked.name, each)
             with whole_folder(folder) as hidden:
-                for name, one in found.items():
-                    _write(hidden / name, *one)
-                bc.export_vector(first, hidden / "imu.yaml", others=[found["gyroscope"][1]])
+                for (name, one), own in zip(found.items(), named, strict=True):
+                    _write(hidden / name, *one, own)
+                for file in ("imu.h", "imu.py"):
+                    bc.export_vector(first, hidden / file, others=each[1:], name=asked.name)
+                bc.export_vector(first, hidden / "imu.yaml", others=each[1:2])
                 bc.report([one[0] for one in found.values()], hidden / "report.html")
         if asked.json_:
             print_result({name: data(correction) for name, (_, correction, _) in found.items()})
         elif folder is not None:
             for name in found:
                 print(_written(folder / name))
-            print(f"written: {folder}/imu.yaml, report.html, manifest.json")
+            print(f"written: {folder}/imu.h, imu.py, imu.yaml, report.html, manifest.json")
     for trail, _, _ in found.values():
         exit_unless(trail.ok, trail.gate.reason)
 
@@ -247,28 +252,38 @@ def _calibrated(
     trail = bc.calibrate(
         model, readings, seed=asked.seed, max_effects=0 if asked.baseline else MOST
     )
-    calibration = trail.final.calibration
     try:
         correction = bc.vector_correction(trail.calibration)  # averaged over the structures
     except ModelError as error:
-        correction = bc.vector_correction(calibration)
+        trail = replace(trail, average=None)
+        correction = bc.vector_correction(trail.calibration)
         print_notes([f"The correction is of the model shown, not averaged over models: {error}"])
     correction = turned(correction)
     print_notes(correction.notes)
     if not asked.json_:
-        print(f"{trail}\n\n{calibration}")
+        print(triad_text(trail, correction))
     return trail, correction
 
 
-def _write(folder: Path, trail: Any, correction: Any, readings: Any) -> None:
+def triad_text(trail: bc.SearchPath, correction: bc.VectorCorrection) -> str:
+    """What is found of three axes: the errors, the coefficients, and offset and matrix as exports have them."""
+    from bayescal._cli.output import coefficients_text
+
+    return f"{trail}\n\n{coefficients_text(trail)}\n\n{correction}"
+
+
+def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str | None) -> None:
     """All that there is of three axes, to a folder that is not seen yet."""
     from bayescal._report.save_search import write_search
     from bayescal._report.whole_folder import list_files
+    from bayescal._use.vector_export import left_out
 
     write_search(trail, folder)
     bc.report(trail, folder / "report.html")
     for name in FILES:
-        bc.export_vector(correction, folder / name)
+        bc.export_vector(correction, folder / name, name=sensor)
+    if said := left_out(correction, "yaml"):
+        print_notes([f"{correction.instrument}, YAML: {said}"])
     readings.write(folder / "poses.csv")
     list_files(folder, None)
 
@@ -337,8 +352,13 @@ def export(
     limit: list[str] | None = None,
     by: DecisionRule,
     own: InUse,
+    name: str | None = None,
+    without_uncertainty: bool = False,
 ) -> None:
-    """Write the calibration for use elsewhere: C99, Python, JSON, a page, autopilot parameters, a certificate."""
+    """Write the calibration for use elsewhere: C99, Python, JSON, a page, autopilot parameters, a certificate.
+
+    Of three axes too, also YAML; those of a unit together in one file.
+    """
     from bayescal._cli import saved
     from bayescal._core.atomic_file import write_text
     from bayescal._data.unit_conversion import STANDARD_GRAVITY
@@ -349,8 +369,14 @@ def export(
     if format_ not in (None, *saved.KNOWN):
         raise InputError(f"--format {format_!r} is not one of {known}")
     gravity = local_gravity or STANDARD_GRAVITY
+    several = saved.of_units(paths, saved.CALIBRATION) if format_ in saved.PARAMETERS else paths
+    loaded, triads = saved.corrections_from([] if format_ == saved.DCC else several, own)
+    how: dict[str, Any] = {"name": name, "uncertainty": not without_uncertainty}
+    if triads:
+        _export_triads(triads, format_, out, **how)
+        return
     if format_ in saved.PARAMETERS:
-        given = saved.by_axis(paths, axis, own)
+        given = saved.by_axis(loaded, axis, own)
         found = saved.parameters(given, str(format_), device_id, gravity)
         if out is None:
             print(found.text(), end="")
@@ -364,18 +390,36 @@ def export(
             + (", and --axis or --device-id" if axis or device_id else "")
             + f": several, by axis, make parameters (--format {' or '.join(saved.PARAMETERS)})"
         )
-    chosen = saved.compensator_from(paths[0], own)
     if format_ == saved.DCC:
+        chosen = saved.compensator_from(paths[0], own)
         text = saved.certified(chosen, certificate, gravity, limit, by)
         print(text.rstrip("\n") if out is None else f"written: {write_text(text, out)}")
         return
+    ((_, chosen),) = loaded
     if out is None:
         from bayescal._use import code_writer
 
-        print(code_writer.as_text(chosen.program, str(format_)), end="")
+        print(code_writer.as_text(chosen.program, str(format_), **how), end="")
     else:
-        print(f"written: {chosen.export(out, format_)}")
+        print(f"written: {chosen.export(out, format_, **how)}")
     exit_unless_reliable({"": chosen})
+
+
+def _export_triads(
+    triads: Sequence[bc.VectorCorrection], format: str | None, out: Path | None, **how: Any
+) -> None:
+    """Write what corrects three axes, or those of a unit, to a file or on standard output."""
+    from bayescal._use.vector_export import as_text, format_of, left_out
+
+    how["others"] = triads[1:]
+    format = format_of(out, format)
+    if out is None:
+        print(as_text(triads[0], format, **how), end="")
+    else:
+        print(f"written: {bc.export_vector(triads[0], out, format, **how)}")
+    said = ((c.instrument, left_out(c, format)) for c in triads)
+    print_notes([f"{name}: {words}" for name, words in said if words])
+    exit_unless_reliable({f"{c.instrument}:": c for c in triads})
 
 
 @commands.example("bayescal budget result/calibration.nc --at temperature=60")

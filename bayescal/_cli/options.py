@@ -169,7 +169,10 @@ HELP = {
     "dry_run": "Say what these poses do not determine and which to add; fit nothing.",
     "effect": "name=size: an effect to hide; repeat for more.",
     "effects_file": "Python file with effects or a noise law of your own.",
-    "export.calibrations": "A folder of results, or its calibration (.nc); for parameters, one for each axis.",
+    "export.calibrations": (
+        "A folder of results, its calibration (.nc) or JSON export; for parameters, one for each axis; the triads of a "
+        "unit."
+    ),
     "export.out": "File to write; standard output if not given.",
     "false_accept": "Probability of a false acceptance that 'guarded' allows.",
     "file": "Readings: text, .parquet, .nc, .xlsx or .mat.",
@@ -178,7 +181,7 @@ HELP = {
     "first_order": "Propagate mean and covariance, as exports do, not draws.",
     "fix": "bias.temperature=0.041: hold an unknown at a value, in its unit; repeat.",
     "format_": (
-        "json, c, python or html (a page with sliders), else by the suffix of --out; px4-params or "
+        "json, c, python, html (a page with sliders) or yaml (three axes), else by the suffix of --out; px4-params or "
         "ardupilot-params; dcc."
     ),
     "gyroscopes": "Their three columns, as gx,gy,gz; else by the usual names.",
@@ -197,6 +200,10 @@ HELP = {
     "member": "device=A17: which device is used; repeat for more.",
     "method": "marginal, least-squares or nuts.",
     "missing": "Rows with a missing reading: refuse the file, or drop them (a gap).",
+    "name": (
+        "Of the sensor, with which all names in C begin; that of its instrument if not given. Of a unit, before those "
+        "of its instruments."
+    ),
     "next_experiment": "Rank feasible campaigns by how well they tell rivals apart.",
     "no_open": "Print the address, and open no browser.",
     "noise": "Noise law by name: student_t, ornstein_uhlenbeck, heteroscedastic(temperature), or one of --effects.",
@@ -249,6 +256,7 @@ HELP = {
     "unit": "gyro_x=rad/s: unit of a column; repeat for more.",
     "verbose": "With all candidates of every step, and drafts of effects.",
     "without_noise": "Leave the noise of each reading out.",
+    "without_uncertainty": "C and Python that give the value alone, without the covariance of the coefficients.",
     "workbench.out": "Folder that keeps every step; one that holds some is gone on with, as after a time limit.",
     "workers": "Processes of this machine that share the work.",
     "yaml": "File to write for Kalibr: noise densities and random walks.",

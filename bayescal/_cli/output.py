@@ -14,7 +14,7 @@ from bayescal._calibration.check_result import Check, check_text
 from bayescal._calibration.mixture import moved
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.settings import searching
-from bayescal._calibration.summary import null_directions, summary
+from bayescal._calibration.summary import null_directions, summary, unknowns_text
 from bayescal._core.formatting import WIDTH, number, probability, table, with_error
 from bayescal._core.progress import tell
 from bayescal._data.measurements import Measurements
@@ -204,7 +204,7 @@ def loop_text(
             f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)\n\n{draft}"
         )
     parts.append(f"THE ERROR, STEP BY STEP\n\n{trail}")
-    parts.append(f"COEFFICIENTS\n\n{final.calibration}")
+    parts.append(f"COEFFICIENTS\n\n{coefficients_text(trail)}")
     if output_unit is not None:
         rows = rows_in_output_unit(of_trail(trail), output_unit)
         shown = table(["", "value", "unit"], rows, left=1, fold=40)
@@ -216,6 +216,11 @@ def loop_text(
     parts.append(textwrap.fill(f"gate: {trail.gate.reason}", WIDTH))
     parts.append(f"IN SHORT\n\n{textwrap.fill(trail.in_short, WIDTH)}")
     return "\n\n".join(parts).removeprefix("\n")
+
+
+def coefficients_text(trail: SearchPath) -> str:
+    """Coefficients as they leave, averaged over the structures; then what is said of the most probable one."""
+    return f"{unknowns_text(trail.calibration)}\n{trail.final.calibration.said_of_it}"
 
 
 def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
@@ -230,8 +235,8 @@ def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
         others = f"{len(added) - SHOWN_STRUCTURES} others (--verbose)"
         added[SHOWN_STRUCTURES:] = [[others, probability(more)]]
     said = (
-        "Predictions, compensation and exports are averaged over these structures; "
-        "--structure best uses the one above."
+        "The coefficients above are averaged over these structures, as predictions, compensation and exports are; "
+        "--structure best uses the most probable one."
     )
     parts = [
         f"STRUCTURES\n\n{table(['effects added', 'probability'], added, left=1, fold=60)}",
@@ -249,7 +254,8 @@ def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
     if not verbose and len(rows) > SHOWN_MOVED + 1:
         rows[SHOWN_MOVED:] = [[f"{len(rows) - SHOWN_MOVED} others (--verbose)", "", "", ""]]
     if rows:
-        parts.append(table(["coefficient", "in this structure", "over structures", "unit"], rows))
+        head = ["coefficient", "in the most probable", "over structures", "unit"]
+        parts.append(table(head, rows))
     return "\n".join(parts)
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import load
 from bayescal._cli.options import DecisionRule, InUse, OwnParts, UsedParts, named_values
 from bayescal._core.errors import InputError
+from bayescal._core.json_shape import read_json
 from bayescal._fleet.batch_result import load_batch, load_fleet
 from bayescal._fleet.population import Population
 from bayescal._model.instrument import Instrument
@@ -30,9 +33,11 @@ from bayescal._use.firmware_parameters import (
     axis_of,
     firmware_parameters,
 )
+from bayescal._use.vector_correction import VectorCorrection, vector_correction
+from bayescal._use.vector_export import load_vector_correction
 
 PARAMETERS, DCC = tuple(AUTOPILOTS), "dcc"
-KNOWN = (*FORMATS.values(), *PARAMETERS, DCC)  # formats of an export
+KNOWN = (*FORMATS.values(), "yaml", *PARAMETERS, DCC)  # formats of an export
 
 
 def load_saved(path: Path, own: OwnParts) -> Calibration:
@@ -67,13 +72,39 @@ def compensator_from(path: Path, own: InUse) -> Compensator:
     Raises:
         InputError: it cannot be loaded, or members are chosen of an export.
     """
+    found = correction_from(path, own)
+    if isinstance(found, VectorCorrection):
+        raise InputError(
+            f"{path} is of three axes: `bayescal export` writes its correction, in Python bc.vector_correction makes it"
+        )
+    return found
+
+
+def correction_from(path: Path, own: InUse) -> Compensator | VectorCorrection:
+    """What corrects readings, of one output or of three axes: of a saved calibration, or exported as JSON.
+
+    Raises:
+        InputError: it cannot be loaded, or members are chosen of an export.
+    """
     if path.suffix.lower() == ".json":
         if own.member:
             raise InputError(
                 f"{path.name} is an export, made for its members: give the calibration"
             )
-        return load_compensator(path)
-    return compensator(load_saved(path, own), members=own.members)
+        return load_vector_correction(path) if _is_of_triad(path) else load_compensator(path)
+    calibration = load_saved(path, own)
+    if calibration.model.instrument.vector is not None:
+        return vector_correction(calibration)
+    return compensator(calibration, members=own.members)
+
+
+def _is_of_triad(path: Path) -> bool:
+    """Whether a JSON file says that it is a correction of three axes."""
+    try:
+        found = read_json(path)
+    except (OSError, ValueError):
+        return False
+    return isinstance(found, dict) and "terms" in found
 
 
 def population_of(given: list[str] | None) -> Population | list[str] | None:
@@ -112,7 +143,27 @@ def of_units(paths: list[Path], file: str = "") -> list[Path]:
     return found
 
 
-def by_axis(paths: list[Path], named: list[str] | None, own: InUse) -> dict[str, Compensator]:
+def corrections_from(
+    paths: Sequence[Path], own: InUse
+) -> tuple[list[tuple[Path, Compensator]], list[VectorCorrection]]:
+    """What corrects: of one output each, with its path; or the triads of a unit.
+
+    Raises:
+        InputError: one cannot be loaded, or some are of one output and others of three axes.
+    """
+    found = [(path, correction_from(path, own)) for path in paths]
+    single = [(path, one) for path, one in found if isinstance(one, Compensator)]
+    triads = [one for _, one in found if isinstance(one, VectorCorrection)]
+    if single and triads:
+        raise InputError(
+            f"{single[0][0]} is of one output, and others are of three axes: give it alone"
+        )
+    return single, triads
+
+
+def by_axis(
+    given: Sequence[tuple[Path, Compensator]], named: list[str] | None, own: InUse
+) -> dict[str, Compensator]:
     """Calibrations by their axis: as their readings name it, or as the user does.
 
     Raises:
@@ -120,10 +171,11 @@ def by_axis(paths: list[Path], named: list[str] | None, own: InUse) -> dict[str,
     """
     found: dict[str, Compensator] = {}
     files: dict[str, str] = {}
-    said = [(None, path) for path in of_units(paths, CALIBRATION)]
-    said += [(n, Path(p)) for one in named or [] for n, p in named_values([one], "--axis").items()]
-    for name, path in said:
-        chosen = compensator_from(path, own)
+    said: list[Any] = [(None, path, one) for path, one in given]
+    for one in named or []:
+        for name, path in named_values([one], "--axis").items():
+            said.append((name, Path(path), compensator_from(Path(path), own)))
+    for name, path, chosen in said:
         own_name = axis_of(chosen.calibration) if chosen.calibration else None
         name = name or own_name
         if name is None:

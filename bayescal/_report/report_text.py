@@ -26,6 +26,7 @@ from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUn
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._report.result_json import is_quiet
 from bayescal._report.section import Chapter
+from bayescal._use.vector_correction import term_rows
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
 GAUSSIAN = 0.9545  # what k = 2 covers of a Gaussian
@@ -201,24 +202,10 @@ def matrix(chapter: Chapter) -> list[tuple[str, str, str, str]]:
     found = chapter.data.get("vector")
     if not found or "terms" not in found:
         return []
-    axes = "xyz"
-    names = [f"offset {a}" for a in axes] + [f"matrix {a}{b}" for a in axes for b in axes]
-    own = len(found["terms"][0]) - 9 * bool(found["beside"])
-    if own > 12:
-        names += [
-            f"second order {a}·{p}" for a in axes for p in ("xx", "yy", "zz", "xy", "xz", "yz")
-        ]
-    if own > 30:
-        names += [f"cube {a}" for a in axes]
-    if found["beside"]:
-        names += [f"{g} on {a}" for a in axes for g in found["beside"]]
-    rows = []
-    for power, (values, sds) in enumerate(zip(found["terms"], found["uncertainty"], strict=True)):
-        for name, value, sd in zip(names, values, sds, strict=True):
-            if value or sd:
-                of = found["unit"] if name.startswith("offset") else ""
-                rows.append((name, str(power), with_error(value, sd), unit_label(of)))
-    return rows
+    return [
+        (row.name, str(row.power), with_error(row.value, row.uncertainty), unit_label(row.unit))
+        for row in term_rows(found["terms"], found["uncertainty"], found["unit"], found["beside"])
+    ]
 
 
 def output_factor(unit: str, of: str, scale: NominalScale | None) -> float:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.settings import searching
 from bayescal._core.formatting import Printed, number, probability, table, with_error
 from bayescal._data.unit_conversion import unit_label
@@ -76,7 +75,7 @@ class Channels(Printed):
             "new run, last": [s.rmse for s in finals],
             "held out": [s.holdout_rmse for s in finals],
             "noise floor": [s.noise_floor for s in finals],
-            **{e: [_size(s.calibration, e)[0] for s in finals] for e in self.effects},
+            **{e: [_size(t, e)[0] for t in self.trails.values()] for e in self.effects},
             "noise": [s.calibration.model.noise.law for s in finals],
         }
 
@@ -95,18 +94,19 @@ class Channels(Printed):
     def _effect(self, name: str) -> list[str]:
         cells = []
         for trail in self.trails.values():
-            mean, sd = _size(trail.final.calibration, name)
+            mean, sd = _size(trail, name)
             cells.append("–" if mean is None else with_error(mean, sd))
         return [name, *cells]
 
 
-def _size(calibration: Calibration, name: str) -> tuple[float | None, float]:
-    """Of an effect, and its uncertainty; None where the channel's model lacks it."""
-    if name not in calibration.model.names:
+def _size(trail: SearchPath, name: str) -> tuple[float | None, float]:
+    """Of an effect, and its uncertainty, as they leave; None where the channel's model lacks it."""
+    model = trail.final.calibration.model
+    if name not in model.names:
         return None, 0.0
-    effect = calibration.model.effect(name)
+    effect = model.effect(name)
     size = f"{name}.{effect.measure}" if effect.measure else effect.coefficient_name(0)
-    draws = calibration.samples(size)
+    draws = trail.calibration.samples(size)
     return float(draws.mean()), float(draws.std())
 
 

@@ -1,5 +1,9 @@
 """A compensation program as a file: JSON, which is read back; by templates C99, Python, or a page with JavaScript.
 
+Everything in a C header carries the name of its sensor, so that those of several go into one program. Two of one name
+are refused by the compiler, as the include guard of each holds a checksum: else the second would be passed over without
+a word, and its sensor be corrected by the first.
+
 The page answers: sliders, the corrected reading with its band, each effect's share. It is one HTML file without server
 or network (its content policy forbids both). Its arithmetic is JavaScript written from the same graph of operations as
 the C header, and computes the same; names are text only, since the script knows inputs, coefficients and effects by
@@ -9,7 +13,9 @@ number.
 from __future__ import annotations
 
 import re
+import zlib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -119,20 +125,73 @@ FILTERS = {"text": _text, "unit": _unit, "meaning": _meaning}
 FORMATS = {".json": "json", ".h": "c", ".py": "python", ".html": "html"}
 
 
-def export(program: CompensationProgram, path: str | Path, format: str | None = None) -> Path:
-    """Write as .h (C99), .py (Python), .html (a page) or .json; beside and then renamed.
+def sensor_name(given: str | None, instrument: str) -> str:
+    """What a sensor is called in C and Python: as the user says, else as its instrument.
 
     Raises:
-        InputError: another suffix or format, or a place that cannot be written to.
+        InputError: what the user says is no name there.
+    """
+    if given is None:
+        return identifier(instrument)
+    if identifier(given.lower()) != given.lower():
+        raise InputError(
+            f"{given!r} is no name in C and Python: letters, digits and _, a letter first, and no word of theirs, such "
+            "as gyro_x"
+        )
+    return given
+
+
+def refuse_without_uncertainty(format: str) -> None:
+    """Refuse formats whose form holds the uncertainty in any case, and are asked for without.
+
+    Raises:
+        InputError: the format is one of these.
+    """
+    if format not in LANGUAGES:
+        raise InputError(
+            f"{format} holds its uncertainty: only C and Python are written without uncertainty"
+        )
+
+
+def include_guard(name: str, *computed: Any) -> str:
+    """The first lines of a header: it is taken once, and not at all where another of its name was.
+
+    Args:
+        name: of the sensor.
+        computed: what the header computes, whose checksum is the guard's value.
+    """
+    stamp = f"0x{zlib.crc32(repr(computed).encode()):08x}UL"
+    guard = f"BAYESCAL_{name.upper()}_H"
+    return (
+        f"#if defined({guard}) && {guard} != {stamp}\n"
+        f"#error two sensors are called {name}: export one of them with another name\n"
+        f"#endif\n#ifndef {guard}\n#define {guard} {stamp}"
+    )
+
+
+def export(
+    program: CompensationProgram,
+    path: str | Path,
+    format: str | None = None,
+    *,
+    name: str | None = None,
+    uncertainty: bool = True,
+) -> Path:
+    """Write as .h (C99), .py (Python), .html (a page) or .json; beside and then renamed.
+
+    Args:
+        program: to write.
+        path: of the file.
+        format: "c", "python", "html" or "json", whatever the suffix.
+        name: of the sensor in C; that of the instrument if not given.
+        uncertainty: with the covariance of the coefficients; False for C and Python that give the value alone.
+
+    Raises:
+        InputError: another suffix or format, a name that is none in C, or a place that cannot be written to.
     """
     path = Path(path)
-    format = format or FORMATS.get(path.suffix.lower(), "")
-    if format not in FORMATS.values():
-        raise InputError(
-            f"a compensator cannot be written as {format or path.name!r}: choose json, c, python "
-            "or html (.json, .h, .py, .html)"
-        )
-    return write_text(as_text(program, format), path)
+    format = format or FORMATS.get(path.suffix.lower(), path.name)
+    return write_text(as_text(program, format, name=name, uncertainty=uncertainty), path)
 
 
 def load_program(path: Path) -> CompensationProgram:
@@ -150,13 +209,30 @@ def load_program(path: Path) -> CompensationProgram:
     return from_data(data, path.name)
 
 
-def as_text(program: CompensationProgram, format: str) -> str:
-    """The program as a C99 header ("c"), a Python module ("python"), a page ("html") or "json"."""
+def as_text(
+    program: CompensationProgram,
+    format: str,
+    *,
+    name: str | None = None,
+    uncertainty: bool = True,
+) -> str:
+    """The program as a C99 header ("c"), a Python module ("python"), a page ("html") or "json".
+
+    Raises:
+        InputError: another format, a name that is none in C, or a page or JSON without uncertainty.
+    """
+    if format not in FORMATS.values():
+        raise InputError(
+            f"a compensator cannot be written as {format!r}: choose json, c, python or html (.json, .h, .py, .html)"
+        )
+    name = sensor_name(name, program.about.instrument)
+    if not uncertainty:
+        refuse_without_uncertainty(format)
     if format == "json":
         return json_text(program.data(), indent=1)
     if format == "html":
         return page(program)
-    return _from_template(program, LANGUAGES[format])
+    return _from_template(program, LANGUAGES[format], name, uncertainty)
 
 
 # Names that the templates give themselves.
@@ -164,27 +240,38 @@ _WORDS = "reading stimulus inputs expected slope gradient square total values ou
 _OWN_WORDS = frozenset(_WORDS.split())
 
 
-def _from_template(program: CompensationProgram, language: Language) -> str:
+def _from_template(
+    program: CompensationProgram, language: Language, name: str, uncertainty: bool
+) -> str:
     """The C99 header or the Python module, from its template."""
+    outputs = (program.expected, program.slope), program.gradient if uncertainty else ()
+    if not uncertainty:  # nor what only the uncertainty depends on
+        needed = program.graph.inputs(outputs[0])
+        program = replace(program, inputs=tuple(i for i in program.inputs if i.name in needed))
     fields: dict[str, str] = {}
     for i in program.inputs:
-        name = identifier(i.name, _OWN_WORDS | set(fields.values()))
-        fields[i.name] = f"{name}_" if re.fullmatch(r"t\d+", name) else name
+        own = identifier(i.name, _OWN_WORDS | set(fields.values()))
+        fields[i.name] = f"{own}_" if re.fullmatch(r"t\d+", own) else own
     names = {**{k: language.input.format(v) for k, v in fields.items()}, STIMULUS: "stimulus"}
-    factor = program.factor
-    outputs = (program.expected, program.slope), program.gradient
+    lower = program.factor
+    factor = [number_text(lower[i, j]) for i in range(len(lower)) for j in range(i + 1)]
+    expected, gradient = (statements(program.graph, one, names, language) for one in outputs)
     used = [program.graph.inputs(one) for one in outputs]
     record = _record(program, fields)
     words = language.words
     return template(language.template, {"comment": words, "quoted": python_string}).render(
         p=program,
         about=program.about,
-        name=identifier(program.about.instrument),
+        name=name,
+        guard=include_guard(
+            name, expected, gradient, factor, program.noise, program.inputs, uncertainty
+        ),
+        uncertainty=uncertainty,
         fields=fields,
         record=record,
-        expected=statements(program.graph, outputs[0], names, language),
-        gradient=statements(program.graph, outputs[1], names, language),
-        factor=[number_text(factor[i, j]) for i in range(len(factor)) for j in range(i + 1)],
+        expected=expected,
+        gradient=gradient,
+        factor=factor,
         steps=1 if program.affine else STEPS,
         uses_stimulus=[STIMULUS in one for one in used],
         uses_inputs=[bool(one - {STIMULUS}) for one in used],

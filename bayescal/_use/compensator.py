@@ -148,6 +148,11 @@ class Compensator:
         return notes_on_use(self._calibration, self._equation, self.stimulus_range)
 
     @property
+    def why_not(self) -> str:
+        """Why the result is not to be used, in words; empty where it may be."""
+        return self.loaded.about.why_not if self.loaded else self._calibration.verdict.why_not
+
+    @property
     def output_unit(self) -> str:
         return self.loaded.about.output_unit if self.loaded else self._calibration.unit
 
@@ -225,16 +230,27 @@ class Compensator:
             about=provenance_of(self._calibration, self._equation, self.stimulus_range),
         )
 
-    def export(self, path: str | Path, format: str | None = None) -> Path:
+    def export(
+        self,
+        path: str | Path,
+        format: str | None = None,
+        *,
+        name: str | None = None,
+        uncertainty: bool = True,
+    ) -> Path:
         """Write for firmware or elsewhere: .h (C99), .py (Python), .html (a page with sliders) or .json.
 
-        By suffix, or by `format`: "c", "python", "html", "json".
+        Args:
+            path: of the file, by whose suffix it is written.
+            format: "c", "python", "html" or "json", whatever the suffix.
+            name: of the sensor, which all names in the C header begin with; that of the instrument if not given.
+            uncertainty: False for C and Python that give the value alone, without the covariance of the coefficients.
 
         Raises:
             ModelError: an effect cannot be exported.
-            InputError: another format, or a place that cannot be written to.
+            InputError: another format, a name that is none in C, or a place that cannot be written to.
         """
-        return code_writer.export(self.program, path, format)
+        return code_writer.export(self.program, path, format, name=name, uncertainty=uncertainty)
 
     @property
     def _calibration(self) -> Calibration:

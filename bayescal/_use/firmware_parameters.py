@@ -62,6 +62,7 @@ class AtRest:
         unit: "rad/s" or "m/s^2".
         noise: standard deviation of one reading, in `unit`.
         uncertainty: root mean square over the readings of the standard uncertainty of `offset`, in `unit`.
+        scale: smallest and largest scale factor there, less one; zeros where none was calibrated.
     """
 
     temperature: np.ndarray
@@ -69,6 +70,7 @@ class AtRest:
     unit: str
     noise: float
     uncertainty: float
+    scale: tuple[float, float]
 
     @property
     def low(self) -> float:
@@ -110,6 +112,10 @@ def at_rest(
     expected = np.broadcast_to(expected, rest.shape)
     _, own, slope = program.run(expected, inputs)
     own = own / np.where(slope > 0, slope, 1.0)  # of the reading, not of the stimulus
+    scale = np.zeros(1)
+    if chosen.equation.slope_calibrated(calibration):
+        like = {"local_gravity": local_gravity, "difference": True}
+        scale = 1 / slope / float(convert(1.0, chosen.unit, calibration.unit, **like)) - 1
 
     def converted(values: np.ndarray) -> np.ndarray:
         try:
@@ -126,6 +132,7 @@ def at_rest(
         unit=unit,
         noise=float(converted(np.array([chosen.noise]))[0]),
         uncertainty=float(converted(np.array([np.sqrt(np.mean(own**2))]))[0]),
+        scale=(float(scale.min()), float(scale.max())),
     )
 
 
@@ -504,6 +511,11 @@ def _notes(
             notes.append(
                 f"{a} was calibrated from {p.of.low:.1f} to {p.of.high:.1f} °C, its sensor from {p.low:.1f} to "
                 f"{p.high:.1f} °C."
+            )
+        if any(p.of.scale):
+            by = " to ".join(dict.fromkeys(f"{number(100 * one)} %" for one in p.of.scale))
+            notes.append(
+                f"{a}: the scale factor differs from nominal by {by}, has no place here, and is left out."
             )
         calibration = chosen[a].calibration
         if calibration is not None and not calibration.verdict.reliable:

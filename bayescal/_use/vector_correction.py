@@ -23,9 +23,10 @@ that points to the other side of the level are the same to it: the dip found is 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -39,10 +40,13 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
 from bayescal._calibration.mixture import usual_columns, with_columns
 from bayescal._core.errors import InputError, ModelError
+from bayescal._core.formatting import table, with_error
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, TURNED
 from bayescal._data.still_stretches import LoggedRun, in_common, logged_runs, per_sample
+from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.joint import slots_of
+from bayescal._use.compensation_program import NOT_RELIABLE
 
 EXACT = 1e-9  # of the largest term, up to which a polynomial of the temperature is the model's own
 ROUNDING = 1e-13  # of it, up to which a term is none
@@ -189,7 +193,7 @@ class VectorCorrection:
         outputs: names of the three outputs.
         unit: of the outputs and of what acts.
         reference: T0, °C.
-        low, high: temperatures of the calibration, °C; equal where there was one, or none was recorded.
+        low, high: temperatures of the calibration, °C; None where none was recorded.
         terms: for each power of T − T0, offset (3), matrix by rows (9), then second order by rows (18) or none, then
             each axis' own cube (3) or none, then what acts beside, by rows (9) or none (k, p).
         covariance: of `terms`, raveled (k·p, k·p).
@@ -197,6 +201,8 @@ class VectorCorrection:
         notes: what to know, each a sentence.
         source: identity of the calibration.
         beside: columns of what acts beside; empty for none.
+        instrument: its name.
+        reach: largest magnitude of what acted in the calibration, `unit`.
         axes_of: identity of the calibration whose axes `in_frame_of` took it to; empty for its own.
         shared: covariance of `terms` with those of that correction, both raveled (k·p, q); None for its own axes.
     """
@@ -204,14 +210,16 @@ class VectorCorrection:
     outputs: tuple[str, ...]
     unit: str
     reference: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
     terms: Float[np.ndarray, "k p"]
     covariance: Float[np.ndarray, "q q"]
     noise: float
     notes: tuple[str, ...] = ()
     source: str = ""
     beside: tuple[str, ...] = ()
+    instrument: str = "triad"
+    reach: float = 1.0
     axes_of: str = ""
     shared: Float[np.ndarray, "q r"] | None = None
 
@@ -228,12 +236,40 @@ class VectorCorrection:
     def at(self, temperature: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Terms (n, p) at temperatures in °C, and their covariance (n, p, p)."""
         k, p = self.terms.shape
-        powers = self._powers(np.atleast_1d(np.asarray(temperature, float)))
+        powers = self.powers(np.atleast_1d(np.asarray(temperature, float)))
         blocks = self.covariance.reshape(k, p, k, p)
         return powers @ self.terms, np.einsum("nk,kplq,nl->npq", powers, blocks, powers)
 
-    def _powers(self, temperature: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n k"]:
+    def powers(self, temperature: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n k"]:
+        """Of T − T0, of temperatures in °C."""
         return (temperature - self.reference)[:, None] ** np.arange(len(self.terms))
+
+    @property
+    def why_not(self) -> str:
+        """Why the result is not to be used, in words; empty where it may be."""
+        told = (note for note in self.notes if note.startswith(NOT_RELIABLE))
+        return next(told, "").removeprefix(NOT_RELIABLE)
+
+    @property
+    def calibrated_at(self) -> str:
+        """The temperatures of the calibration, in words."""
+        if self.low is None or self.high is None:
+            return "temperature not recorded"
+        several = f"{self.low:.4g} to " if self.high > self.low else ""
+        return f"calibrated at {several}{self.high:.4g} °C"
+
+    @property
+    def assumed(self) -> float:
+        """Temperature where none is given, °C: T0, which is rounded and may be none of the calibration's."""
+        if self.low is None or self.high is None:
+            return self.reference
+        return min(max(self.reference, self.low), self.high)
+
+    def is_outside(self, temperature: Float[np.ndarray, "n"]) -> np.ndarray:
+        """Where a temperature, °C, is none of the calibration; nowhere where none was recorded."""
+        if self.low is None or self.high is None:
+            return np.zeros(len(temperature), bool)
+        return (temperature < self.low) | (temperature > self.high)
 
     @cached_property
     def offset(self) -> np.ndarray:
@@ -249,6 +285,19 @@ class VectorCorrection:
     def uncertainty(self) -> np.ndarray:
         """Standard uncertainty of each term, as `terms` (k, p)."""
         return np.sqrt(np.diag(self.covariance)).reshape(self.terms.shape)
+
+    @property
+    def rows(self) -> list[TermRow]:
+        """Every term that is not nothing, with its standard uncertainty."""
+        return term_rows(self.terms, self.uncertainty, self.unit, self.beside)
+
+    def __str__(self) -> str:
+        """Offset, matrix and what else there is, as exports have them."""
+        rows = [
+            [str(row), with_error(row.value, row.uncertainty), unit_label(row.unit)]
+            for row in self.rows
+        ]
+        return table(["correction", "value ± standard uncertainty", "unit"], rows)
 
     def __call__(
         self,
@@ -277,13 +326,8 @@ class VectorCorrection:
         covariance = slope @ own @ slope.transpose(0, 2, 1) + sd**2 * inverse @ inverse.transpose(
             0, 2, 1
         )
-        outside = (
-            (warm < self.low) | (warm > self.high)
-            if len(self.terms) > 1
-            else np.zeros(len(force), bool)
-        )
-        slopes = TermSlopes(self, self._powers(warm), slope)
-        return CorrectedVector(force, covariance, self.unit, outside, slopes)
+        slopes = TermSlopes(self, self.powers(warm), slope)
+        return CorrectedVector(force, covariance, self.unit, self.is_outside(warm), slopes)
 
     def in_poses(
         self, run: LoggedRun, windows: Float[np.ndarray, "n 2"]
@@ -305,7 +349,7 @@ class VectorCorrection:
         if run.temperature is not None:
             warm = np.array([np.mean(run.temperature[run.inside(*w)]) for w in windows])
         force, inverse, slope, warm = self._solved(run.means(windows), warm, None)
-        shared = np.einsum("nk,nip->nikp", self._powers(warm), slope)
+        shared = np.einsum("nk,nip->nikp", self.powers(warm), slope)
         noise = run.still.of_second**2 / (windows[:, 1] - windows[:, 0])
         own = noise[:, None, None] * inverse @ inverse.transpose(0, 2, 1)
         return force, shared.reshape(3 * len(force), -1), np.asarray(block_diag(*own))
@@ -334,28 +378,80 @@ class VectorCorrection:
         if temperature is None and len(self.terms) > 1:
             raise InputError("the correction depends on the temperature: give temperature=… in °C")
         warm = np.broadcast_to(
-            self.reference if temperature is None else np.asarray(temperature, float), len(y)
+            self.assumed if temperature is None else np.asarray(temperature, float), len(y)
         )
         if self.beside and beside is None:
             raise InputError(
                 f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
             )
-        terms = self._powers(warm) @ self.terms
-        by_beside = []
+        terms = self.powers(warm) @ self.terms
+        acts = None
         if self.beside:
             acts = np.broadcast_to(np.asarray(beside, float), y.shape)
-            by_beside = [_by_rows(acts)]
             terms, last = terms[:, :-9].copy(), terms[:, -9:]
-            terms[:, :3] += (by_beside[0] @ last[..., None])[..., 0]
+            terms[:, :3] += (_by_rows(acts) @ last[..., None])[..., 0]
         force = y.copy()
         for _ in range(NEWTON):
             there, slopes = _outputs(terms, force)
             force = force - np.linalg.solve(slopes, (there - y)[..., None])[..., 0]
         inverse = np.linalg.inv(_outputs(terms, force)[1])
-        by_terms = [np.broadcast_to(np.eye(3), (len(y), 3, 3)), _by_rows(force)]
-        by_terms += [_by_rows(_products(force))] if self.order > 1 else []
-        by_terms += [force[:, :, None] ** 3 * np.eye(3)] if self.order > 2 else []
-        return force, inverse, inverse @ np.concatenate([*by_terms, *by_beside], axis=2), warm
+        return force, inverse, inverse @ slopes_by_terms(force, self.order, acts), warm
+
+
+class TermRow(NamedTuple):
+    """A term of a correction: its name, the power of T − T0 that it multiplies, its value and unit."""
+
+    name: str
+    power: int
+    value: float
+    uncertainty: float
+    unit: str
+
+    def __str__(self) -> str:
+        return self.name + ("", " by T − T0", " by (T − T0)²", " by (T − T0)³")[self.power]
+
+
+def term_rows(
+    terms: ArrayLike, uncertainty: ArrayLike, unit: str, beside: Sequence[str]
+) -> list[TermRow]:
+    """The terms that are not nothing.
+
+    Args:
+        terms, uncertainty: as a correction holds them (k, p).
+        unit: of the outputs.
+        beside: columns of what acts beside, whose terms are for a unit of each.
+    """
+    axes, terms = "xyz", np.asarray(terms, float)
+    names = [(f"offset {a}", unit) for a in axes] + [
+        (f"matrix {a}{b}", "1") for a in axes for b in axes
+    ]
+    own = terms.shape[1] - 9 * bool(beside)
+    if own > 12:
+        pairs = [axes[i] + axes[j] for i, j in PAIRS]
+        names += [(f"second order {a}·{p}", f"1/({unit})") for a in axes for p in pairs]
+    if own > 30:
+        names += [(f"cube {a}", f"1/({unit})^2") for a in axes]
+    names += [(f"{g} on {a}", unit) for a in axes for g in beside]
+    found = []
+    for power, (values, sds) in enumerate(zip(terms, np.asarray(uncertainty, float), strict=True)):
+        per = ("", "/degC", "/degC^2", "/degC^3")[power]
+        found += [
+            TermRow(name, power, float(value), float(sd), f"{own_unit}{per}")
+            for (name, own_unit), value, sd in zip(names, values, sds, strict=True)
+            if value or sd
+        ]
+    return found
+
+
+def slopes_by_terms(
+    force: Float[np.ndarray, "n 3"], order: int, beside: Float[np.ndarray, "n 3"] | None
+) -> Float[np.ndarray, "n 3 p"]:
+    """Slopes of the three outputs by the terms of a correction up to an order in what acts."""
+    found = [np.broadcast_to(np.eye(3), (len(force), 3, 3)), _by_rows(force)]
+    found += [_by_rows(_products(force))] if order > 1 else []
+    found += [force[:, :, None] ** 3 * np.eye(3)] if order > 2 else []
+    found += [] if beside is None else [_by_rows(beside)]
+    return np.concatenate(found, axis=2)
 
 
 def _products(force: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 6"]:
@@ -394,7 +490,7 @@ def _outputs(
 
 
 def vector_correction(
-    calibration: Calibration, *, draws: int = 2000, seed: int = 0
+    calibration: Calibration, *, draws: int | None = None, seed: int = 0
 ) -> VectorCorrection:
     """The correction of a calibrated instrument of three axes.
 
@@ -403,7 +499,7 @@ def vector_correction(
     Args:
         calibration: of an instrument with `vector`, or an average over structures: over those that need no further
             input than the likely ones.
-        draws: of the posterior, at most, that mean and covariance are of.
+        draws: of the posterior, at most, that mean and covariance are of; all if not given, as in every table.
         seed: of the deviations of a new run.
 
     Raises:
@@ -426,7 +522,8 @@ def vector_correction(
                 f"not: fit the model without it, model - {effect.name!r}, and its part is noise"
             )
     beside = vector.beside if any(set(e.columns) & {*vector.beside} for e in model.effects) else ()
-    warm = readings["temperature"] if readings.has("temperature") else np.zeros(1)
+    recorded = readings.has("temperature")
+    warm = readings["temperature"] if recorded else np.zeros(1)
     low, high, reference = float(np.min(warm)), float(np.max(warm)), float(np.round(np.mean(warm)))
     reference = float(calibration.reference.get("T0", reference))  # pyright: ignore[reportArgumentType]
     grid = np.linspace(low, high, 2 * ORDERS + 1) if high > low else np.array([low])
@@ -453,23 +550,35 @@ def vector_correction(
         if not np.any(terms[:, :, 12:30]):
             terms = np.delete(terms, slice(12, 30), axis=2)
     spread = terms.reshape(len(terms), -1)
-    return VectorCorrection(
+    made = VectorCorrection(
         outputs=vector.outputs,
         unit=instrument.unit,
         reference=reference,
-        low=low,
-        high=high,
+        low=low if recorded else None,
+        high=high if recorded else None,
         terms=np.mean(terms, axis=0),
         covariance=np.atleast_2d(np.cov(spread.T)),
         noise=float(np.sqrt(np.min(calibration.linear.variance))),
-        notes=_notes(calibration, order, low, high),
         source=identity(calibration),
         beside=beside,
+        instrument=instrument.name,
     )
+    return replace(made, reach=_reach(made, readings), notes=_notes(calibration, made))
 
 
-def _notes(calibration: Calibration, order: int, low: float, high: float) -> tuple[str, ...]:
-    notes = []
+def _reach(correction: VectorCorrection, readings: Measurements) -> float:
+    """Largest magnitude of what acted in the readings: of rates between poses, of their means."""
+    if readings.has(TURNED[0]):
+        acted = np.stack([readings[name] for name in TURNED], axis=1)
+    else:
+        acted = correction(readings).vector
+    return float(np.max(np.linalg.norm(acted, axis=1)))
+
+
+def _notes(calibration: Calibration, made: VectorCorrection) -> tuple[str, ...]:
+    notes, at = [], made.calibrated_at
+    if why_not := calibration.verdict.why_not:
+        notes.append(f"{NOT_RELIABLE}{why_not}")
     if calibration.readings.has(TURNED[0]):
         notes.append("Axes are those of the accelerometers that the moves were closed by.")
     elif not calibration.readings.has(ACROSS[0]):
@@ -477,10 +586,12 @@ def _notes(calibration: Calibration, order: int, low: float, high: float) -> tup
             "Directions were unknown: a rotation of the triad is a convention (body z is sensor z, body y in the plane "
             "of sensors y and z), and its uncertainty is none."
         )
-    if order:
-        notes.append(f"Valid from {low:.4g} to {high:.4g} °C.")
+    if len(made.terms) > 1:
+        notes.append(f"Valid from {made.low:.4g} to {made.high:.4g} °C.")
     else:
-        notes.append("No dependence on temperature is in the model: valid where it was calibrated.")
+        notes.append(
+            f"No dependence on temperature is in the model ({at}): valid where it was calibrated."
+        )
     if len(calibration.readings.groups("run")[0]) < 2:
         notes.append(
             "One session: what changes between sessions (often ten times the stated uncertainty) is not in it. "
@@ -490,7 +601,11 @@ def _notes(calibration: Calibration, order: int, low: float, high: float) -> tup
 
 
 def _taylor(
-    calibration: Calibration, grid: np.ndarray, beside: tuple[str, ...], draws: int, seed: int
+    calibration: Calibration,
+    grid: np.ndarray,
+    beside: tuple[str, ...],
+    draws: int | None,
+    seed: int,
 ) -> Float[np.ndarray, "s g p"]:
     """Offset, matrix, second order and what acts beside at temperatures, of draws."""
     each, grid = len(grid), np.tile(grid, 1 + len(beside))  # at none, then at one of each

@@ -11,37 +11,47 @@ Equations of what reads them, and their sources:
   OFF of a gyroscope, in rad/s; a symmetric matrix with ODIAG beside it for a magnetometer, in gauss.
 * ArduPilot (AP_InertialSensor_Backend, AP_Compass_Backend): (raw − INS_ACCOFFS)·INS_ACCSCAL in m/s², raw − INS_GYROFFS
   in rad/s; for a compass DIA/ODI·(raw + OFS), symmetric, in mG.
+
+C, Python and JSON hold all of a correction. The others get the nearest of their form, and say what that leaves out.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
-from bayescal._core.json_shape import read_json
-from bayescal._core.quoting import c_comment, identifier, number_text
+from bayescal._core.json_shape import OneOf, read_json
+from bayescal._core.quoting import c_comment, identifier, python_words
 from bayescal._core.version import __version__
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, convert, same_dimension
+from bayescal._use.code_writer import include_guard, refuse_without_uncertainty, sensor_name
 from bayescal._use.expression_graph import template
 from bayescal._use.firmware_parameters import AUTOPILOTS
+from bayescal._use.plain_correction import PlainCorrection, plain_correction
 from bayescal._use.vector_correction import NEWTON, SIZES, VectorCorrection
 
+NOTHING = "Nothing is left out."
 SHAPE = {
     "made_by": str,
     "calibration": str,
+    "instrument": str,
     "outputs": (str, str, str),
     "unit": str,
     "equation": str,
     "order_of_terms": str,
     "beside?": [str],
     "reference_degC": float,
-    "temperatures_degC": (float, float),
+    "temperatures_degC": OneOf(None, (float, float)),
+    "reach": float,
     "terms": [[float]],
     "covariance": [[float]],
     "noise": float,
@@ -57,13 +67,15 @@ def data(correction: VectorCorrection) -> dict[str, Any]:
     return {
         "made_by": f"bayescal {__version__}",
         "calibration": correction.source,
+        "instrument": correction.instrument,
         "outputs": list(correction.outputs),
         "unit": correction.unit,
         "equation": "outputs = offset + matrix·f (+ higher orders) (+ beside·g), each a polynomial of T − reference",
         "order_of_terms": "offset x y z; matrix by rows; second order xx yy zz xy xz yz by rows; cubes; beside by rows",
         "beside": list(correction.beside),
         "reference_degC": correction.reference,
-        "temperatures_degC": [correction.low, correction.high],
+        "temperatures_degC": None if correction.low is None else [correction.low, correction.high],
+        "reach": correction.reach,
         "terms": correction.terms.tolist(),
         "covariance": correction.covariance.tolist(),
         "noise": correction.noise,
@@ -91,7 +103,7 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
             raise ValueError(
                 f"terms of shape {terms.shape} with a covariance of shape {covariance.shape}"
             )
-        low, high = found["temperatures_degC"]
+        low, high = found["temperatures_degC"] or (None, None)
         shared = found.get("covariance_with_axes_of")
         return VectorCorrection(
             outputs=tuple(found["outputs"]),
@@ -105,6 +117,8 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
             notes=tuple(found["notes"]),
             source=found["calibration"],
             beside=tuple(found.get("beside", ())),
+            instrument=found["instrument"],
+            reach=found["reach"],
             axes_of=found.get("axes_of", ""),
             shared=None if shared is None else np.array(shared, dtype=float),
         )
@@ -115,7 +129,7 @@ def load_vector_correction(path: str | Path) -> VectorCorrection:
 
 
 def kalibr_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
-    """The intrinsics at T0 as Kalibr and OpenVINS state them, in m/s² or rad/s where the unit is one of these.
+    """The intrinsics as Kalibr and OpenVINS state them, in m/s² or rad/s where the unit is one of these.
 
     Args:
         correction: of accelerometers or of gyroscopes.
@@ -123,32 +137,40 @@ def kalibr_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> s
             are then those of the first.
     """
     every = (correction, *others)
+    notes = dict.fromkeys(note for c in every for note in c.notes)
+    frame = _split(_in_kalibr(correction).matrix)[1]
     return "\n".join(
         [
-            f"# Intrinsics of three axes at {correction.reference:g} degC, made by bayescal {__version__}",
-            *(f"# {c_comment(note)}" for note in dict.fromkeys(n for c in every for n in c.notes)),
+            f"# Intrinsics of three axes, made by bayescal {__version__}",
+            *(f"# {c_comment(note)}" for note in notes),
             "imu0:",
             *_intrinsics(correction, np.eye(3)),
-            *(line for one in others for line in _intrinsics(one, _split(correction)[1])),
+            *(line for one in others for line in _intrinsics(one, frame)),
             "",
         ]
     )
 
 
-def _split(correction: VectorCorrection) -> tuple[np.ndarray, np.ndarray]:
-    """The matrix at T0 as a lower triangle times a rotation."""
-    lower = np.linalg.cholesky(correction.matrix @ correction.matrix.T)
-    return lower, np.linalg.solve(lower, correction.matrix)
+def _in_kalibr(correction: VectorCorrection) -> PlainCorrection:
+    return plain_correction(correction, beside=_si(correction.unit)[1] == "rad/s")
+
+
+def _split(matrix: Float[np.ndarray, "3 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """A matrix as a lower triangle times a rotation."""
+    lower = np.linalg.cholesky(matrix @ matrix.T)
+    return lower, np.linalg.solve(lower, matrix)
 
 
 def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
     """Lines of one triad; `frame` rotates the body axes of the calibration to Kalibr's."""
-    m, sd = correction.matrix, correction.uncertainty[0, 3:12].reshape(3, 3)
-    lower, turn = _split(correction)
     factor, unit = _si(correction.unit)
-    turns = unit == "rad/s"
+    turns, plain = unit == "rad/s", _in_kalibr(correction)
+    lower, turn = _split(plain.matrix)
+    name = {"rad/s": "gyroscopes", "m/s^2": "accelerometers"}.get(unit)
     lines = [
-        f"  {'gyroscopes' if turns else 'accelerometers'}:",
+        f"  {name or identifier(correction.instrument)}:",
+        f"    # {c_comment(correction.calibrated_at)}",
+        f"    # {c_comment(plain.said or NOTHING)}",
         "    # Kalibr, scale-misalignment: measured = M*f + bias, M lower triangular, x axis of the body = sensor x",
         "    M:",
         *_rows(lower),
@@ -158,20 +180,23 @@ def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
         f"    {'C_gyro_i' if turns else 'R'}:",
         *_rows(turn @ frame.T),
         f"    # bias, {c_comment(unit)}, and its standard uncertainty",
-        f"    bias: {_list(correction.offset * factor)}",
-        f"    bias_uncertainty: {_list(correction.uncertainty[0, :3] * factor)}",
+        f"    bias: {_list(plain.offset * factor)}",
+        f"    bias_uncertainty: {_list(plain.uncertainty[:3] * factor)}",
         "    # measured = matrix*f + bias, in the body axes of this calibration, and standard uncertainties",
         "    matrix:",
-        *_rows(m),
+        *_rows(plain.matrix),
         "    matrix_uncertainty:",
-        *_rows(sd),
+        *_rows(plain.uncertainty[3:12].reshape(3, 3)),
     ]
     by_gravity = np.zeros((3, 3))
     if turns and correction.beside:
-        by_gravity = correction.terms[0, -9:].reshape(3, 3) * factor / STANDARD_GRAVITY
+        by_gravity = plain.terms[12:].reshape(3, 3) * factor / STANDARD_GRAVITY
         lines += ["    # sensitivity to specific force in the axes of M, rad/s per m/s^2", "    A:"]
         lines += _rows(by_gravity @ turn.T)
-    lines += [
+    if name is None:
+        return lines
+    return [
+        *lines,
         "  # OpenVINS: measured = T*R*f + bias, of gyroscopes + Tg*a, in the body axes of this calibration",
         f"  {'Tw' if turns else 'Ta'}:",
         *_rows(lower),
@@ -179,13 +204,12 @@ def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
         *_rows(turn),
         *(["  Tg:", *_rows(by_gravity)] if turns else []),
     ]
-    return lines
 
 
-def autopilot_parameters(correction: VectorCorrection, autopilot: str) -> dict[str, float]:
-    """Parameters of PX4 ("px4-params") or ArduPilot ("ardupilot-params") at T0, of its first sensor, by their names.
-
-    Of an accelerometer misalignments are left out, for which these have no parameters, of a gyroscope all but offsets.
+def autopilot_parameters(
+    correction: VectorCorrection, autopilot: str
+) -> tuple[dict[str, float], str]:
+    """Parameters of PX4 ("px4-params") or ArduPilot ("ardupilot-params"), of its first sensor, by name; what they lack.
 
     Raises:
         InputError: another autopilot, or a quantity that it has no such parameters for.
@@ -193,65 +217,150 @@ def autopilot_parameters(correction: VectorCorrection, autopilot: str) -> dict[s
     if autopilot not in AUTOPILOTS:
         raise InputError(f"format {autopilot!r} is not one of {', '.join(AUTOPILOTS)}")
     px4 = autopilot == "px4-params"
-    back = np.linalg.inv(correction.matrix)
     if same_dimension(correction.unit, "g") or same_dimension(correction.unit, "m/s^2"):
+        plain = plain_correction(correction, "diagonal", beside=False)
         factor, _ = _si(correction.unit)
         off = "CAL_ACC0_{}OFF" if px4 else "INS_ACCOFFS_{}"
         scale = "CAL_ACC0_{}SCALE" if px4 else "INS_ACCSCAL_{}"
-        found = {off.format(a): correction.offset[i] * factor for i, a in enumerate("XYZ")}
-        return found | {scale.format(a): back[i, i] for i, a in enumerate("XYZ")}
+        found = {off.format(a): plain.offset[i] * factor for i, a in enumerate("XYZ")}
+        found |= {scale.format(a): 1 / plain.matrix[i, i] for i, a in enumerate("XYZ")}
+        return found, plain.said
     if same_dimension(correction.unit, "rad/s"):
+        plain = plain_correction(correction, "none", beside=False)
         factor, _ = _si(correction.unit)
         off = "CAL_GYRO0_{}OFF" if px4 else "INS_GYROFFS_{}"
-        return {off.format(a): correction.offset[i] * factor for i, a in enumerate("XYZ")}
+        return {off.format(a): plain.offset[i] * factor for i, a in enumerate("XYZ")}, plain.said
     if same_dimension(correction.unit, "uT"):
+        plain = plain_correction(correction, beside=False)
+        back = np.linalg.inv(plain.matrix)
         values, vectors = np.linalg.eigh(back.T @ back)
         symmetric = (vectors * np.sqrt(values)) @ vectors.T
-        gauss = np.asarray(convert(correction.offset, correction.unit, "gauss"))
+        turn = back @ np.linalg.inv(symmetric)
+        hand = np.sign(np.linalg.det(turn))
+        angle = np.degrees(Rotation.from_matrix(hand * turn).magnitude())
+        kept = f"{'' if hand > 0 else 'a reflection and '}a rotation of {angle:.2g}°"
+        said = f"{plain.said} The axes keep {kept} to those of this calibration.".lstrip()
+        gauss = np.asarray(convert(plain.offset, correction.unit, "gauss"))
         beside = dict(zip("XYZ", (symmetric[0, 1], symmetric[0, 2], symmetric[1, 2]), strict=True))
         if px4:
             found = {f"CAL_MAG0_{a}OFF": gauss[i] for i, a in enumerate("XYZ")}
             found |= {f"CAL_MAG0_{a}SCALE": symmetric[i, i] for i, a in enumerate("XYZ")}
-            return found | {f"CAL_MAG0_{a}ODIAG": v for a, v in beside.items()}
+            return found | {f"CAL_MAG0_{a}ODIAG": v for a, v in beside.items()}, said
         found = {f"COMPASS_OFS_{a}": -1e3 * gauss[i] for i, a in enumerate("XYZ")}
         found |= {f"COMPASS_DIA_{a}": symmetric[i, i] for i, a in enumerate("XYZ")}
-        return found | {f"COMPASS_ODI_{a}": v for a, v in beside.items()}
+        return found | {f"COMPASS_ODI_{a}": v for a, v in beside.items()}, said
     raise InputError(
         f"{autopilot}: there are parameters for accelerometers, gyroscopes and magnetometers, and these outputs are in "
         f"[{correction.unit}]"
     )
 
 
-def as_text(correction: VectorCorrection, format: str, name: str = "triad") -> str:
-    """The correction as "json", "c", "python", "yaml", "px4-params" or "ardupilot-params".
+def left_out(correction: VectorCorrection, format: str) -> str:
+    """What a format has no place for and how large it is, in a sentence; empty where it holds all of the correction."""
+    if format in AUTOPILOTS:
+        return autopilot_parameters(correction, format)[1]
+    return _in_kalibr(correction).said if format == "yaml" else ""
+
+
+def _parameter_file(correction: VectorCorrection, format: str) -> str:
+    autopilot = AUTOPILOTS[format]
+    values, left = autopilot_parameters(correction, format)
+    said = (
+        f"Made by bayescal {__version__}, {correction.calibrated_at}",
+        *correction.notes,
+        left or NOTHING,
+        *autopilot.head,
+    )
+    lines = [autopilot.line(name, float(value)) for name, value in values.items()]
+    return "\n".join([*(f"# {c_comment(one)}" for one in said), *lines, ""])
+
+
+def as_text(
+    correction: VectorCorrection,
+    format: str,
+    *,
+    name: str | None = None,
+    others: Sequence[VectorCorrection] = (),
+    uncertainty: bool = True,
+) -> str:
+    """The correction in a format, as `export_vector` writes it.
 
     Raises:
-        InputError: another format, or one that has no place for this quantity.
+        InputError: another format, or one that has no place for this quantity, for others or for no uncertainty; a name
+            that is none in C.
     """
-    if format in AUTOPILOTS:
-        line = AUTOPILOTS[format].line
-        values = autopilot_parameters(correction, format)
-        head = [
-            f"# Made by bayescal {__version__}, at {correction.reference:g} degC",
-            *(f"# {h}" for h in AUTOPILOTS[format].head),
-        ]
-        return "\n".join([*head, *(line(n, float(v)) for n, v in values.items())]) + "\n"
+    unit = [correction, *others]
+    names = names_in_unit(name, unit) if others else [sensor_name(name, correction.instrument)]
+    named = dict(zip(names, unit, strict=True))
+    if others and format not in TOGETHER:
+        raise InputError(
+            f"{format} holds one triad: several go into one file as {', '.join(TOGETHER)}; write the others to files "
+            "of their own"
+        )
+    if not uncertainty:
+        refuse_without_uncertainty(format)
     writers: Mapping[str, Callable[[], str]] = {
         "json": lambda: json.dumps(data(correction), indent=1, ensure_ascii=False) + "\n",
-        "c": lambda: template(
-            "vector.h.jinja", {"comment": c_comment, "number": number_text}
-        ).render(c=correction, name=identifier(name), newton=NEWTON),
-        "python": lambda: template("vector.py.jinja", {}).render(
-            data=repr(data(correction)), pairs=NEWTON
-        ),
-        "yaml": lambda: kalibr_yaml_of(correction),
+        "c": lambda: "\n".join(_header(n, c, uncertainty) for n, c in named.items()),
+        "python": lambda: _module(named, uncertainty),
+        "yaml": lambda: kalibr_yaml_of(correction, *others),
+        **{one: partial(_parameter_file, correction, one) for one in AUTOPILOTS},
     }
     if format not in writers:
-        raise InputError(f"format {format!r} is not one of {', '.join([*writers, *AUTOPILOTS])}")
+        raise InputError(f"format {format!r} is not one of {', '.join(writers)}")
     return writers[format]()
 
 
+def names_in_unit(name: str | None, unit: Sequence[VectorCorrection]) -> list[str]:
+    """What the sensors of a unit are called in C and Python: after their instruments, behind a name of the unit.
+
+    Raises:
+        InputError: the name is none in C, or two are of one instrument.
+    """
+    first = "" if name is None else f"{sensor_name(name, '')}_"
+    found = [sensor_name(None, f"{first}{one.instrument}") for one in unit]
+    if twice := [n for n in found if found.count(n) > 1]:
+        raise InputError(
+            f"two of these are of {unit[found.index(twice[0])].instrument}: a unit has one of each; write the other to "
+            "a file of its own, with a name"
+        )
+    return found
+
+
+def _header(name: str, c: VectorCorrection, uncertainty: bool) -> str:
+    """One correction as C99."""
+    return template("vector.h.jinja", {"comment": c_comment}).render(
+        c=c,
+        name=name,
+        guard=include_guard(
+            name, c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high, uncertainty
+        ),
+        uncertainty=uncertainty,
+        recorded=c.low is not None,
+        thermal=len(c.terms) > 1,
+        # Twelve numbers, and no equation to solve.
+        plain=not uncertainty and c.terms.shape == (1, 12),
+        inverse=np.linalg.inv(c.matrix).tolist(),
+        newton=1 if c.order == 1 else NEWTON,
+    )
+
+
+def _module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
+    """Corrections as one Python module."""
+    held = {n: data(c) for n, c in named.items()}
+    for one in () if uncertainty else held.values():
+        del one["covariance"]
+        one.pop("covariance_with_axes_of", None)
+    return template("vector.py.jinja", {"comment": python_words}).render(
+        named=named,
+        data={n: repr(one) for n, one in held.items()},
+        uncertainty=uncertainty,
+        newton=NEWTON,
+    )
+
+
 SUFFIXES = {".json": "json", ".h": "c", ".py": "python", ".yaml": "yaml", ".yml": "yaml"}
+TOGETHER = ("c", "python", "yaml")  # formats of several triads in one file
 
 
 def export_vector(
@@ -260,6 +369,8 @@ def export_vector(
     format: str | None = None,
     *,
     others: Sequence[VectorCorrection] = (),
+    name: str | None = None,
+    uncertainty: bool = True,
 ) -> Path:
     """Write by the suffix of the path (.h, .py, .json, .yaml) or in a `format`.
 
@@ -267,23 +378,32 @@ def export_vector(
         correction: to write.
         path: of the file.
         format: "json", "c", "python", "yaml", "px4-params" or "ardupilot-params", whatever the suffix.
-        others: beside it in a YAML file, in the same body axes: gyroscopes beside accelerometers.
+        others: beside it in one file of C, Python or YAML, in the same body axes: gyroscopes beside accelerometers.
+        name: of the sensor in C and Python; that of the instrument if not given. With `others`, of the unit.
+        uncertainty: with the covariance; False for C and Python that give what acts alone: of a plain offset and matrix
+            twelve numbers are left.
 
     Raises:
-        InputError: another suffix or format, others in another format than YAML, or a place that cannot be written to.
+        InputError: another suffix or format, others or no uncertainty in a format that holds none such, two triads of
+            one instrument, a name that is none in C, or a place that cannot be written to.
     """
-    path = Path(path)
-    chosen = format or SUFFIXES.get(path.suffix.lower())
+    chosen = format_of(path, format)
+    text = as_text(correction, chosen, name=name, others=others, uncertainty=uncertainty)
+    return write_text(text, path)
+
+
+def format_of(path: str | Path | None, format: str | None) -> str:
+    """A format, or that of a path's suffix.
+
+    Raises:
+        InputError: no format is given, and the suffix is of none.
+    """
+    chosen = format or SUFFIXES.get(Path(path or "").suffix.lower())
     if chosen is None:
         raise InputError(
-            f"{path.name}: a correction is written as {', '.join(SUFFIXES)}, or give the format"
+            f"{path}: a correction is written as {', '.join(SUFFIXES)}, or give the format"
         )
-    if others and chosen != "yaml":
-        raise InputError(
-            f"{path.name}: a file of several triads is .yaml; write the others to files of their own"
-        )
-    text = kalibr_yaml_of(correction, *others) if others else as_text(correction, chosen, path.stem)
-    return write_text(text, path)
+    return chosen
 
 
 def _si(unit: str) -> tuple[float, str]:

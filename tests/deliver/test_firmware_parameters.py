@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._core.formatting import number
 from bayescal_models import inclinometer, still_sensor
 from tests.support.command_line import needs_installation, run
 from tests.support.log_files import write_dataflash, write_ulog
+from tests.support.made_up import bent_sensor
 
 INSTRUMENT = still_sensor.INSTRUMENT
 QUICK = bc.LeastSquares(draws=400)
@@ -131,6 +133,17 @@ def test_ardupilot_takes_away_what_the_calibration_found(axes) -> None:
         wanted = wanted - at_rest(axes[name], unit, np.array([calibrated_at]))
         taken = ardupilot(values, 1, word, name[-1].upper(), temperature, calibrated_at)
         np.testing.assert_allclose(taken, wanted, atol=2e-7)
+
+
+def test_a_scale_factor_that_has_no_place_is_said_with_its_size(axes) -> None:
+    made = bc.firmware_parameters({"gyro_y": bent_sensor.gyro()}, "ardupilot-params")
+    calibration = bent_sensor.gyro()
+    share = 1e-4 * calibration.samples("scale.constant").mean()  # %, of ppm
+    said = f"gyro_y: the scale factor differs from nominal by {number(share)} %, has no place here, and is left"
+    assert any(note.startswith(said) for note in made.notes)
+    assert said in made.text()
+    at_rest = bc.firmware_parameters({"gyro_x": axes["gyro_x"]}, "ardupilot-params")
+    assert not any("scale factor" in note for note in at_rest.notes)
 
 
 def test_one_range_holds_for_all_axes_of_a_sensor_and_ends_the_correction(axes) -> None:

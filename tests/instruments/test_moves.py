@@ -22,6 +22,7 @@ from bayescal_models.gyro_triad.log_simulator import MOUNTED
 from bayescal_models.gyro_triad.simulator import BASELINE, OFF_DIAGONAL
 from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
 from tests.support.command_line import needs_installation, run
+from tests.support.export_check import COMPILER, run_c
 from tests.support.triad_truth import TRUE
 
 FORCE, TURNS = accelerometer_triad.INSTRUMENT, gyro_triad.INSTRUMENT
@@ -190,12 +191,44 @@ def test_one_command_from_a_log_of_nine_channels(tmp_path: Path) -> None:
         *("--magnetometers", "mx,my,mz", "--baseline", "--out", tmp_path / "unit"),
     )
     assert done.status == 0, done.err
-    for name in ("imu.yaml", "report.html", "gyroscope/correction.h", "magnetometer/poses.csv"):
+    for name in ("imu.yaml", "imu.py", "report.html", "magnetometer/poses.csv"):
         assert (tmp_path / "unit" / name).is_file()
+    if COMPILER is not None:
+        check_unit_header(tmp_path / "unit")
     correct = bc.load_vector_correction(tmp_path / "unit" / "gyroscope" / "correction.json")
     true = 1 + 1e-6 * np.array(BASELINE["scale.constant"])
     sd = correct.uncertainty[0, [3, 7, 11]]
     assert np.all(np.abs(np.diag(correct.matrix) - true) < 4 * sd)
+
+
+def check_unit_header(folder: Path) -> None:
+    """imu.h beside the headers of its sensors, in one program: each is corrected by its own numbers."""
+    sensors = {
+        "accelerometer": "accelerometer",
+        "gyroscope": "gyro",
+        "magnetometer": "magnetometer",
+    }
+    includes = "".join(f'#include "{folder}/{s}/correction.h"\n' for s in sensors)
+    calls = "".join(f"{n}_triad_correct(y, y[3], 0.0, f, c); PUT\n" for n in sensors.values())
+    source = f"""
+#include "{folder}/imu.h"
+{includes}
+#include <stdio.h>
+#define PUT fwrite(f, sizeof(double), 3, stdout); fwrite(c, sizeof(double), 9, stdout);
+int main(void)
+{{
+    double y[4], f[3], c[3][3];
+    while (fread(y, sizeof(double), 4, stdin) == 4) {{ {calls} }}
+    return 0;
+}}
+"""
+    y = np.array([0.3, -0.2, 0.8, 20.0])
+    found = run_c(source, y, folder).reshape(3, 12)
+    for sensor, row in zip(sensors, found, strict=True):
+        own = bc.load_vector_correction(folder / sensor / "correction.json")
+        wanted = own(y[:3], y[3], noise=0.0)
+        assert row[:3] == pytest.approx(wanted.vector[0], abs=1e-12)
+        assert row[3:] == pytest.approx(wanted.covariance.ravel(), rel=1e-9)
 
 
 def magnetometers(seed: int) -> tuple[bc.Measurements, VectorCorrection, VectorCorrection]:

@@ -408,10 +408,13 @@ def test_kalibrs_matrix_and_ours_give_one_magnitude() -> None:
     found = yaml.safe_load(as_text(correct, "yaml"))["imu0"]
     m, turn = (np.array(found["accelerometers"][n]) for n in ("M", "R"))
     assert np.allclose(m, np.tril(m))
-    assert np.allclose(m @ turn, correct.matrix, atol=1e-8)
+    assert np.allclose(m @ turn, correct.matrix, atol=1e-8)  # which second order adds nothing to
     assert np.allclose(turn @ turn.T, np.eye(3), atol=1e-8)
-    values = autopilot_parameters(correct, "ardupilot-params")
-    assert values["INS_ACCOFFS_X"] == pytest.approx(9.80665 * correct.offset[0])
+    values, left = autopilot_parameters(correct, "ardupilot-params")
+    squares = correct.terms[0, 12:15].sum() * correct.reach**2 / 3  # over all directions
+    nearest = correct.offset[0] + squares  # T0 is the middle of the temperatures
+    assert values["INS_ACCOFFS_X"] == pytest.approx(9.80665 * nearest)
+    assert "misalignments" in left and "second order" in left
 
 
 def test_a_compass_of_an_autopilot_is_symmetric_and_keeps_the_magnitude() -> None:
@@ -419,7 +422,7 @@ def test_a_compass_of_an_autopilot_is_symmetric_and_keeps_the_magnitude() -> Non
 
     readings = magnetometer_triad.simulate(seed=5)
     correct = bc.vector_correction(bc.fit(magnetometer_triad.INSTRUMENT.baseline(), readings))
-    p = autopilot_parameters(correct, "ardupilot-params")
+    p, _ = autopilot_parameters(correct, "ardupilot-params")
     offset = np.array([p[f"COMPASS_OFS_{a}"] for a in "XYZ"])
     d, o = ([p[f"COMPASS_{n}_{a}"] for a in "XYZ"] for n in ("DIA", "ODI"))
     matrix = np.array([[d[0], o[0], o[1]], [o[0], d[1], o[2]], [o[1], o[2], d[2]]])

@@ -17,7 +17,16 @@ from bayescal_models import inclinometer
 from tests.support.references import shared
 
 COMPILER = shutil.which("cc")
-FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-ffp-contract=off")
+FLAGS = (
+    "-std=c99",
+    "-Wall",
+    "-Wextra",
+    "-Wconversion",
+    "-Werror",
+    "-pedantic",
+    "-O2",
+    "-ffp-contract=off",
+)
 
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="needs a C compiler called cc")
 
@@ -130,14 +139,15 @@ def check_vector_exports(
     """
     found = correct(outputs, temperature=temperature, beside=beside)
     for name in ("sensor.h", "sensor.py", "sensor.json", "sensor.yaml"):
-        bc.export_vector(correct, folder / name)
+        bc.export_vector(correct, folder / name, name="sensor")
     again = bc.load_vector_correction(folder / "sensor.json")
     again = again(outputs, temperature=temperature, beside=beside)
     assert np.array_equal(again.vector, found.vector)
     space: dict[str, Any] = {}
     exec((folder / "sensor.py").read_text("utf-8"), space)
     more = {} if beside is None else {"beside": beside}
-    vector, covariance = space["correct"](outputs, temperature, **more)
+    vector, covariance, outside = space["sensor_correct"](outputs, temperature, **more)
+    assert not outside
     results = [(vector, covariance)]
     if COMPILER is not None:
         given = (

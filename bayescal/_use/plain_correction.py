@@ -1,0 +1,148 @@
+"""A correction of three axes in a form that holds an offset and a matrix alone, and what that leaves out.
+
+With ⟨·⟩ the mean over the calibrated temperatures, and over all directions of what acts, as large as it was at most in
+the calibration (r), least squares of h on an offset and a matrix gives
+
+    offset_i = ⟨offset_i⟩ + r²/3·Σ_a ⟨second_i,aa⟩,     matrix_ij = ⟨matrix_ij⟩ + 3/5·r²·⟨cube_i⟩·δ_ij,
+
+as ⟨x²⟩ = r²/3 and ⟨x⁴⟩ = r⁴/5 on a sphere. Of gyroscopes the offset is that at rest, where it is used: no square adds
+to it. All of it is linear in the terms, and so the covariance follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from bayescal._core.formatting import number
+from bayescal._data.unit_conversion import same_dimension, unit_label
+from bayescal._use.vector_correction import PAIRS, ROUNDING, VectorCorrection, slopes_by_terms
+
+# Means of polynomials up to the seventh degree: over a range by G. Lobatto's five points, over a sphere by V. Lebedev's
+# 26 (Zh. Vychisl. Mat. Mat. Fiz. 16 (1976) 293), the directions of axes, edges and corners of a cube.
+ALONG = np.array([-1.0, -((3 / 7) ** 0.5), 0.0, (3 / 7) ** 0.5, 1.0])
+SHARES = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180
+CORNERS = np.array([c for c in product((-1.0, 0.0, 1.0), repeat=3) if any(c)])
+BY_CORNER = np.array([1 / 21, 4 / 105, 9 / 280])[np.count_nonzero(CORNERS, axis=1) - 1]
+DIRECTIONS = CORNERS / np.linalg.norm(CORNERS, axis=1)[:, None]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """What a form has no place for, unit of the outputs: root mean square on the worst axis, and at most.
+
+    Both over the posterior too: of a term that is hardly known its uncertainty counts.
+    """
+
+    what: str
+    rms: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class PlainCorrection:
+    """Offset, matrix and what acts beside, without temperature and higher orders.
+
+    Attributes:
+        terms: offset (3), matrix by rows (9), what acts beside by rows (9) or none (p).
+        covariance: of them (p, p).
+        left: what has no place in it.
+        over: of what that is a mean, in words.
+        unit: of the outputs.
+    """
+
+    terms: Float[np.ndarray, "p"]
+    covariance: Float[np.ndarray, "p p"]
+    left: tuple[LeftOut, ...]
+    over: str
+    unit: str
+
+    @property
+    def offset(self) -> Float[np.ndarray, "3"]:
+        return self.terms[:3]
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "3 3"]:
+        return self.terms[3:12].reshape(3, 3)
+
+    @property
+    def uncertainty(self) -> Float[np.ndarray, "p"]:
+        """Standard uncertainty of each term."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def said(self) -> str:
+        """What is left out, in a sentence; empty for nothing."""
+        unit = unit_label(self.unit)
+        each = (
+            f"{one.what}, {number(one.rms, 2)} {unit} rms and up to {number(one.largest, 2)} {unit}"
+            for one in self.left
+        )
+        said = "; ".join(each)
+        return said and f"Left out, for want of a place: {said} ({self.over})."
+
+
+def plain_correction(
+    correction: VectorCorrection,
+    matrix: Literal["full", "diagonal", "none"] = "full",
+    beside: bool = True,
+) -> PlainCorrection:
+    """The nearest correction of a form.
+
+    Args:
+        correction: to write in that form.
+        matrix: what of it the form has; "none" takes it as one.
+        beside: whether the form has what acts beside.
+    """
+    (k, p), radius, order = correction.terms.shape, correction.reach, correction.order
+    warm, shares = np.array([correction.assumed]), np.ones(1)
+    if correction.low is not None and correction.high is not None:
+        half = 0.5 * (correction.high - correction.low)
+        warm, shares = correction.low + half * (1 + ALONG), SHARES
+    powers = correction.powers(warm)  # of T − T0
+    first = np.r_[0:12, p - 9 * bool(correction.beside) : p]  # terms that are of first order
+    to_plain = np.eye(p)[first]
+    for i in range(3):
+        if order > 1 and not same_dimension(correction.unit, "rad/s"):
+            to_plain[i, [12 + 6 * i + PAIRS.index((a, a)) for a in range(3)]] = radius**2 / 3
+        if order > 2:
+            to_plain[3 + 4 * i, 30 + i] = 0.6 * radius**2
+    has = np.ones(len(first), bool)
+    has[3:12] = {"full": np.ones(9, bool), "diagonal": np.eye(3).ravel() > 0, "none": False}[matrix]
+    has[12:] = beside
+    to_form = np.kron(shares @ powers, to_plain) * has[:, None]
+    acts = DIRECTIONS if correction.beside else None
+    slopes = slopes_by_terms(radius * DIRECTIONS, order, acts)
+    # Of outputs by the terms at each temperature and direction, less what the form has of them.
+    away = np.einsum("tk,dip->tdikp", powers, slopes)
+    away -= (slopes[..., first] @ to_form).reshape(len(DIRECTIONS), 3, k, p)
+    causes = np.full((k, p), "dependence on temperature", dtype=object)
+    causes[0] = of_matrix = (
+        "scale factors and misalignments" if matrix == "none" else "misalignments"
+    )
+    causes[:, 12:30], causes[:, 30:33] = "second order", "third order"
+    causes[: 1 if beside else k, first[12:]] = "what acts beside (of size 1)"
+    left = []
+    for cause in dict.fromkeys(causes.ravel()):
+        own = away * (causes == cause)
+        found = np.einsum("tdikp,kp->tdi", own, correction.terms)
+        if matrix == "none" and cause == of_matrix:
+            found = found - radius * DIRECTIONS
+        own = own.reshape(*found.shape, -1)
+        square = found**2 + np.sum((own @ correction.covariance) * own, axis=-1)
+        rms = np.sqrt(np.max(np.einsum("t,d,tdi->i", shares, BY_CORNER, square)))
+        if rms > ROUNDING * radius:
+            left.append(LeftOut(cause, float(rms), float(np.sqrt(np.max(square)))))
+    taken_as_one = np.zeros(len(first))
+    taken_as_one[[3, 7, 11]] = matrix == "none"
+    return PlainCorrection(
+        terms=to_form @ correction.terms.ravel() + taken_as_one,
+        covariance=to_form @ correction.covariance @ to_form.T,
+        left=tuple(left),
+        over=f"over all directions of {number(radius)} {unit_label(correction.unit)}, {correction.calibrated_at}",
+        unit=correction.unit,
+    )

@@ -1,0 +1,245 @@
+"""All that is exported of a unit goes into one program, in C and in Python, and each sensor is corrected by its own."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+from functools import cache
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._use.vector_correction import VectorCorrection
+from tests.support.export_check import COMPILER, FLAGS, needs_compiler, run_c
+from tests.support.made_up import bent_sensor
+
+UNITS = {"accelerometer_triad": "g", "gyro_triad": "deg/s", "magnetometer_triad": "uT"}
+AT = {"accelerometer_triad": 1.0, "gyro_triad": 50.0, "magnetometer_triad": 48.0}
+WARM, NOISE = 31.0, 2e-3
+GRAVITY = np.array([0.1, -0.4, 0.9])
+
+
+@cache
+def triad(instrument: str, order: int = 1, powers: int = 1) -> VectorCorrection:
+    """A correction with numbers of its own; gyroscopes that sense gravity."""
+    random = np.random.default_rng(len(instrument) + order)
+    beside = ("gravity_x", "gravity_y", "gravity_z") if instrument == "gyro_triad" else ()
+    terms = 1e-3 * random.standard_normal((powers, {1: 12, 2: 30, 3: 33}[order] + 3 * len(beside)))
+    terms[0, 3:12] += np.eye(3).ravel()
+    terms[:, 12:] /= AT[instrument]
+    root = 1e-4 * random.standard_normal((terms.size, terms.size))
+    return VectorCorrection(
+        outputs=("output_x", "output_y", "output_z"),
+        unit=UNITS[instrument],
+        reference=25.0,
+        low=-20.0,
+        high=70.0,
+        terms=terms,
+        covariance=root @ root.T,
+        noise=1e-3,
+        source=f"{instrument} {order} {powers}",
+        beside=beside,
+        instrument=instrument,
+    )
+
+
+@cache
+def scalar(name: str) -> bc.Compensator:
+    """One that remembers its past, and a straight line."""
+    made = {"bent": bent_sensor.calibration, "line": bent_sensor.gyro}
+    return bc.compensator(made[name]())
+
+
+PROGRAM = """
+#include "bent.h"
+#include "first/gyro_x.h"
+#include "second/correction.h"
+#include "unit.h"
+#include "spare.h"
+#include "spare.h"
+#include "unit.h"
+#include <stdio.h>
+
+int main(void)
+{
+    double row[8];
+    while (fread(row, sizeof(double), 8, stdin) == 8) {
+        double f[3], c[3][3], found[13];
+        const bent_input bent = {BENT};
+        const gyro_x_input x = {LINE};
+        const gyro_y_input y = {LINE};
+        int outside = accelerometer_triad_correct(row, row[3], row[4], f, c);
+        fwrite(f, sizeof(double), 3, stdout);
+        outside += gyro_triad_correct(row, row + 5, row[3], row[4], f, c);
+        fwrite(f, sizeof(double), 3, stdout);
+        outside += magnetometer_triad_correct(row, row[3], row[4], f, c);
+        fwrite(f, sizeof(double), 3, stdout);
+        fwrite(c, sizeof(double), 9, stdout);
+        outside += spare_correct(row, row[3], f);
+        fwrite(f, sizeof(double), 3, stdout);
+        found[0] = (double)bent_compensate(&bent).value;
+        found[1] = (double)gyro_x_compensate(&x).value;
+        found[2] = (double)gyro_y_compensate(&y).value;
+        found[3] = (double)outside;
+        fwrite(found, sizeof(double), 4, stdout);
+    }
+    return 0;
+}
+"""
+
+
+def inputs_of(compensator: bc.Compensator) -> dict[str, Any]:
+    """Each in the middle of its range."""
+    return {i.name: i.middle for i in compensator.inputs}
+
+
+@needs_compiler
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_all_headers_in_one_program(real: str, tmp_path: Path) -> None:
+    """Two scalars of one instrument, one with a past, a unit of three triads, one triad more without covariance."""
+    bent, line = scalar("bent"), scalar("line")
+    for folder in ("first", "second"):
+        (tmp_path / folder).mkdir()
+    bent.export(tmp_path / "bent.h", name="bent")
+    line.export(tmp_path / "first" / "gyro_x.h", name="gyro_x")
+    line.export(tmp_path / "second" / "correction.h", name="gyro_y")
+    unit = [triad("accelerometer_triad", 3, 2), triad("gyro_triad", 2), triad("magnetometer_triad")]
+    bc.export_vector(unit[0], tmp_path / "unit.h", others=unit[1:])
+    spare = triad("accelerometer_triad")
+    bc.export_vector(spare, tmp_path / "spare.h", name="spare", uncertainty=False)
+    source = PROGRAM
+    for word, one in (("BENT", bent), ("LINE", line)):
+        values = ", ".join(
+            f"(BAYESCAL_REAL){v}" for v in ("row[0]", *map(repr, inputs_of(one).values()))
+        )
+        source = source.replace(word, values)
+    y = np.array([0.3, -0.5, 0.8])
+    found = run_c(source, np.r_[y, WARM, NOISE, GRAVITY], tmp_path, real)
+    force, rate, field = (
+        one(y, WARM, noise=NOISE, beside=GRAVITY if one.beside else None) for one in unit
+    )
+    wanted = [force.vector, rate.vector, field.vector, field.covariance, spare(y).vector]
+    assert found[:21] == pytest.approx(np.concatenate([w.ravel() for w in wanted]), rel=1e-9)
+    exact = 1e-9 if real == "double" else 1e-4
+    for k, one in enumerate((bent, line, line)):
+        inputs = inputs_of(one)
+        value = one(output=y[0], method="first order", warn=False, **inputs).value[0]
+        assert found[21 + k] == pytest.approx(value, rel=exact)
+    assert found[24] == 0
+
+
+@needs_compiler
+def test_two_sensors_of_one_name_do_not_compile(tmp_path: Path) -> None:
+    """Whichever came second would be corrected by the first, without a word."""
+    assert COMPILER is not None
+    line = scalar("line")
+    line.export(tmp_path / "a.h", name="sensor")
+    scalar("bent").export(tmp_path / "b.h", name="sensor")
+    bc.export_vector(triad("gyro_triad"), tmp_path / "c.h", name="Sensor")
+    bc.export_vector(triad("accelerometer_triad"), tmp_path / "d.h", name="sensor")
+    line.export(tmp_path / "e.h", name="sensor", uncertainty=False)
+    for other in "bcde":
+        text = f'#include "a.h"\n#include "{other}.h"\n'
+        command = [COMPILER, *FLAGS, f"-I{tmp_path}", "-fsyntax-only", "-x", "c", "-"]
+        done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+        assert done.returncode != 0
+        assert "ensor: export one of them with another name" in done.stderr
+    twice = '#include "a.h"\n#include "a.h"\nint main(void) { return 0; }\n'
+    assert run_c(twice, np.zeros(0), tmp_path).size == 0
+
+
+def load_module(path: Path) -> Any:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_all_modules_in_one_process(tmp_path: Path) -> None:
+    line, bent = scalar("line"), scalar("bent")
+    unit = [triad("accelerometer_triad", 3, 2), triad("gyro_triad", 2), triad("magnetometer_triad")]
+    made = load_module(bc.export_vector(unit[0], tmp_path / "unit.py", others=unit[1:]))
+    y = np.array([0.3, -0.5, 0.8])
+    for one in unit:
+        beside = GRAVITY if one.beside else None
+        wanted = one(y, WARM, noise=NOISE, beside=beside)
+        correct = getattr(made, f"{one.instrument}_correct")
+        vector, covariance, outside = correct(y, WARM, noise=NOISE, beside=beside)
+        assert vector == pytest.approx(wanted.vector[0], rel=1e-12)
+        assert covariance == pytest.approx(wanted.covariance[0], rel=1e-9)
+        assert not outside
+    spare = triad("accelerometer_triad")
+    path = bc.export_vector(spare, tmp_path / "spare.py", name="spare", uncertainty=False)
+    vector, outside = load_module(path).spare_correct(y, 90.0)
+    assert vector == pytest.approx(spare(y).vector[0], rel=1e-12) and outside
+    for one in (line, bent):
+        inputs = inputs_of(one)
+        wanted = one(output=0.3, method="first order", noise=False, warn=False, **inputs)
+        path = one.export(tmp_path / "one.py")
+        value, own, *_ = load_module(path).compensate(0.3, *inputs.values())
+        assert (value, own) == pytest.approx((wanted.value[0], wanted.uncertainty[0]), rel=1e-9)
+        plain = load_module(one.export(tmp_path / "plain.py", uncertainty=False)).compensate
+        own_inputs = {n: v for n, v in inputs.items() if n in signature(plain).parameters}
+        assert plain(0.3, **own_inputs)[0] == value
+
+
+@pytest.mark.parametrize("name", ["", "9x", "a-b", "float", "lambda", "a b", "größe", "x\n", "_x"])
+def test_what_is_no_name_in_c_and_python_is_refused(name: str, tmp_path: Path) -> None:
+    for export in (
+        scalar("line").export,
+        lambda p, **how: bc.export_vector(triad("gyro_triad"), p, **how),
+    ):
+        with pytest.raises(bc.InputError, match="is no name in C and Python"):
+            export(tmp_path / "sensor.h", name=name)
+    assert not any(tmp_path.iterdir())
+
+
+def test_two_of_one_instrument_are_no_unit(tmp_path: Path) -> None:
+    one = triad("accelerometer_triad")
+    for suffix in ("h", "py", "yaml"):
+        with pytest.raises(bc.InputError, match="two of these are of accelerometer_triad"):
+            bc.export_vector(one, tmp_path / f"unit.{suffix}", others=[one])
+    path = bc.export_vector(one, tmp_path / "u.h", name="left", others=[triad("gyro_triad")])
+    assert "left_gyro_triad_correct" in path.read_text("utf-8")
+
+
+def test_what_holds_its_uncertainty_is_not_written_without(tmp_path: Path) -> None:
+    for path in ("a.json", "a.html"):
+        with pytest.raises(
+            bc.InputError, match="only C and Python are written without uncertainty"
+        ):
+            scalar("line").export(tmp_path / path, uncertainty=False)
+    for path in ("a.json", "a.yaml"):
+        with pytest.raises(
+            bc.InputError, match="only C and Python are written without uncertainty"
+        ):
+            bc.export_vector(triad("gyro_triad"), tmp_path / path, uncertainty=False)
+
+
+@needs_compiler
+def test_a_plain_matrix_without_covariance_is_twelve_numbers(tmp_path: Path) -> None:
+    assert COMPILER is not None
+    sizes = {}
+    for uncertainty in (True, False):
+        path = bc.export_vector(
+            triad("accelerometer_triad"), tmp_path / "s.h", name="s", uncertainty=uncertainty
+        )
+        more = ", double n, double c[3][3]" if uncertainty else ""
+        given = "t, n, f, c" if uncertainty else "t, f"
+        head = f"int go(const double y[3], double t, double f[3]{more})"
+        (tmp_path / "s.c").write_text(
+            f'#include "{path.name}"\n{head};\n{head} {{ return s_correct(y, {given}); }}\n'
+        )
+        subprocess.run(
+            [COMPILER, *FLAGS, "-Os", "-c", "s.c", "-o", "s.o"], cwd=tmp_path, check=True
+        )
+        told = subprocess.run(
+            ["size", "s.o"], cwd=tmp_path, capture_output=True, text=True, check=True
+        )
+        sizes[uncertainty] = int(told.stdout.splitlines()[1].split()[3])
+    assert sizes[False] < 400 < 1500 < sizes[True]
