@@ -44,11 +44,7 @@ FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 
 def exit_unless_reliable(given: Mapping[str, bc.Compensator]) -> None:
     """Leave with status 1 if what was written is of a result that is not to be used."""
-    told = []
-    for name, one in given.items():
-        of = one.calibration.verdict if one.calibration else one.loaded and one.loaded.about
-        if of and of.why_not:
-            told.append(f"{name} {of.why_not}".strip())
+    told = [f"{name} {one.why_not}".strip() for name, one in given.items() if one.why_not]
     exit_unless(not told, "; ".join(told))
 
 

@@ -27,6 +27,7 @@ from markupsafe import Markup
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity, sources_of
+from bayescal._calibration.judgement import why_not
 from bayescal._calibration.summary import summary
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import OneOf, read_toml
@@ -180,10 +181,8 @@ def dcc_text(
                 f"{stated.file}, [{section}] country = {country!r}: two capital letters of ISO 3166-1 were expected, "
                 "such as DE"
             )
-    if not calibration.verdict.reliable:
-        raise InputError(
-            f"no certificate is written of a result that is not reliable: {calibration.verdict.why_not}"
-        )
+    if said := why_not(calibration):
+        raise InputError(f"no certificate is written of a result that is not reliable: {said}")
     conditions = {**stated.conditions, "place": stated.get("calibration", "place")}
     layout = template(
         "bayescal._report",

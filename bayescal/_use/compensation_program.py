@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity, sources_of
+from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import inclusion
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
@@ -301,8 +302,8 @@ def provenance_of(
         for k, v in calibration.reference.items()
         if not isinstance(v, dict) and not k.endswith(("_low", "_high"))
     }
-    why_not = calibration.verdict.why_not
-    unreliable = (f"{NOT_RELIABLE}{why_not}",) if why_not else ()
+    said = why_not(calibration)
+    unreliable = (f"{NOT_RELIABLE}{said}",) if said else ()
     return Provenance(
         instrument=instrument.name,
         title=instrument.title,

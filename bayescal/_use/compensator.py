@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import usual_columns, with_columns
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
@@ -146,6 +147,11 @@ class Compensator:
         if self.loaded:
             return self.loaded.about.notes_on_use
         return notes_on_use(self._calibration, self._equation, self.stimulus_range)
+
+    @property
+    def why_not(self) -> str:
+        """Why the result is not to be used, in words; empty where it may be. A fit that nobody checked is checked."""
+        return self.loaded.about.why_not if self.loaded else why_not(self._calibration)
 
     @property
     def output_unit(self) -> str:

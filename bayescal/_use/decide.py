@@ -31,6 +31,7 @@ import pandas as pd
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
+from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import inclusion
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
@@ -576,8 +577,8 @@ def _decided(
 ) -> tuple[str, str]:
     """The decision, and why."""
     limits, error = quantity.limits, drawn.probability_error(p)
-    if why_not := calibration.verdict.why_not:
-        return UNDECIDED, f"the calibration is not reliable: {why_not.rstrip('.')}"
+    if said := why_not(calibration):
+        return UNDECIDED, f"the calibration is not reliable: {said.rstrip('.')}"
     if quantity.not_covered:
         return UNDECIDED, "; ".join(quantity.not_covered)
     conforms, fails = percent(p, error), percent(1 - p, error)
