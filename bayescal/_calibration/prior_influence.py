@@ -1,17 +1,30 @@
-"""How much of what a calibration knows comes from its priors, and how much from the readings."""
+"""How much of what a calibration knows comes from its priors, and how much from the readings; what was not measured.
+
+A quantity q of jointly normal unknowns c, each with a prior of variance D, has the variance Σ cov(q, c)²/D from the
+priors, and the rest from the noise of the readings: P·D⁻¹·P and P·JᵀΣ⁻¹J·P of the posterior covariance P. Of one
+coefficient by itself the part that is its prior's is one less its contraction.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.mixture import has_effect
+from bayescal._calibration.settings import guarding
 from bayescal._core.atomic_file import named_back
 from bayescal._core.errors import InputError
+from bayescal._core.formatting import number, with_error
+from bayescal._data.unit_conversion import unit_label
+from bayescal._model.effect import Effect
+from bayescal._model.parameters import CoefficientBlock
+from bayescal._model.prior import coordinate_variance, deviation
 
 
 @dataclass(frozen=True)
@@ -85,6 +98,117 @@ def _places(calibration: Calibration, moving: list[int]) -> dict[str, tuple[int,
         slope = float((h.prior.value(v[i] + step) - h.prior.value(v[i] - step)) / (2 * step))
         found[promoted.get(h.name, h.name)] = (layout.size + place, slope)
     return found
+
+
+class NotMeasured(NamedTuple):
+    """An unknown of which a quantity knows what its prior says, more than what the readings do.
+
+    Attributes:
+        name, unit: of the unknown, as reported.
+        effect: whose it is; None of a hyperparameter.
+        prior: its standard deviation before the readings; None of a hyperparameter.
+        value, uncertainty: posterior mean and standard uncertainty.
+    """
+
+    name: str
+    unit: str
+    effect: Effect | None
+    prior: float | None
+    value: float
+    uncertainty: float
+
+    def __str__(self) -> str:
+        unit = unit_label(self.unit)
+        before = "" if self.prior is None else f", ± {number(self.prior)} before them"
+        return f"{self.name} ({with_error(self.value, self.uncertainty)} {unit}".rstrip() + f"{before})"
+
+
+def what_would_tell(found: Sequence[NotMeasured]) -> str:
+    """That readings do not measure these, and what would tell, two sentences without a full stop."""
+    columns = dict.fromkeys(c for one in found if one.effect for c in one.effect.columns)
+    over = f"readings over more of {' and '.join(columns)}" if columns else "more readings"
+    return (
+        f"they do not measure {' and '.join(map(str, found))}. What would tell: {over} (bayescal plan ranks campaigns)"
+    )
+
+
+def not_measured(
+    calibration: Calibration,
+    values: Float[np.ndarray, "d g"],
+    *,
+    of: str = "",
+    scatter: float = 0.0,
+    rare: float = 0.0,
+) -> tuple[NotMeasured, ...]:
+    """Coefficients whose priors say more of a quantity than the readings do; nothing where it was measured.
+
+    Counted are coefficients with a stated prior that act in use: what is known beforehand of a rig, or of a thermometer,
+    is no property of the device. A quantity is measured where the readings contract its variance by the share from
+    which a coefficient counts as identifiable.
+
+    Args:
+        calibration: a fit, or an average over structures: of an effect the draws that have it are asked.
+        values: of the quantity in each draw, at several places; the worst one counts.
+        of: the unknown that it is, where it is one.
+        scatter: standard deviation of single readings about it.
+        rare: probability of an effect up to which it does not count.
+    """
+    least = 1 - guarding().identifiable
+    for h, v in zip(calibration.layout.hypers, calibration.draws().v.T, strict=True):
+        if h.name == of and h.kind != "promoted":
+            # What is positive may be told by its size (a spread near zero) or by its logarithm (one far above its scale).
+            own, before = calibration.samples(of), deviation(h.prior)
+            by_size = before is not None and own.var() <= least * before**2
+            if by_size or np.var(v) <= least * coordinate_variance(h.prior):
+                return ()
+            return (NotMeasured(of, h.unit, None, None, float(own.mean()), float(own.std())),)
+    found, shares = list[NotMeasured](), list[np.ndarray]()
+    total = values.var(axis=0) + scatter**2
+    there = {e.name: has_effect(calibration, e.name) for e in calibration.model.effects}
+    for b, acting in _with_stated_priors(calibration):
+        among = there[b.effect.name]
+        if among.mean() <= rare:
+            continue
+        size, inside = b.coefficient.size, values[among] - values[among].mean(axis=0)
+        draws = calibration.samples(b.name)[among].reshape(len(inside), -1)
+        for name, own in zip(b.member_names(calibration.levels), draws.T, strict=True):
+            if acting or name == of:
+                covariance = (own - own.mean()) @ inside / len(own)
+                shares.append(among.mean() * (covariance / size) ** 2 / np.where(total > 0, total, np.inf))
+                now = float(own.mean()), float(own.std())
+                found.append(NotMeasured(name, b.coefficient.unit, b.effect, size, *now))
+    if not found:
+        return ()
+    worst = np.array(shares)[:, int(np.argmax(np.sum(shares, axis=0)))]
+    if worst.sum() <= least:
+        return ()
+    return tuple(found[i] for i in np.argsort(-worst) if worst[i] > guarding().concerned)
+
+
+def coefficients_not_measured(calibration: Calibration) -> set[str]:
+    """Names of the coefficients that are as they were before the readings."""
+    found = set()
+    for b, _ in _with_stated_priors(calibration):
+        draws = calibration.samples(b.name).reshape(-1, b.size)
+        for i, name in enumerate(b.member_names(calibration.levels)):
+            if not_measured(calibration, draws[:, i : i + 1], of=name):
+                found.add(name)
+    return found
+
+
+def _with_stated_priors(calibration: Calibration) -> Iterator[tuple[CoefficientBlock, bool]]:
+    """Coefficients whose prior is stated, neither flat nor learned, and whether they are of the device in use."""
+    instrument = calibration.model.instrument
+    slots = {s.name for s in instrument.slots}
+    if instrument.vector is not None:
+        slots -= {*instrument.vector.rig}
+    elif instrument.use is not None and instrument.use.slots:
+        slots = {*instrument.use.slots}
+    for b in calibration.layout.blocks:
+        c = b.coefficient
+        learned = c.flat or c.group_sd is not None or b.effect.weights is not None
+        if b.place in ("x", "phi") and not learned and c.per != "reading":
+            yield b, b.slot in slots
 
 
 def prior_sensitivity(calibration: Calibration) -> Any:

@@ -28,6 +28,7 @@ from markupsafe import Markup
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity, sources_of
 from bayescal._calibration.judgement import why_not
+from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.summary import summary
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import OneOf, read_toml
@@ -240,8 +241,10 @@ def _quantities(calibration: Calibration, local_gravity: float) -> Iterator[tupl
     for name, value in calibration.hold_at.items():
         yield f"{name}, at which constants hold", real(value, "degC", local_gravity)
     coefficients, hyperparameters = summary(calibration)
+    untold = coefficients_not_measured(calibration)
     for row in coefficients:
-        yield row["name"], real(row["mean"], row["unit"], local_gravity, row["sd"])
+        name = row["name"] + ", not measured: as before the readings" * (row["name"] in untold)
+        yield name, real(row["mean"], row["unit"], local_gravity, row["sd"])
     for row in hyperparameters:  # positive and skewed: no multiple of u covers
         ends = row["interval95"]
         yield row["name"], real(row["mean"], row["unit"], local_gravity, row["sd"], ends)

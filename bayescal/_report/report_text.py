@@ -14,6 +14,7 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
+from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.settings import searching
 from bayescal._calibration.summary import curve_extent, place_of, summary
 from bayescal._core.errors import InputError
@@ -93,7 +94,7 @@ def _range(name: str, meaning: str, values: np.ndarray, unit: str, part: str) ->
 
 def coefficients(chapter: Chapter) -> list[dict[str, Any]]:
     """Coefficients, then hyperparameters: k = 2 interval and 95 % credible interval, apart."""
-    rows = []
+    rows, untold = [], coefficients_not_measured(chapter.calibration)
     for r in (*chapter.data["coefficients"], *chapter.data["hyperparameters"]):
         mean, sd = r["mean"], r["sd"]
         held = not sd > 1e-9 * abs(mean)
@@ -109,6 +110,7 @@ def coefficients(chapter: Chapter) -> list[dict[str, Any]]:
                 "interval": "–" if held else interval(low, high, mean, sd),
                 "said": "–" if r["contraction"] is None else _percent(r["contraction"]),
                 "member": "(" in r["name"],
+                "note": " (held)" * held + " (not measured)" * (r["name"] in untold),
             }
         )
     return rows

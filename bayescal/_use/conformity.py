@@ -56,7 +56,7 @@ from bayescal._use.budget import notes_on
 from bayescal._use.compensation_program import PAST, bias_only
 from bayescal._use.compensation_program import limits as calibrated_limits
 from bayescal._use.compensator import Compensator
-from bayescal._use.operating_equation import equation_in_use
+from bayescal._use.operating_equation import ALL, equation_in_use
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = rf"(?P<low>{_NUMBER})\s*(?:\.\.|…|to\b)\s*(?P<high>{_NUMBER})"
@@ -377,7 +377,6 @@ def risks_of_curves(
 
 
 READING, MEAN = "corrected reading", "corrected mean"
-ALL = 10**9  # draws: every one there is
 # Along each of so many ranges. Between 33 places a parabola rises by less than 1/1000 of what it rises over the range
 # ((1/32)²); with two and three ranges 81 and 125 places keep the draws in memory.
 PLACES = {1: 33, 2: 9, 3: 5}
@@ -422,8 +421,8 @@ class LimitedQuantity:
         """What the posterior says of it, s after the last reading of the calibration."""
         raise NotImplementedError
 
-    def values(self) -> Float[np.ndarray, "d g"]:
-        """Its value in each draw, in the calibration's order, at each place of the limit's range."""
+    def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
+        """Its value in each draw, in the calibration's order, at each place of the limit's range; as `drawn`."""
         raise NotImplementedError
 
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
@@ -451,7 +450,7 @@ class LimitedUnknown(LimitedQuantity):
         mean = float(self.draws.mean())
         return DrawnQuantity(self.draws, self.draws, (mean, mean))
 
-    def values(self) -> Float[np.ndarray, "d g"]:
+    def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
         return np.asarray(self.draws)[:, None]
 
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
@@ -510,8 +509,8 @@ class QuantityInUse(LimitedQuantity):
             scatter,
         )
 
-    def values(self) -> Float[np.ndarray, "d g"]:
-        return self._values(self.chosen._moments.draws, 0.0)[0]
+    def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
+        return self._values(self.chosen._moments.draws, later)[0]
 
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
         if self._size > 1:

@@ -33,6 +33,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
 from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import inclusion
+from bayescal._calibration.prior_influence import not_measured, what_would_tell
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, Printed, number, table, with_error
@@ -66,6 +67,7 @@ TIMES = 160  # looked at, evenly in the logarithm: each is 1.13 times the one be
 STEPS = 50  # of bisection between two of them
 FAR = 3.0  # spans of the record beyond which a drift is extrapolated so far that it is said
 
+CANNOT = "cannot be said from these readings"
 ADVICE = (
     "For a recalibration interval, calibrate in runs that lie weeks apart, with their time, and let the model hold a "
     "drift, such as bias.drift."
@@ -121,6 +123,10 @@ def recalibration(
         return quantity.drawn(later).probability(limits)
 
     after = first_below(probability, stated)
+    changed = quantity.values(HORIZON if after is None else after) - quantity.values()
+    # What is less probable than a failure at the stated probability cannot decide about the date.
+    if untold := not_measured(calibration, changed, rare=1 - stated):
+        return Recalibration(stated, None, why_not=f"{CANNOT}: {what_would_tell(untold)}", notes=(ADVICE,))
     if after is None:
         years = HORIZON / YEAR
         return Recalibration(
@@ -169,7 +175,6 @@ def _no_answer(quantity: LimitedQuantity, calibration: Calibration, stated: floa
         return f"{name} is one number of the model, which holds no change of it in time"
     if not quantity.follows_time:
         return f"the model cannot say when: nothing in it that acts on {name} changes with the time of the record"
-    # What is less probable than a failure at the stated probability cannot decide about the date.
     shares = inclusion(calibration)
     likely = (e for e in calibration.model.effects if shares[e.name] > 1 - stated)
     forms = [e.name for e in likely if _describes_the_record(e)]
@@ -581,6 +586,9 @@ def _decided(
         return UNDECIDED, f"the calibration is not reliable: {said.rstrip('.')}"
     if quantity.not_covered:
         return UNDECIDED, "; ".join(quantity.not_covered)
+    asked = {"of": quantity.limit.quantity, "scatter": drawn.scatter, "rare": how.false_accept}
+    if untold := not_measured(calibration, quantity.values(), **asked):
+        return UNDECIDED, f"{CANNOT}: {what_would_tell(untold)}"
     conforms, fails = percent(p, error), percent(1 - p, error)
     if how.rule == "guarded":
         if p >= 1 - how.false_accept:

@@ -319,6 +319,9 @@ def _theta(equation: OperatingEquation, calibration: Calibration) -> dict[str, A
     }
 
 
+ALL = 10**9  # draws: every one there is
+
+
 class PosteriorMoments(NamedTuple):
     """What the posterior says of θ: draws (d, p), mean (p,), covariance (p, p), reported units."""
 
