@@ -7,7 +7,7 @@ coefficient by itself the part that is its prior's is one less its contraction.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -100,36 +100,103 @@ def _places(calibration: Calibration, moving: list[int]) -> dict[str, tuple[int,
     return found
 
 
-class NotMeasured(NamedTuple):
-    """An unknown of which a quantity knows what its prior says, more than what the readings do.
+class KnownByPrior(NamedTuple):
+    """An unknown of which its prior says more than the readings do.
 
     Attributes:
-        name, unit: of the unknown, as reported.
+        name, unit: as reported.
         effect: whose it is; None of a hyperparameter.
-        prior: its standard deviation before the readings; None of a hyperparameter.
-        value, uncertainty: posterior mean and standard uncertainty.
+        before, now: mean and standard deviation before the readings, and with them; None of a hyperparameter.
     """
 
     name: str
     unit: str
     effect: Effect | None
-    prior: float | None
-    value: float
-    uncertainty: float
+    before: tuple[float, float] | None
+    now: tuple[float, float]
 
     def __str__(self) -> str:
-        unit = unit_label(self.unit)
-        before = "" if self.prior is None else f", ± {number(self.prior)} before them"
-        return f"{self.name} ({with_error(self.value, self.uncertainty)} {unit}".rstrip() + f"{before})"
+        before = "" if self.before is None else f", ± {number(self.before[1])} before them"
+        return (
+            f"{self.name} ({with_error(*self.now)} {unit_label(self.unit)}".rstrip() + f"{before})"
+        )
 
 
-def what_would_tell(found: Sequence[NotMeasured]) -> str:
-    """That readings do not measure these, and what would tell, two sentences without a full stop."""
-    columns = dict.fromkeys(c for one in found if one.effect for c in one.effect.columns)
-    over = f"readings over more of {' and '.join(columns)}" if columns else "more readings"
-    return (
-        f"they do not measure {' and '.join(map(str, found))}. What would tell: {over} (bayescal plan ranks campaigns)"
-    )
+@dataclass(frozen=True)
+class NotMeasured:
+    """Of what a quantity is made that was not measured.
+
+    Attributes:
+        unknowns: the largest part of its variance first.
+        beside: what they are confounded with that is not of the device.
+    """
+
+    unknowns: tuple[KnownByPrior, ...]
+    beside: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"the readings tell less of {' and '.join(map(str, self.unknowns))} than was known before"
+
+    @property
+    def hyperparameter(self) -> bool:
+        """Whether it is one by itself, of which draws without its prior are not known."""
+        return self.unknowns[0].before is None
+
+    @property
+    def cure(self) -> str:
+        """What would tell, a sentence without its full stop."""
+        columns = dict.fromkeys(
+            c for one in self.unknowns if one.effect for c in one.effect.columns
+        )
+        apart = [*(one.name for one in self.unknowns), *self.beside]
+        if columns:
+            told = f"readings over more of {' and '.join(columns)}"
+        else:
+            told = (
+                f"readings that tell {' and '.join(apart)} apart" if apart[1:] else "more readings"
+            )
+        return f"What would tell: {told} (bayescal plan ranks campaigns)"
+
+    def by_readings_alone(
+        self, calibration: Calibration, values: Float[np.ndarray, "d g"]
+    ) -> Float[np.ndarray, "d g"]:
+        """Draws of the quantity as they would be with priors of these unknowns that say nothing.
+
+        A posterior covariance P and a prior's D leave P⁻¹ − D⁻¹ to the readings. What these hardly tell at all gets a
+        thousand plausible sizes. The quantity follows by its regression on the unknowns.
+        """
+        own = {one.name: one for one in self.unknowns}
+        draws, there, before = list[np.ndarray](), list[np.ndarray](), list[tuple[float, float]]()
+        for b, _ in _with_stated_priors(calibration):
+            members = calibration.samples(b.name).reshape(len(values), -1).T
+            for name, drawn in zip(b.member_names(calibration.levels), members, strict=True):
+                if name in own:
+                    draws.append(drawn)
+                    there.append(has_effect(calibration, b.effect.name))
+                    before.append((b.coefficient.mean, b.coefficient.size))
+        if not draws:
+            return values
+        mean, sd = np.array(before).T
+        every, present = (np.array(draws).T - mean) / sd, np.array(there).T
+        found = values.copy()
+        for pattern in np.unique(present, axis=0):  # of an average over structures
+            rows = np.all(present == pattern, axis=1)
+            known = every[rows][:, pattern]
+            if not pattern.any() or len(known) <= 2 * known.shape[1]:
+                continue
+            middle = known.mean(axis=0)
+            away, q = known - middle, values[rows]
+            weights, axes = np.linalg.eigh(away.T @ away / len(away))
+            weights = np.maximum(weights, np.finfo(float).tiny)
+            told = 1 / weights - 1
+            told = np.where(told < guarding().weak, 0.0, told)
+            wider = 1 / (told + guarding().free ** -2)
+            along = middle @ axes
+            moved = np.where(told > 0, along * wider / weights, along)
+            freed = moved + (away @ axes) * np.sqrt(wider / weights)
+            slope = axes / weights @ axes.T @ away.T @ (q - q.mean(axis=0)) / len(away)
+            found[rows] = q + (freed @ axes.T - known) @ slope
+        return found
 
 
 def not_measured(
@@ -139,12 +206,11 @@ def not_measured(
     of: str = "",
     scatter: float = 0.0,
     rare: float = 0.0,
-) -> tuple[NotMeasured, ...]:
-    """Coefficients whose priors say more of a quantity than the readings do; nothing where it was measured.
+) -> NotMeasured | None:
+    """What stands against calling a quantity measured: priors say more of it than the readings; None where they do not.
 
-    Counted are coefficients with a stated prior that act in use: what is known beforehand of a rig, or of a thermometer,
-    is no property of the device. A quantity is measured where the readings contract its variance by the share from
-    which a coefficient counts as identifiable.
+    Counted are coefficients with a stated prior that act in use: what is known beforehand of a rig, or of a
+    thermometer, is no property of the device.
 
     Args:
         calibration: a fit, or an average over structures: of an effect the draws that have it are asked.
@@ -153,36 +219,42 @@ def not_measured(
         scatter: standard deviation of single readings about it.
         rare: probability of an effect up to which it does not count.
     """
-    least = 1 - guarding().identifiable
     for h, v in zip(calibration.layout.hypers, calibration.draws().v.T, strict=True):
         if h.name == of and h.kind != "promoted":
-            # What is positive may be told by its size (a spread near zero) or by its logarithm (one far above its scale).
+            # What is positive may be told by its size (a spread near zero) or its logarithm (one far above).
             own, before = calibration.samples(of), deviation(h.prior)
-            by_size = before is not None and own.var() <= least * before**2
-            if by_size or np.var(v) <= least * coordinate_variance(h.prior):
-                return ()
-            return (NotMeasured(of, h.unit, None, None, float(own.mean()), float(own.std())),)
-    found, shares = list[NotMeasured](), list[np.ndarray]()
+            by_size = before is not None and 2 * own.var() <= before**2
+            if by_size or 2 * np.var(v) <= coordinate_variance(h.prior):
+                return None
+            now = float(own.mean()), float(own.std())
+            return NotMeasured((KnownByPrior(of, h.unit, None, None, now),))
+    found, shares, counts = list[KnownByPrior](), list[np.ndarray](), list[bool]()
     total = values.var(axis=0) + scatter**2
     there = {e.name: has_effect(calibration, e.name) for e in calibration.model.effects}
     for b, acting in _with_stated_priors(calibration):
         among = there[b.effect.name]
         if among.mean() <= rare:
             continue
-        size, inside = b.coefficient.size, values[among] - values[among].mean(axis=0)
+        before, inside = (b.coefficient.mean, b.coefficient.size), values[among]
         draws = calibration.samples(b.name)[among].reshape(len(inside), -1)
         for name, own in zip(b.member_names(calibration.levels), draws.T, strict=True):
-            if acting or name == of:
-                covariance = (own - own.mean()) @ inside / len(own)
-                shares.append(among.mean() * (covariance / size) ** 2 / np.where(total > 0, total, np.inf))
-                now = float(own.mean()), float(own.std())
-                found.append(NotMeasured(name, b.coefficient.unit, b.effect, size, *now))
-    if not found:
-        return ()
-    worst = np.array(shares)[:, int(np.argmax(np.sum(shares, axis=0)))]
-    if worst.sum() <= least:
-        return ()
-    return tuple(found[i] for i in np.argsort(-worst) if worst[i] > guarding().concerned)
+            covariance = (own - own.mean()) @ (inside - inside.mean(axis=0)) / len(own)
+            part = among.mean() * (covariance / before[1]) ** 2
+            shares.append(part / np.where(total > 0, total, np.inf))
+            now = float(own.mean()), float(own.std())
+            found.append(KnownByPrior(name, b.coefficient.unit, b.effect, before, now))
+            counts.append(acting or name == of)
+    if not any(counts):
+        return None
+    by_prior = np.array(shares)
+    worst = by_prior[:, int(np.argmax(by_prior[counts].sum(axis=0)))]
+    if worst[counts].sum() <= 0.5:  # the readings say more
+        return None
+    named = [i for i in np.argsort(-worst) if worst[i] > guarding().concerned]
+    return NotMeasured(
+        tuple(found[i] for i in named if counts[i]),
+        tuple(found[i].name for i in named if not counts[i]),
+    )
 
 
 def coefficients_not_measured(calibration: Calibration) -> set[str]:

@@ -243,7 +243,7 @@ def _quantities(calibration: Calibration, local_gravity: float) -> Iterator[tupl
     coefficients, hyperparameters = summary(calibration)
     untold = coefficients_not_measured(calibration)
     for row in coefficients:
-        name = row["name"] + ", not measured: as before the readings" * (row["name"] in untold)
+        name = row["name"] + ", by its prior more than by the readings" * (row["name"] in untold)
         yield name, real(row["mean"], row["unit"], local_gravity, row["sd"])
     for row in hyperparameters:  # positive and skewed: no multiple of u covers
         ends = row["interval95"]

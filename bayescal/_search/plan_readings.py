@@ -225,7 +225,7 @@ def plan_readings(
         units={c: best.readings.unit(c) for c in numbers},
         notes=(
             *(f"{clause}; there the model is carried on" for clause in quantity.not_covered),
-            *(f"not measured: {one}, which is as before these readings" for one in untold),
+            *([] if untold is None else [str(untold)]),
             *([OF_SCATTER] if stated.quantity in scatter else []),
         ),
     )

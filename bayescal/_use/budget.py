@@ -23,7 +23,6 @@ from bayescal._calibration.mixture import inclusion, without
 from bayescal._calibration.prior_influence import (
     not_measured,
     variance_by_origin,
-    what_would_tell,
 )
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
@@ -234,7 +233,7 @@ def budget(
     variance = float(gradient @ covariance @ gradient)
     every = posterior_moments(chosen._equation, chosen._calibration, ALL, chosen._calibration.seed)
     untold = not_measured(chosen._calibration, (every.draws @ gradient)[:, None])
-    said = f"Most of it is as before these readings: {what_would_tell(untold)}."
+    said = () if untold is None else (f"Most of it is prior: {untold}. {untold.cure}.",)
     return Budget(
         stimulus=chosen.stimulus,
         unit=chosen.unit,
@@ -248,7 +247,7 @@ def budget(
         coefficients=_by_coefficient(chosen, gradient, variance),
         sources=_by_source(chosen, point, gradient, variance),
         covariance=covariance,
-        notes=((said,) * bool(untold)) + notes_on(chosen, point),
+        notes=(*said, *notes_on(chosen, point)),
     )
 
 

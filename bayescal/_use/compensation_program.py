@@ -28,13 +28,21 @@ from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import inclusion
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
+from bayescal._core.formatting import number
 from bayescal._core.json_shape import OneOf, required
 from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements, of_columns
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
+from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame
 from bayescal._use.expression_graph import Graph, NotExportable, trace
-from bayescal._use.operating_equation import Inverse, OperatingEquation, PosteriorMoments, Scalars
+from bayescal._use.operating_equation import (
+    Inverse,
+    OperatingEquation,
+    PosteriorMoments,
+    Scalars,
+    left_out,
+)
 
 PAST = ("rate", "lag", "lag slope")  # kinds of input that follow from a temperature's past
 MARGIN = 0.01  # of the range of the stimulus: a reading at its end scatters about it
@@ -71,7 +79,9 @@ class Input:
 
     @property
     def middle(self) -> float:
-        """Where an operating point is, where nothing is said of it: no rate and no lag."""
+        """Where an operating point is, where nothing is said of it: the last reading; no rate and no lag."""
+        if self.name == "time":
+            return self.high
         return 0.5 * (self.low + self.high) if self.kind in ("column", "elapsed") else 0.0
 
 
@@ -352,8 +362,10 @@ def notes_on_use(
         notes.append(
             f"Taken as new in use, with the between-group standard deviation of the calibration: {', '.join(new)}."
         )
+    if equation.held:
+        notes.append(_left_out(calibration, equation))
     for lag in equation.lags:
-        if lag.shape:
+        if lag.shape and lag.name not in dict(equation.held):
             notes.append(
                 f"{lag.name} is the lag for {lag.shape} = {lag.tau:.6g} s; the uncertainty of this time is "
                 f"counted through {lag.slope}."
@@ -364,6 +376,21 @@ def notes_on_use(
     elif stimulus_range is None:
         notes.append(f"The range of {stimulus} in the calibration is not stated.")
     return tuple(notes)
+
+
+def _left_out(calibration: Calibration, equation: OperatingEquation) -> str:
+    """What the held inputs are held at, and how much of the output that leaves out."""
+    units = {c: calibration.readings.unit(c) for c in calibration.readings.columns}
+    at = ", ".join(
+        f"{name} = {value:.6g} {unit_label(units.get(name) or '1')}".rstrip()
+        for name, value in equation.held
+    )
+    inputs = inputs_at_fit(calibration, equation)
+    rms = left_out(equation, calibration, inputs)
+    return (
+        f"Held, as only improbable effects need it: {at}. Over the calibration what they make of it elsewhere is "
+        f"{number(rms)} {unit_label(calibration.unit)} rms, and in no uncertainty."
+    )
 
 
 SCHEMA, VERSION = "bayescal.compensator", 2

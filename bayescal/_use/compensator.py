@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.judgement import why_not
-from bayescal._calibration.mixture import usual_columns, with_columns
+from bayescal._calibration.mixture import usual_columns
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
 from bayescal._data.measurements import Measurements
@@ -300,7 +300,8 @@ def compensator(
     """The compensator of a calibrated instrument.
 
     Args:
-        calibration: a fit, or an average over structures: over those that need no further input than the likely ones.
+        calibration: a fit, or an average over structures. Inputs that improbable effects alone need are held at the
+            middle of their range, a time at its end; `notes` say what that leaves out.
         draws: posterior draws to average over, at most.
         members: which member of a group is used, such as {"device": "A17"}; every other run, cell or device counts
             as a new one, whose deviation is drawn from its spread.
@@ -311,8 +312,14 @@ def compensator(
     """
     if draws < 2:
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
-    calibration = with_columns(calibration, usual_columns(calibration))
-    return Compensator(calibration, equation_in_use(calibration, members), draws)
+    usual = usual_columns(calibration)
+    whole = Compensator(calibration, equation_in_use(calibration, members), draws)
+    held = tuple(
+        (i.name, i.middle)
+        for i in whole.inputs
+        if not usual.issuperset({i.column} if i.kind == "column" else {i.column, "time"})
+    )
+    return replace(whole, equation=replace(whole._equation, held=held)) if held else whole
 
 
 def load_compensator(path: str | Path) -> Compensator:

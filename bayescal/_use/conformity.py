@@ -243,6 +243,13 @@ class DrawnQuantity:
     estimate: tuple[float, float]
     scatter: float = 0.0
 
+    @classmethod
+    def of(cls, values: Float[np.ndarray, "d g"], scatter: float = 0.0) -> DrawnQuantity:
+        """Of its value in each draw at each place of a range."""
+        middle = values.mean(axis=0)
+        ends = float(middle.min()), float(middle.max())
+        return cls(values.min(axis=1), values.max(axis=1), ends, scatter)
+
     def probability(self, limits: Limits, shift: float = 0.0) -> float:
         """Probability of conformity, had the posterior stood higher by `shift`."""
         low, high = self.low + shift, self.high + shift
@@ -419,7 +426,7 @@ class LimitedQuantity:
 
     def drawn(self, later: float = 0.0) -> DrawnQuantity:
         """What the posterior says of it, s after the last reading of the calibration."""
-        raise NotImplementedError
+        return DrawnQuantity.of(self.values(later))
 
     def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
         """Its value in each draw, in the calibration's order, at each place of the limit's range; as `drawn`."""
@@ -445,10 +452,6 @@ class LimitedUnknown(LimitedQuantity):
     """An unknown of the model: draws (d,)."""
 
     draws: np.ndarray
-
-    def drawn(self, later: float = 0.0) -> DrawnQuantity:
-        mean = float(self.draws.mean())
-        return DrawnQuantity(self.draws, self.draws, (mean, mean))
 
     def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
         return np.asarray(self.draws)[:, None]
@@ -500,14 +503,7 @@ class QuantityInUse(LimitedQuantity):
         return "time" in self._acting
 
     def drawn(self, later: float = 0.0) -> DrawnQuantity:
-        values, scatter = self._values(self.chosen._moments.draws, later)
-        middle = values.mean(axis=0)
-        return DrawnQuantity(
-            values.min(axis=1),
-            values.max(axis=1),
-            (float(middle.min()), float(middle.max())),
-            scatter,
-        )
+        return DrawnQuantity.of(*self._values(self.chosen._moments.draws, later))
 
     def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
         return self._values(self.chosen._moments.draws, later)[0]
@@ -601,7 +597,7 @@ def limited_quantity(
             "of it"
         )
     unit = slots.get(limit.quantity, chosen.unit)
-    point = chosen.middle | {i.name: i.high for i in chosen.inputs if i.name == "time"}
+    point = chosen.middle
     spans, not_covered, notes = [], [], []
     for span in limit.over:
         name, low, high = _resolved(chosen, span, limit, local_gravity)

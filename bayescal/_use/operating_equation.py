@@ -98,12 +98,14 @@ class OperatingEquation(eqx.Module):
         members: (group, member) chosen by name, such as ("device", "A17"); others are new.
         known: numeric columns and rates of the readings of the fit.
         lags: what the equation asks of the past.
+        held: inputs that are no inputs, and their values, fixed units.
     """
 
     layout: Layout
     members: tuple[tuple[str, str], ...] = eqx.field(static=True)
     known: tuple[str, ...] = eqx.field(static=True)
     lags: tuple[Lag, ...] = eqx.field(static=True, default=())
+    held: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
 
     @property
     def use(self) -> Use:
@@ -170,13 +172,11 @@ class OperatingEquation(eqx.Module):
         return jnp.reshape(self._composed(theta, frame)[0][name], ())
 
     def _with_moved_lags(self, theta: Scalars, inputs: Scalars) -> Scalars:
-        """The inputs with each lag, given at the mean of its τ, at the τ of θ, to first order."""
-        moved = dict(inputs)
+        """The inputs, held ones too, with each lag, given at the mean of its τ, at the τ of θ, to first order."""
+        moved = dict(inputs) | {name: jnp.asarray(value) for name, value in self.held}
         for lag in self.lags:
-            if lag.shape is not None and lag.slope in inputs:
-                moved[lag.name] = inputs[lag.name] + inputs[lag.slope] * (
-                    theta[lag.shape] - lag.tau
-                )
+            if lag.shape is not None and lag.slope in moved:
+                moved[lag.name] = moved[lag.name] + moved[lag.slope] * (theta[lag.shape] - lag.tau)
         return moved
 
     def one_reading(
@@ -286,12 +286,14 @@ def _lags(found: OperatingEquation, calibration: Calibration) -> tuple[Lag, ...]
 
 def input_names(equation: OperatingEquation, frame: Frame) -> list[str]:
     """Every input that there could be."""
-    return [
+    names = [
         *equation.known,
         *(f"{n}_rate" for n in frame.rates),
         *(lag.name for lag in equation.lags),
         *(lag.slope for lag in equation.lags if lag.slope),
     ]
+    held = dict(equation.held)
+    return [name for name in names if name not in held]
 
 
 def samples_in_use(
@@ -335,33 +337,45 @@ def posterior_moments(
 ) -> PosteriorMoments:
     """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all.
 
-    A deviation that is new in use is independent of everything measured: its draws are standardised, so that
-    they move no mean.
+    A deviation that is new in use is independent of everything measured, and so are its draws: they move no mean and no
+    covariance, so that what is computed from draws and from moments agrees.
     """
     unknowns, blocks = equation.unknowns(), {b.name: b for b in equation.blocks}
     size = calibration.posterior.sizes
     total = size["chain"] * size["draw"]
     random = np.random.default_rng(seed)
     step = max(1, -(-total // draws))
-    values, mean, extra = np.zeros((total, len(unknowns))), np.zeros(len(unknowns)), {}
+    values, mean = np.zeros((total, len(unknowns))), np.zeros(len(unknowns))
+    new = [i for i, u in enumerate(unknowns) if u.kind == "new"]
+    for i in (i for i in range(len(unknowns)) if i not in new):
+        values[:, i] = samples_in_use(equation, calibration, unknowns[i])
+        mean[i] = values[:, i].mean()
     thin = values[::step].copy()
-    for i, unknown in enumerate(unknowns):
-        if unknown.kind == "new":
-            block = blocks[unknown.key]
-            centre = block.coefficient.mean
-            spread = _spread(calibration, block, total) * has_effect(calibration, block.effect.name)
-            normal = random.standard_normal(len(thin))
-            normal = (normal - normal.mean()) / (normal.std() or 1.0)
-            mean[i], extra[i] = centre, float(np.mean(spread**2))
-            thin[:, i] = centre + spread[::step] * normal
-        else:
-            values[:, i] = samples_in_use(equation, calibration, unknown)
-            mean[i] = values[:, i].mean()
-            thin[:, i] = values[::step, i]
     covariance = np.atleast_2d(np.cov(values.T)) if len(unknowns) else np.zeros((0, 0))
-    for i, variance in extra.items():
-        covariance[i, i] = variance
+    for i in new:
+        block = blocks[unknowns[i].key]
+        spread = _spread(calibration, block, total) * has_effect(calibration, block.effect.name)
+        mean[i], covariance[i, i] = block.coefficient.mean, float(np.mean(spread**2))
+        thin[:, i] = mean[i] + _independent(thin - mean, spread[::step], covariance[i, i], random)
     return PosteriorMoments(thin, mean, covariance)
+
+
+def _independent(
+    others: Float[np.ndarray, "d p"],
+    spread: Float[np.ndarray, "d"],
+    variance: float,
+    random: np.random.Generator,
+) -> Float[np.ndarray, "d"]:
+    """Draws of mean zero, of a standard deviation each and a variance of all, that are correlated with no others."""
+    size = others.std(axis=0)
+    others = (others[:, size > 0] / size[size > 0])[
+        :, : len(spread) // 2
+    ]  # of a handful of draws few
+    beside = spread[:, None] * np.column_stack([np.ones(len(spread)), others])
+    normal = random.standard_normal(len(spread))
+    drawn = spread * (normal - beside @ np.linalg.lstsq(beside, normal, rcond=None)[0])
+    square = float(drawn @ drawn) / (len(drawn) - 1)
+    return drawn * (variance / square) ** 0.5 if square > 0 else drawn
 
 
 def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np.ndarray:
@@ -526,6 +540,43 @@ def slots_over_draws(equation: OperatingEquation, reference, name: str, theta, s
     return jax.vmap(values)(theta)
 
 
+FEW = 200  # draws, and readings, over which the size of what is left out is known well enough
+
+
+def left_out(
+    equation: OperatingEquation, calibration: Calibration, inputs: Mapping[str, np.ndarray]
+) -> float:
+    """Root mean square, over draws and readings, of what the output is more than with the held inputs; output unit.
+
+    Args:
+        equation: with held inputs.
+        calibration: that it is of.
+        inputs: at the readings of the calibration.
+    """
+    rows = slice(None, None, -(-len(calibration.readings) // FEW))
+    readings, stimulus = calibration.readings, equation.use.stimulus
+    acting = readings[stimulus][rows] if readings.has(stimulus) else np.zeros(len(readings))[rows]
+    theta = posterior_moments(equation, calibration, FEW, calibration.seed).draws
+    every = {name: jnp.asarray(values[rows]) for name, values in inputs.items()}
+    reference = calibration.frame.reference
+    whole, held = (
+        points_over_draws(one, reference, jnp.asarray(theta), jnp.asarray(acting), every)
+        for one in (replace(equation, held=()), equation)
+    )
+    return float(np.sqrt(np.mean((np.asarray(whole) - np.asarray(held)) ** 2)))
+
+
+@compiled
+def points_over_draws(equation: OperatingEquation, reference, theta, stimulus, inputs):
+    """The expected output at each place, for draws of θ, (d, n)."""
+
+    def values(one):
+        named = _named(equation, one)
+        return jax.vmap(lambda s, i: equation.point(named, s, i, reference))(stimulus, inputs)
+
+    return jax.vmap(values)(theta)
+
+
 def _named(equation: OperatingEquation, theta: Float[Array, "p"]) -> Scalars:
     return {u.key: theta[i] for i, u in enumerate(equation.unknowns())}
 
@@ -538,7 +589,7 @@ def _with_lags(
         return inputs
     named, found = _named(equation, theta), dict(inputs)
     for lag in equation.lags:
-        if lag.name not in found:
+        if lag.name not in found and lag.name not in dict(equation.held):
             tau = named[lag.shape] if lag.shape else jnp.asarray(lag.tau)
             found[lag.name] = record.lag(tau, lag.column)
             if lag.slope:

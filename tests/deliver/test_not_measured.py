@@ -152,15 +152,15 @@ def test_in_an_average_over_structures_what_is_improbable_does_not_count(untold)
 
 def test_a_plan_says_that_the_uncertainty_is_the_priors(unturned, told) -> None:
     plan = bc.plan_readings(unturned, "scale.constant: ±200 ppm", {"again": unturned.readings})
-    assert any("not measured" in note and "scale.constant" in note for note in plan.notes)
+    assert any("tell less of" in note and "scale.constant" in note for note in plan.notes)
     plan = bc.plan_readings(told, "zero: ±12 arcsec", {"again": told.readings})
-    assert not any("not measured" in note for note in plan.notes)
+    assert not any("tell less of" in note for note in plan.notes)
 
 
 def test_a_budget_says_which_part_is_a_prior(unturned) -> None:
     at_speed, at_rest = (bc.budget(unturned, {"rate_input": rate}) for rate in (80.0, 0.0))
-    assert any("do not measure" in n and "scale.constant" in n for n in at_speed.notes)
-    assert not any("do not measure" in n for n in at_rest.notes)
+    assert any("Most of it is prior" in n and "scale.constant" in n for n in at_speed.notes)
+    assert not any("Most of it is prior" in n for n in at_rest.notes)
 
 
 @pytest.mark.usefixtures("unpainted")
@@ -173,14 +173,14 @@ def test_a_certificate_and_a_report_mark_it(unturned, tmp_path) -> None:
         quantity.findtext("dcc:name/dcc:content", "", space)
         for quantity in root.iterfind(".//dcc:result//dcc:quantity", space)
     ]
-    assert "scale.constant, not measured: as before the readings" in names
+    assert "scale.constant, by its prior more than by the readings" in names
     assert "bias.constant" in names
     page = bc.report(unturned, tmp_path / "report.html").read_text("utf-8")
     signed = page.partition("<caption>Result</caption>")[2].partition("</table>")[0]
     row = signed.partition("scale.constant")[2].partition("</tr>")[0]
-    assert "(not measured)" in row
+    assert "(mostly its prior)" in row
     row = signed.partition("bias.constant")[2].partition("</tr>")[0]
-    assert "(not measured)" not in row
+    assert "(mostly its prior)" not in row
 
 
 def test_the_spread_of_runs_is_measured_by_four_and_not_by_one() -> None:
