@@ -37,10 +37,12 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame
 from bayescal._use.expression_graph import Graph, NotExportable, trace
 from bayescal._use.operating_equation import (
+    Folded,
     Inverse,
     OperatingEquation,
     PosteriorMoments,
     Scalars,
+    equation_in_use,
     left_out,
 )
 
@@ -362,10 +364,10 @@ def notes_on_use(
         notes.append(
             f"Taken as new in use, with the between-group standard deviation of the calibration: {', '.join(new)}."
         )
-    if equation.held:
-        notes.append(_left_out(calibration, equation))
+    if equation.folded is not None:
+        notes.append(_left_out(calibration, equation, equation.folded))
     for lag in equation.lags:
-        if lag.shape and lag.name not in dict(equation.held):
+        if lag.shape:
             notes.append(
                 f"{lag.name} is the lag for {lag.shape} = {lag.tau:.6g} s; the uncertainty of this time is "
                 f"counted through {lag.slope}."
@@ -378,18 +380,15 @@ def notes_on_use(
     return tuple(notes)
 
 
-def _left_out(calibration: Calibration, equation: OperatingEquation) -> str:
-    """What the held inputs are held at, and how much of the output that leaves out."""
-    units = {c: calibration.readings.unit(c) for c in calibration.readings.columns}
-    at = ", ".join(
-        f"{name} = {value:.6g} {unit_label(units.get(name) or '1')}".rstrip()
-        for name, value in equation.held
-    )
-    inputs = inputs_at_fit(calibration, equation)
-    rms = left_out(equation, calibration, inputs)
+def _left_out(calibration: Calibration, equation: OperatingEquation, left: Folded) -> str:
+    """Which effects count at one place alone, where that is, and how much of the output that leaves out."""
+    inputs = inputs_at_fit(calibration, equation_in_use(calibration, dict(equation.members)))
+    rms = left_out(equation, left, calibration, inputs)
+    known = {equation.use.stimulus}.union(*(e.columns for e in equation.layout.model.effects))
+    at = [f"{n} = {v:.6g} {unit_label(u)}".rstrip() for n, v, u in left.at if n not in known]
     return (
-        f"Held, as only improbable effects need it: {at}. Over the calibration what they make of it elsewhere is "
-        f"{number(rms)} {unit_label(calibration.unit)} rms, and in no uncertainty."
+        f"{', '.join(left.effects)} would need further inputs, and counts as at {', '.join(at)}. What it makes of the "
+        f"output elsewhere is left out: {number(rms)} {unit_label(calibration.unit)} rms over the calibration."
     )
 
 

@@ -39,6 +39,7 @@ from bayescal._use.operating_equation import (
     OperatingEquation,
     PosteriorMoments,
     equation_in_use,
+    folded,
     input_names,
     posterior_moments,
 )
@@ -300,8 +301,8 @@ def compensator(
     """The compensator of a calibrated instrument.
 
     Args:
-        calibration: a fit, or an average over structures. Inputs that improbable effects alone need are held at the
-            middle of their range, a time at its end; `notes` say what that leaves out.
+        calibration: a fit, or an average over structures. Effects that need an input which no probable one does stand
+            in it as what they come to at the middle of the calibrated range; `notes` say what that leaves out.
         draws: posterior draws to average over, at most.
         members: which member of a group is used, such as {"device": "A17"}; every other run, cell or device counts
             as a new one, whose deviation is drawn from its spread.
@@ -314,12 +315,12 @@ def compensator(
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
     usual = usual_columns(calibration)
     whole = Compensator(calibration, equation_in_use(calibration, members), draws)
-    held = tuple(
-        (i.name, i.middle)
-        for i in whole.inputs
-        if not usual.issuperset({i.column} if i.kind == "column" else {i.column, "time"})
-    )
-    return replace(whole, equation=replace(whole._equation, held=held)) if held else whole
+    rare = [e.name for e in calibration.model.effects if not usual.issuperset(e.columns)]
+    if not rare:
+        return whole
+    units = {whole.stimulus: whole.unit, **{i.name: i.unit for i in whole.inputs}}
+    middle = [(name, float(value), units[name]) for name, value in whole.middle.items()]
+    return replace(whole, equation=folded(whole._equation, calibration, rare, middle))
 
 
 def load_compensator(path: str | Path) -> Compensator:

@@ -14,7 +14,7 @@ closed form, anything else by optimistix' Newton, reading by reading.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -81,13 +81,36 @@ class UnknownInUse(NamedTuple):
         name: of the coefficient or shape; "(new run)" beside it for a deviation not measured.
         key: under which the equation finds it.
         unit: in which it is reported.
-        kind: "coefficient", "shape", or "new" for one drawn anew in use.
+        kind: "coefficient", "shape", "new" for one drawn anew in use, "folded" for what folded effects come to.
     """
 
     name: str
     key: str
     unit: str
     kind: str
+
+
+class Folded(NamedTuple):
+    """Effects that stand in the equation as what they come to at one place: an unknown for each slot.
+
+    Attributes:
+        effects: by name.
+        slots: (slot, unit) that they act on.
+        at: (name, value, unit) of the stimulus and every input there.
+    """
+
+    effects: tuple[str, ...]
+    slots: tuple[tuple[str, str], ...]
+    at: tuple[tuple[str, float, str], ...]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Stimulus and inputs at the place, by name."""
+        return {name: value for name, value, _ in self.at}
+
+    def name(self, slot: str) -> str:
+        """Of a slot's unknown."""
+        return f"{slot}: {', '.join(self.effects)}"
 
 
 class OperatingEquation(eqx.Module):
@@ -98,14 +121,14 @@ class OperatingEquation(eqx.Module):
         members: (group, member) chosen by name, such as ("device", "A17"); others are new.
         known: numeric columns and rates of the readings of the fit.
         lags: what the equation asks of the past.
-        held: inputs that are no inputs, and their values, fixed units.
+        folded: effects that it does not hold; None where it holds all.
     """
 
     layout: Layout
     members: tuple[tuple[str, str], ...] = eqx.field(static=True)
     known: tuple[str, ...] = eqx.field(static=True)
     lags: tuple[Lag, ...] = eqx.field(static=True, default=())
-    held: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
+    folded: Folded | None = eqx.field(static=True, default=None)
 
     @property
     def use(self) -> Use:
@@ -138,6 +161,9 @@ class OperatingEquation(eqx.Module):
                 name = member_name(b.name, member or "new " + per)
                 kind = "new" if member is None else kind
             found.append(UnknownInUse(name, b.name, b.coefficient.unit, kind))
+        if (folded := self.folded) is not None:
+            names = ((folded.name(slot), unit) for slot, unit in folded.slots)
+            found += [UnknownInUse(name, name, unit, "folded") for name, unit in names]
         return tuple(found)
 
     def point(
@@ -172,11 +198,13 @@ class OperatingEquation(eqx.Module):
         return jnp.reshape(self._composed(theta, frame)[0][name], ())
 
     def _with_moved_lags(self, theta: Scalars, inputs: Scalars) -> Scalars:
-        """The inputs, held ones too, with each lag, given at the mean of its τ, at the τ of θ, to first order."""
-        moved = dict(inputs) | {name: jnp.asarray(value) for name, value in self.held}
+        """The inputs with each lag, given at the mean of its τ, at the τ of θ, to first order."""
+        moved = dict(inputs)
         for lag in self.lags:
-            if lag.shape is not None and lag.slope in moved:
-                moved[lag.name] = moved[lag.name] + moved[lag.slope] * (theta[lag.shape] - lag.tau)
+            if lag.shape is not None and lag.slope in inputs:
+                moved[lag.name] = inputs[lag.name] + inputs[lag.slope] * (
+                    theta[lag.shape] - lag.tau
+                )
         return moved
 
     def one_reading(
@@ -230,6 +258,8 @@ class OperatingEquation(eqx.Module):
         acting = [b for b in self.blocks if b.slot in own or b.slot in frame.columns]
         values = {b.name: jnp.reshape(known[b.name], (1,)) for b in acting}
         slots, corrected, _ = forward.compose(self.layout, frame, values, known, {}, acting)
+        if (folded := self.folded) is not None:
+            slots = {**slots, **{s: slots[s] + known[folded.name(s)] for s, _ in folded.slots}}
         return slots, corrected
 
 
@@ -268,6 +298,30 @@ def equation_in_use(
     return replace(found, lags=_lags(found, calibration))
 
 
+def folded(
+    equation: OperatingEquation,
+    calibration: Calibration,
+    effects: Collection[str],
+    at: Sequence[tuple[str, float, str]],
+) -> OperatingEquation:
+    """An equation without some effects, each slot with what these come to at one place.
+
+    Args:
+        equation: that holds them.
+        calibration: that it is of.
+        effects: their names.
+        at: stimulus and every input: name, value, unit.
+    """
+    model = equation.layout.model
+    kept = replace(model, effects=tuple(e for e in model.effects if e.name not in effects))
+    acting = {b.slot for b in equation.blocks if b.effect.name in effects}
+    slots = tuple((s.name, s.unit) for s in model.instrument.slots if s.name in acting)
+    names = tuple(e.name for e in model.effects if e.name in effects)
+    bare = replace(equation, layout=replace(equation.layout, model=kept), lags=())
+    found = replace(bare, lags=_lags(bare, calibration), folded=Folded(names, slots, tuple(at)))
+    return found if slots else replace(found, folded=None)
+
+
 def _lags(found: OperatingEquation, calibration: Calibration) -> tuple[Lag, ...]:
     """Ask the equation once, at the posterior mean, which lags it needs."""
     theta = _theta(found, calibration)
@@ -286,14 +340,12 @@ def _lags(found: OperatingEquation, calibration: Calibration) -> tuple[Lag, ...]
 
 def input_names(equation: OperatingEquation, frame: Frame) -> list[str]:
     """Every input that there could be."""
-    names = [
+    return [
         *equation.known,
         *(f"{n}_rate" for n in frame.rates),
         *(lag.name for lag in equation.lags),
         *(lag.slope for lag in equation.lags if lag.slope),
     ]
-    held = dict(equation.held)
-    return [name for name in names if name not in held]
 
 
 def samples_in_use(
@@ -315,6 +367,8 @@ def _theta(equation: OperatingEquation, calibration: Calibration) -> dict[str, A
         u.key: jnp.asarray(
             float(blocks[u.key].coefficient.mean)
             if u.kind == "new"
+            else 0.0
+            if u.kind == "folded"
             else samples_in_use(equation, calibration, u).mean()
         )
         for u in equation.unknowns()
@@ -347,8 +401,11 @@ def posterior_moments(
     step = max(1, -(-total // draws))
     values, mean = np.zeros((total, len(unknowns))), np.zeros(len(unknowns))
     new = [i for i, u in enumerate(unknowns) if u.kind == "new"]
-    for i in (i for i in range(len(unknowns)) if i not in new):
-        values[:, i] = samples_in_use(equation, calibration, unknowns[i])
+    left = equation.folded
+    at_one_place = {} if left is None else _of_folded(equation, left, calibration, seed)
+    for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new):
+        known = u.key in at_one_place
+        values[:, i] = at_one_place[u.key] if known else samples_in_use(equation, calibration, u)
         mean[i] = values[:, i].mean()
     thin = values[::step].copy()
     covariance = np.atleast_2d(np.cov(values.T)) if len(unknowns) else np.zeros((0, 0))
@@ -358,6 +415,65 @@ def posterior_moments(
         mean[i], covariance[i, i] = block.coefficient.mean, float(np.mean(spread**2))
         thin[:, i] = mean[i] + _independent(thin - mean, spread[::step], covariance[i, i], random)
     return PosteriorMoments(thin, mean, covariance)
+
+
+def _with_and_without(
+    equation: OperatingEquation, folded: Folded, calibration: Calibration, draws: int, seed: int
+) -> tuple[OperatingEquation, Array, Array]:
+    """The equation that holds the folded effects too, with draws of its θ, and the same without these, (d, p)."""
+    whole = equation_in_use(calibration, dict(equation.members))
+    theirs = {b.name for b in whole.blocks if b.effect.name in folded.effects}
+    theta = posterior_moments(whole, calibration, draws, seed).draws
+    kept = [u.key not in theirs for u in whole.unknowns()]
+    return whole, jnp.asarray(theta), jnp.asarray(theta * kept)
+
+
+def _of_folded(
+    equation: OperatingEquation, left: Folded, calibration: Calibration, seed: int
+) -> dict[str, np.ndarray]:
+    """Draws of what the folded effects come to at their place, (d,), by the key of their unknown."""
+    whole, *both = _with_and_without(equation, left, calibration, ALL, seed)
+    at, found = left.values, dict[str, np.ndarray]()
+    names = input_names(whole, calibration.frame)
+    inputs = {name: jnp.full(1, at.get(name, 0.0)) for name in names}
+    stimulus = jnp.full(1, at[equation.use.stimulus])
+    for slot, _ in left.slots:
+        with_them, without = (
+            slots_over_draws(whole, calibration.frame.reference, slot, theta, stimulus, inputs)
+            for theta in both
+        )
+        found[left.name(slot)] = np.asarray(with_them - without)[:, 0]
+    return found
+
+
+FEW = 200  # draws, and readings, over which the size of what is left out is known well enough
+
+
+def left_out(
+    equation: OperatingEquation,
+    left: Folded,
+    calibration: Calibration,
+    inputs: Mapping[str, np.ndarray],
+) -> float:
+    """What the folded effects make of the output elsewhere than at their place: rms over draws and readings, its unit.
+
+    Args:
+        equation, left: an equation, and the effects folded in it.
+        calibration: that it is of.
+        inputs: of the equation that holds them, at the readings of the calibration.
+    """
+    whole, *both = _with_and_without(equation, left, calibration, FEW, calibration.seed)
+    rows = slice(None, None, -(-len(calibration.readings) // FEW))
+    readings, name = calibration.readings, equation.use.stimulus
+    acting = readings[name] if readings.has(name) else np.zeros(len(readings))
+    there = {n: np.full(len(v), left.values.get(n, 0.0)) for n, v in inputs.items()}
+    added = []
+    for one in (inputs, there):
+        at = jnp.asarray(acting[rows]), {n: jnp.asarray(v[rows]) for n, v in one.items()}
+        reference = calibration.frame.reference
+        with_them, without = (points_over_draws(whole, reference, t, *at) for t in both)
+        added.append(np.asarray(with_them - without))
+    return float(np.sqrt(np.mean((added[0] - added[1]) ** 2)))
 
 
 def _independent(
@@ -540,32 +656,6 @@ def slots_over_draws(equation: OperatingEquation, reference, name: str, theta, s
     return jax.vmap(values)(theta)
 
 
-FEW = 200  # draws, and readings, over which the size of what is left out is known well enough
-
-
-def left_out(
-    equation: OperatingEquation, calibration: Calibration, inputs: Mapping[str, np.ndarray]
-) -> float:
-    """Root mean square, over draws and readings, of what the output is more than with the held inputs; output unit.
-
-    Args:
-        equation: with held inputs.
-        calibration: that it is of.
-        inputs: at the readings of the calibration.
-    """
-    rows = slice(None, None, -(-len(calibration.readings) // FEW))
-    readings, stimulus = calibration.readings, equation.use.stimulus
-    acting = readings[stimulus][rows] if readings.has(stimulus) else np.zeros(len(readings))[rows]
-    theta = posterior_moments(equation, calibration, FEW, calibration.seed).draws
-    every = {name: jnp.asarray(values[rows]) for name, values in inputs.items()}
-    reference = calibration.frame.reference
-    whole, held = (
-        points_over_draws(one, reference, jnp.asarray(theta), jnp.asarray(acting), every)
-        for one in (replace(equation, held=()), equation)
-    )
-    return float(np.sqrt(np.mean((np.asarray(whole) - np.asarray(held)) ** 2)))
-
-
 @compiled
 def points_over_draws(equation: OperatingEquation, reference, theta, stimulus, inputs):
     """The expected output at each place, for draws of θ, (d, n)."""
@@ -589,7 +679,7 @@ def _with_lags(
         return inputs
     named, found = _named(equation, theta), dict(inputs)
     for lag in equation.lags:
-        if lag.name not in found and lag.name not in dict(equation.held):
+        if lag.name not in found:
             tau = named[lag.shape] if lag.shape else jnp.asarray(lag.tau)
             found[lag.name] = record.lag(tau, lag.column)
             if lag.slope:

@@ -11,7 +11,7 @@ import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -19,7 +19,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.summary import summary
-from bayescal._core.formatting import with_error
+from bayescal._core.formatting import number, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._report.certificate import d_si, dcc_text
 from bayescal._search.calibrate import step_of
@@ -80,7 +80,7 @@ def in_the_certificate(text: str) -> dict[str, Stated]:
         u = quantity.findtext(f".//{SI}expandedUnc/{SI}uncertainty")
         if u is not None:
             value = float(quantity.findtext(f".//{SI}value", "nan"))
-            found[name.partition(",")[0]] = Stated(value, float(u) / 2)
+            found[name.partition(", by its prior")[0]] = Stated(value, float(u) / 2)
     return found
 
 
@@ -103,7 +103,7 @@ def test_one_value_and_one_uncertainty_of_each_quantity(name: str, tmp_path: Pat
         one = Stated(row["mean"], row["sd"])
         assert page[unknown] == (with_error(one.value, 2 * one.u), unit_label(unit))
         factor, _ = d_si(unit)
-        rounding = 0.05 * factor * one.u  # to two digits of U
+        rounding = 0.1 * factor * one.u  # to two digits of U
         assert certificate[unknown] == pytest.approx([factor * v for v in one], abs=rounding)
         limit = f"{unknown}: ≤ {one.value + 100 * one.u!r} {unit if unit != '1' else ''}"
         (decided,) = bc.decide(average, limit).decisions
@@ -115,7 +115,7 @@ def test_one_value_and_one_uncertainty_of_each_quantity(name: str, tmp_path: Pat
             i = exported[unknown]
             assert program.unknowns[i].mean == pytest.approx(one.value, rel=1e-9)
             assert program.covariance[i][i] ** 0.5 == pytest.approx(one.u, rel=1e-9)
-    assert SOMETIMES[name] in page
+    assert any(unknown.startswith(SOMETIMES[name]) for unknown in page)
 
 
 @pytest.mark.parametrize(
@@ -136,28 +136,30 @@ def test_a_compensated_value_has_one_uncertainty(name: str, tmp_path: Path) -> N
     (decided,) = bc.decide(average, f"corrected mean: ±1 {budget.unit}").decisions
     assert decided.uncertainty == pytest.approx(budget.uncertainty, rel=2e-3)
     assert {n: low for n, (low, _, _) in decided.at.items() if n in budget.at} == budget.at
-    given = {n: v for n, v in budget.at.items() if n != budget.stimulus}
+    given: dict[str, Any] = {n: v for n, v in budget.at.items() if n != budget.stimulus}
     program = bc.load_compensator(chosen.export(tmp_path / "c.json"))
     for compensate in (chosen, program):
         value = compensate(output=budget.reading, noise=False, method="first order", **given)
         assert value.uncertainty[0] == pytest.approx(budget.uncertainty, rel=1e-9)
     text = bc.report(found, tmp_path / "report.html").read_text("utf-8")
     shown = budget.shown()
-    assert re.search(rf"U = {re.escape(f'{shown.expanded:.2g}')}", text)
+    assert f"U = {number(shown.expanded, 2)} {unit_label(shown.unit)}" in text
 
 
-def test_what_an_improbable_effect_alone_needs_is_held_and_said() -> None:
-    """A drift of three draws in ten asks nobody for the time: it is held at the last reading, and its part is said."""
+def test_what_needs_a_further_input_counts_at_one_place_and_the_rest_is_said() -> None:
+    """A drift of three draws in ten asks nobody for the time: it counts as at the last reading."""
     average = trail("mems_gyro").calibration
     chosen, time = bc.compensator(average), average.readings["time"]
     assert [i.name for i in chosen.inputs] == ["temperature"]
-    (said,) = (n for n in chosen.notes if n.startswith("Held"))
+    (said,) = (n for n in chosen.notes if "would need further inputs" in n)
     drift = average.samples("bias.drift")
     progress = (time - time.mean()) / np.ptp(time)
     left = np.sqrt(np.mean(drift**2) * np.mean((progress - progress.max()) ** 2))
     assert f"time = {time.max():.6g} s" in said
-    told = re.search(r"elsewhere is ([\d.e-]+) °/s rms", said)
+    told = re.search(r"left out: ([\d.e-]+) °/s rms", said)
     assert told is not None and float(told[1]) == pytest.approx(left, rel=0.1)
+    names = [u.name for u in chosen.program.unknowns]
+    assert names == ["bias.constant", "bias.temperature", "bias: bias.drift"]
     # At the last reading it is as a decision about the bias has it.
     at = {"temperature": 60.0}
     value = chosen(output=0.0, noise=False, method="first order", warn=False, **at)
@@ -180,7 +182,7 @@ def test_commands_say_the_same_of_a_folder(tmp_path: Path) -> None:
     factor, _ = d_si("deg/s")
     written = in_the_certificate(dcc)["bias.constant"]
     u = one["uncertainty"]
-    assert written == pytest.approx([factor * one["estimate"][0], factor * u], abs=0.05 * factor * u)
+    assert written == pytest.approx([factor * one["estimate"][0], factor * u], abs=0.1 * factor * u)
     page = tmp_path / "report.html"
     done = run("report", folder, "--out", page, *limit, "--certificate", stated)
     assert done.status == 0, done.err

@@ -140,7 +140,9 @@ def test_the_page_tells_what_was_missing_and_how_the_error_fell(pages, kind: str
 
 def test_intervals_are_not_confused(pages) -> None:
     """U is twice the standard uncertainty and says k; the credible interval has a column of its own."""
-    draws = trail().calibration.samples(HIDDEN)  # averaged over structures, as everything that leaves
+    draws = trail().calibration.samples(
+        HIDDEN
+    )  # averaged over structures, as everything that leaves
     page = pages("a trail")
     heads = re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", page.source)
     assert {"value ± U (k = 2)", "k = 2 interval", "95 % credible interval"} <= set(heads)
