@@ -75,7 +75,9 @@ def description(c: Fitted) -> dict[str, Any]:
         "seed": c.seed,
         **({"start": dict(c.start)} if c.start else {}),
         "log_evidence": c.log_evidence,
-        "verdict": {k: v for k, v in asdict(c.verdict).items() if k != "against" or v},
+        "verdict": {
+            k: v for k, v in asdict(c.verdict).items() if k not in ("against", "checked") or v
+        },
         "sources": [asdict(s) for s in c.readings.sources],
         "flags": list(c.readings.flags),
         **({"nominal_scale": asdict(scale)} if (scale := c.readings.scale) else {}),

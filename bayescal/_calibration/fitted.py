@@ -47,13 +47,15 @@ class Fitted:
     start: dict[str, float] = field(default_factory=dict)
 
     def judged(self, against: Sequence[str]) -> Self:
-        """The same, with why it is not to be used though it converged."""
-        return self.with_verdict(against=tuple(against))
+        """The same, checked, with why it is not to be used though it converged; nothing where it may be."""
+        return self.with_verdict(against=tuple(against), checked=True)
 
     def with_verdict(self, **changes: Any) -> Self:
         """The same with another verdict; what was computed of it is kept."""
         made = object.__new__(type(self))
-        kept = {name: value for name, value in vars(self).items() if name != "tree"}
+        kept = {
+            name: value for name, value in vars(self).items() if name not in ("tree", "why_not")
+        }
         vars(made).update(kept, verdict=replace(self.verdict, **changes))
         return made
 

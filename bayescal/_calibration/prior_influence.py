@@ -1,17 +1,30 @@
-"""How much of what a calibration knows comes from its priors, and how much from the readings."""
+"""How much of what a calibration knows comes from its priors, and how much from the readings; what was not measured.
+
+A quantity q of jointly normal unknowns c, each with a prior of variance D, has the variance Σ cov(q, c)²/D from the
+priors, and the rest from the noise of the readings: P·D⁻¹·P and P·JᵀΣ⁻¹J·P of the posterior covariance P. Of one
+coefficient by itself the part that is its prior's is one less its contraction.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.mixture import has_effect
+from bayescal._calibration.settings import guarding
 from bayescal._core.atomic_file import named_back
 from bayescal._core.errors import InputError
+from bayescal._core.formatting import number, with_error
+from bayescal._data.unit_conversion import unit_label
+from bayescal._model.effect import Effect
+from bayescal._model.parameters import CoefficientBlock
+from bayescal._model.prior import coordinate_variance, deviation
 
 
 @dataclass(frozen=True)
@@ -85,6 +98,189 @@ def _places(calibration: Calibration, moving: list[int]) -> dict[str, tuple[int,
         slope = float((h.prior.value(v[i] + step) - h.prior.value(v[i] - step)) / (2 * step))
         found[promoted.get(h.name, h.name)] = (layout.size + place, slope)
     return found
+
+
+class KnownByPrior(NamedTuple):
+    """An unknown of which its prior says more than the readings do.
+
+    Attributes:
+        name, unit: as reported.
+        effect: whose it is; None of a hyperparameter.
+        before, now: mean and standard deviation before the readings, and with them; None of a hyperparameter.
+    """
+
+    name: str
+    unit: str
+    effect: Effect | None
+    before: tuple[float, float] | None
+    now: tuple[float, float]
+
+    def __str__(self) -> str:
+        before = "" if self.before is None else f", ± {number(self.before[1])} before them"
+        return (
+            f"{self.name} ({with_error(*self.now)} {unit_label(self.unit)}".rstrip() + f"{before})"
+        )
+
+
+@dataclass(frozen=True)
+class NotMeasured:
+    """Of what a quantity is made that was not measured.
+
+    Attributes:
+        unknowns: the largest part of its variance first.
+        beside: what they are confounded with that is not of the device.
+    """
+
+    unknowns: tuple[KnownByPrior, ...]
+    beside: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"the readings tell less of {' and '.join(map(str, self.unknowns))} than was known before"
+
+    @property
+    def hyperparameter(self) -> bool:
+        """Whether it is one by itself, of which draws without its prior are not known."""
+        return self.unknowns[0].before is None
+
+    @property
+    def cure(self) -> str:
+        """What would tell, a sentence without its full stop."""
+        columns = dict.fromkeys(
+            c for one in self.unknowns if one.effect for c in one.effect.columns
+        )
+        apart = [*(one.name for one in self.unknowns), *self.beside]
+        if columns:
+            told = f"readings over more of {' and '.join(columns)}"
+        else:
+            told = (
+                f"readings that tell {' and '.join(apart)} apart" if apart[1:] else "more readings"
+            )
+        return f"What would tell: {told} (bayescal plan ranks campaigns)"
+
+    def by_readings_alone(
+        self, calibration: Calibration, values: Float[np.ndarray, "d g"]
+    ) -> Float[np.ndarray, "d g"]:
+        """Draws of the quantity as they would be with priors of these unknowns that say nothing.
+
+        A posterior covariance P and a prior's D leave P⁻¹ − D⁻¹ to the readings. What these hardly tell at all gets a
+        thousand plausible sizes. The quantity follows by its regression on the unknowns.
+        """
+        own = {one.name: one for one in self.unknowns}
+        draws, there, before = list[np.ndarray](), list[np.ndarray](), list[tuple[float, float]]()
+        for b, _ in _with_stated_priors(calibration):
+            members = calibration.samples(b.name).reshape(len(values), -1).T
+            for name, drawn in zip(b.member_names(calibration.levels), members, strict=True):
+                if name in own:
+                    draws.append(drawn)
+                    there.append(has_effect(calibration, b.effect.name))
+                    before.append((b.coefficient.mean, b.coefficient.size))
+        if not draws:
+            return values
+        mean, sd = np.array(before).T
+        every, present = (np.array(draws).T - mean) / sd, np.array(there).T
+        found = values.copy()
+        for pattern in np.unique(present, axis=0):  # of an average over structures
+            rows = np.all(present == pattern, axis=1)
+            known = every[rows][:, pattern]
+            if not pattern.any() or len(known) <= 2 * known.shape[1]:
+                continue
+            middle = known.mean(axis=0)
+            away, q = known - middle, values[rows]
+            weights, axes = np.linalg.eigh(away.T @ away / len(away))
+            weights = np.maximum(weights, np.finfo(float).tiny)
+            told = 1 / weights - 1
+            told = np.where(told < guarding().weak, 0.0, told)
+            wider = 1 / (told + guarding().free ** -2)
+            along = middle @ axes
+            moved = np.where(told > 0, along * wider / weights, along)
+            freed = moved + (away @ axes) * np.sqrt(wider / weights)
+            slope = axes / weights @ axes.T @ away.T @ (q - q.mean(axis=0)) / len(away)
+            found[rows] = q + (freed @ axes.T - known) @ slope
+        return found
+
+
+def not_measured(
+    calibration: Calibration,
+    values: Float[np.ndarray, "d g"],
+    *,
+    of: str = "",
+    scatter: float = 0.0,
+    rare: float = 0.0,
+) -> NotMeasured | None:
+    """What stands against calling a quantity measured: priors say more of it than the readings; None where they do not.
+
+    Counted are coefficients with a stated prior that act in use: what is known beforehand of a rig, or of a
+    thermometer, is no property of the device.
+
+    Args:
+        calibration: a fit, or an average over structures: of an effect the draws that have it are asked.
+        values: of the quantity in each draw, at several places; the worst one counts.
+        of: the unknown that it is, where it is one.
+        scatter: standard deviation of single readings about it.
+        rare: probability of an effect up to which it does not count.
+    """
+    for h, v in zip(calibration.layout.hypers, calibration.draws().v.T, strict=True):
+        if h.name == of and h.kind != "promoted":
+            # What is positive may be told by its size (a spread near zero) or its logarithm (one far above).
+            own, before = calibration.samples(of), deviation(h.prior)
+            by_size = before is not None and 2 * own.var() <= before**2
+            if by_size or 2 * np.var(v) <= coordinate_variance(h.prior):
+                return None
+            now = float(own.mean()), float(own.std())
+            return NotMeasured((KnownByPrior(of, h.unit, None, None, now),))
+    found, shares, counts = list[KnownByPrior](), list[np.ndarray](), list[bool]()
+    total = values.var(axis=0) + scatter**2
+    there = {e.name: has_effect(calibration, e.name) for e in calibration.model.effects}
+    for b, acting in _with_stated_priors(calibration):
+        among = there[b.effect.name]
+        if among.mean() <= rare:
+            continue
+        before, inside = (b.coefficient.mean, b.coefficient.size), values[among]
+        draws = calibration.samples(b.name)[among].reshape(len(inside), -1)
+        for name, own in zip(b.member_names(calibration.levels), draws.T, strict=True):
+            covariance = (own - own.mean()) @ (inside - inside.mean(axis=0)) / len(own)
+            part = among.mean() * (covariance / before[1]) ** 2
+            shares.append(part / np.where(total > 0, total, np.inf))
+            now = float(own.mean()), float(own.std())
+            found.append(KnownByPrior(name, b.coefficient.unit, b.effect, before, now))
+            counts.append(acting or name == of)
+    if not any(counts):
+        return None
+    by_prior = np.array(shares)
+    worst = by_prior[:, int(np.argmax(by_prior[counts].sum(axis=0)))]
+    if worst[counts].sum() <= 0.5:  # the readings say more
+        return None
+    named = [i for i in np.argsort(-worst) if worst[i] > guarding().concerned]
+    return NotMeasured(
+        tuple(found[i] for i in named if counts[i]),
+        tuple(found[i].name for i in named if not counts[i]),
+    )
+
+
+def coefficients_not_measured(calibration: Calibration) -> set[str]:
+    """Names of the coefficients that are as they were before the readings."""
+    found = set()
+    for b, _ in _with_stated_priors(calibration):
+        draws = calibration.samples(b.name).reshape(-1, b.size)
+        for i, name in enumerate(b.member_names(calibration.levels)):
+            if not_measured(calibration, draws[:, i : i + 1], of=name):
+                found.add(name)
+    return found
+
+
+def _with_stated_priors(calibration: Calibration) -> Iterator[tuple[CoefficientBlock, bool]]:
+    """Coefficients whose prior is stated, neither flat nor learned, and whether they are of the device in use."""
+    instrument = calibration.model.instrument
+    slots = {s.name for s in instrument.slots}
+    if instrument.vector is not None:
+        slots -= {*instrument.vector.rig}
+    elif instrument.use is not None and instrument.use.slots:
+        slots = {*instrument.use.slots}
+    for b in calibration.layout.blocks:
+        c = b.coefficient
+        learned = c.flat or c.group_sd is not None or b.effect.weights is not None
+        if b.place in ("x", "phi") and not learned and c.per != "reading":
+            yield b, b.slot in slots
 
 
 def prior_sensitivity(calibration: Calibration) -> Any:

@@ -22,7 +22,6 @@ from bayescal._cli.options import (
     ModelOptions,
     OwnParts,
     ReadRequest,
-    UsedParts,
     named_numbers,
     named_values,
 )
@@ -391,8 +390,7 @@ def export(
             + f": several, by axis, make parameters (--format {' or '.join(saved.PARAMETERS)})"
         )
     if format_ == saved.DCC:
-        chosen = saved.compensator_from(paths[0], own)
-        text = saved.certified(chosen, certificate, gravity, limit, by)
+        text = saved.certified(paths[0], own, certificate, gravity, limit, by)
         print(text.rstrip("\n") if out is None else f"written: {write_text(text, out)}")
         return
     ((_, chosen),) = loaded
@@ -509,13 +507,11 @@ def report(
     given = saved.chapters_from(calibrations, own)
     decided = None
     if limit:
-        if len(calibrations) != 1:
+        if len(given) != 1:
             raise InputError(
-                f"--limit decides about one result, {len(calibrations)} were given: report each by itself"
+                f"--limit decides about one result, {len(given)} were given: report each by itself"
             )
-        # About the average over structures, where there is one.
-        used = UsedParts(own.effects_file, own.instrument_file)
-        decided = bc.decide(saved.load_saved(calibrations[0], used), limit, **vars(by))
+        decided = bc.decide(given[0].used, limit, **vars(by))
     how = {"title": title, "certificate": stated, "output_unit": output_unit}
     written = bc.report(given, out, decisions=decided, **how)
     reasons = [reason for c in given for reason in c.data["verdict"]["reasons"]]

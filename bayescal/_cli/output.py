@@ -208,9 +208,8 @@ def loop_text(
     if output_unit is not None:
         rows = rows_in_output_unit(of_trail(trail), output_unit)
         shown = table(["", "value", "unit"], rows, left=1, fold=40)
-        parts.append(f"IN {unit_label(output_unit)}\n\n{shown}")
-    if averaged := averaged_text(trail, verbose):
-        parts.append(averaged)
+        over = ", over structures" * (trail.average is not None)
+        parts.append(f"IN {unit_label(output_unit)}{over}\n\n{shown}")
     if trail.ending:
         parts.append(textwrap.fill(f"end: {trail.ending}", WIDTH))
     parts.append(textwrap.fill(f"gate: {trail.gate.reason}", WIDTH))

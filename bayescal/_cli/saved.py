@@ -208,7 +208,8 @@ def parameters(
 
 
 def certified(
-    chosen: Compensator,
+    path: Path,
+    own: InUse,
     certificate: Path | None,
     local_gravity: float,
     limits: list[str] | None,
@@ -223,12 +224,13 @@ def certified(
         raise InputError(
             "a digital calibration certificate states device, laboratory and customer: --certificate FILE.toml"
         )
-    if chosen.calibration is None:
+    if path.suffix.lower() == ".json":
         raise InputError("an export is no calibration: give the saved calibration (.nc)")
-    decided = None
+    calibration, decided = load_saved(path, own), None
     if limits:
-        decided = decide(chosen.calibration, limits, local_gravity=local_gravity, **vars(by))
-    return dcc_text(chosen.calibration, certificate, local_gravity, decided)
+        how = {"members": own.members, "local_gravity": local_gravity, **vars(by)}
+        decided = decide(calibration, limits, **how)
+    return dcc_text(calibration, certificate, local_gravity, decided)
 
 
 def chapters_from(paths: list[Path], own: OwnParts) -> list[Chapter]:

@@ -33,6 +33,7 @@ class Verdict:
         r_hat: largest R-hat; None for independent draws.
         divergences: of NUTS.
         against: of a fit that converged, why it is not to be used, as the checks of `calibrate` found.
+        checked: whether these checks were made, whatever they found.
     """
 
     ok: bool
@@ -44,6 +45,7 @@ class Verdict:
     r_hat: float | None = None
     divergences: int | None = None
     against: tuple[str, ...] = ()
+    checked: bool = False
 
     @property
     def reliable(self) -> bool:
@@ -62,7 +64,9 @@ class Verdict:
         Raises:
             KeyError: a field is missing.
         """
-        known = ((f.name, {"against": (), **described}[f.name]) for f in fields(cls))
+        known = (
+            (f.name, {"against": (), "checked": False, **described}[f.name]) for f in fields(cls)
+        )
         made: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in known}
         return cls(**made)
 

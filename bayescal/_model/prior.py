@@ -201,6 +201,18 @@ def deviation(prior: Any) -> float | None:
     return None
 
 
+def coordinate_variance(prior: Any) -> float:
+    """Variance of the coordinate v in which a hyper-parameter of this prior is sampled; infinite where it has none."""
+    match prior:
+        case HalfNormal():  # of log|N(0, 1)|
+            return math.pi**2 / 8
+        case HalfCauchy():
+            return math.pi**2 / 4
+        case Flat() | FlatLine():
+            return math.inf
+    return 1.0
+
+
 KINDS = (Normal, LogNormal, LogUniform, HalfNormal, HalfCauchy, Flat, FlatLine)
 
 

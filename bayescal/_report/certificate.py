@@ -27,6 +27,8 @@ from markupsafe import Markup
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity, sources_of
+from bayescal._calibration.judgement import why_not
+from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.summary import summary
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import OneOf, read_toml
@@ -180,10 +182,8 @@ def dcc_text(
                 f"{stated.file}, [{section}] country = {country!r}: two capital letters of ISO 3166-1 were expected, "
                 "such as DE"
             )
-    if not calibration.verdict.reliable:
-        raise InputError(
-            f"no certificate is written of a result that is not reliable: {calibration.verdict.why_not}"
-        )
+    if said := why_not(calibration):
+        raise InputError(f"no certificate is written of a result that is not reliable: {said}")
     conditions = {**stated.conditions, "place": stated.get("calibration", "place")}
     layout = template(
         "bayescal._report",
@@ -241,8 +241,10 @@ def _quantities(calibration: Calibration, local_gravity: float) -> Iterator[tupl
     for name, value in calibration.hold_at.items():
         yield f"{name}, at which constants hold", real(value, "degC", local_gravity)
     coefficients, hyperparameters = summary(calibration)
+    untold = coefficients_not_measured(calibration)
     for row in coefficients:
-        yield row["name"], real(row["mean"], row["unit"], local_gravity, row["sd"])
+        name = row["name"] + ", by its prior more than by the readings" * (row["name"] in untold)
+        yield name, real(row["mean"], row["unit"], local_gravity, row["sd"])
     for row in hyperparameters:  # positive and skewed: no multiple of u covers
         ends = row["interval95"]
         yield row["name"], real(row["mean"], row["unit"], local_gravity, row["sd"], ends)

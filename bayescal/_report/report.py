@@ -38,6 +38,7 @@ from bayescal._report.result_json import RESULT, is_quiet
 from bayescal._report.section import Chapter, chapters
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
+from bayescal._use.compensation_program import averaged_over
 from bayescal._use.decide import Decisions, decision_cells
 
 SVG = {"svg.fonttype": "none", "svg.hashsalt": "bayescal", "font.size": 9.0}
@@ -278,6 +279,13 @@ def report(
         stated = read_certificate(stated)
     several = given if isinstance(given, list | tuple) else [given]
     found = chapters(several, effects)
+    for chapter in found:  # whose search may know more against it than its own check
+        if (
+            decisions
+            and not report_text.ok(chapter)
+            and decisions.calibration == identity(chapter.used)
+        ):
+            decisions = decisions.withheld(" ".join(chapter.data["verdict"]["reasons"]))
     try:
         text = page(found, title, stated, decisions, output_unit)
     except (TemplateError, *OF_DAMAGE) as e:
@@ -340,7 +348,9 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "ok": report_text.ok(chapter),
         "data": data,
         "final": data["steps"][-1],
-        "identity": identity(c),
+        "identity": identity(chapter.used),
+        "of_the_model": None if chapter.average is None else identity(c),
+        "averaged": averaged_over(chapter.used),
         "files": sources_of(c.readings),
         "groups": _groups(data),
         "signed": signed[: report_text.SUMMARY],
@@ -403,7 +413,7 @@ def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
     if not report_text.ok(chapter):
         return None, "There is no budget of a result that is not reliable."
     try:
-        return budget(chapter.calibration, k=report_text.K).shown(), ""
+        return budget(chapter.used, k=report_text.K).shown(), ""
     except BayescalError as error:
         return None, f"There is no budget: {error}"
 
@@ -420,6 +430,6 @@ def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "last": pictures.residuals(c, chapter.check, "the last model"),
         "sphere": pictures.sphere(c),
         "error": pictures.error(chapter),
-        **{name: pictures.of_fit(name, c) for name in OF_FIT},
+        **{name: pictures.of_fit(name, chapter.used) for name in OF_FIT},
         "allan": pictures.allan(chapter.check, "the last model"),
     }

@@ -14,6 +14,8 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
+from bayescal._calibration.mixture import inclusion
+from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.settings import searching
 from bayescal._calibration.summary import curve_extent, place_of, summary
 from bayescal._core.errors import InputError
@@ -93,8 +95,9 @@ def _range(name: str, meaning: str, values: np.ndarray, unit: str, part: str) ->
 
 def coefficients(chapter: Chapter) -> list[dict[str, Any]]:
     """Coefficients, then hyperparameters: k = 2 interval and 95 % credible interval, apart."""
-    rows = []
-    for r in (*chapter.data["coefficients"], *chapter.data["hyperparameters"]):
+    rows, untold, shares = [], coefficients_not_measured(chapter.used), inclusion(chapter.used)
+    for r in chain(*summary(chapter.used)):
+        likely = shares.get(r["effect"], 1.0)
         mean, sd = r["mean"], r["sd"]
         held = not sd > 1e-9 * abs(mean)
         low, high = r["interval95"]
@@ -109,6 +112,9 @@ def coefficients(chapter: Chapter) -> list[dict[str, Any]]:
                 "interval": "–" if held else interval(low, high, mean, sd),
                 "said": "–" if r["contraction"] is None else _percent(r["contraction"]),
                 "member": "(" in r["name"],
+                "note": " (held)" * held
+                + " (mostly its prior)" * (r["name"] in untold)
+                + f" (probability {probability(likely)})" * (likely < 1),
             }
         )
     return rows
@@ -131,7 +137,7 @@ def allan(check: Check) -> dict[str, Any] | None:
 
 def skewed(chapter: Chapter) -> list[str]:
     """Unknowns whose mean ± 2 u holds clearly more or less than a Gaussian's share of the draws."""
-    found, c = [], chapter.calibration
+    found, c = [], chapter.used
     posterior = c.posterior
     for name in map(str, posterior):
         if "reading" in posterior[name].dims:
@@ -158,10 +164,14 @@ def effects(chapter: Chapter) -> list[dict[str, Any]]:
             "equation": e.equation or "–",
             "unknowns": _unknowns(e),
             "source": e.source,
-            "since": "the start" if since.get(e.name, 0) == 0 else f"step {since[e.name]}",
+            "since": _since(since.get(e.name)),
         }
-        for e in chapter.calibration.model.effects
+        for e in chapter.used.model.effects
     ]
+
+
+def _since(step: int | None) -> str:
+    return "averaged over" if step is None else f"step {step}" if step else "the start"
 
 
 def _unknowns(effect: Effect) -> list[str]:
@@ -200,6 +210,8 @@ def _prior(prior: Any) -> str:
 def matrix(chapter: Chapter) -> list[tuple[str, str, str, str]]:
     """Of three axes, terms of the correction at T0 and by temperature: name, power of T − T0, value ± u, unit."""
     found = chapter.data.get("vector")
+    if found and "terms" in (averaged := found.get("averaged") or {}):
+        found = averaged
     if not found or "terms" not in found:
         return []
     return [
@@ -253,7 +265,7 @@ def rows_in_output_unit(chapter: Chapter, unit: str) -> list[list[str]]:
                 error = number(step[key] * factor, 2)
                 name = f"rms error {what}, step {i} ({step['title']})"
                 rows.append([name, error, unit_label(unit)])
-    for one in chain(*summary(c)):
+    for one in chain(*summary(chapter.used)):
         if (shown := exchanged(one["unit"], c.unit, unit)) is not None:
             value = with_error(one["mean"] * factor, one["sd"] * factor)
             rows.append([one["name"], value, unit_label(shown)])
@@ -288,7 +300,7 @@ def _against(chapter: Chapter) -> Iterator[str]:
 
 
 def _found(chapter: Chapter) -> str:
-    """What the last model has more than the first."""
+    """What the last model has more than the first; sizes are those that are signed for."""
     c, steps = chapter.calibration, chapter.data["steps"]
     first = set(steps[0]["effects"])
     added = [e for e in c.model.effects if e.name not in first]
@@ -305,7 +317,7 @@ def _found(chapter: Chapter) -> str:
     for effect in added:
         likely = _probability(chapter, effect)
         how = "" if likely is None or likely >= searching().found else f"probably ({likely:.2f}) "
-        by_subject.setdefault(_subject(effect), []).append(how + _does(c, effect))
+        by_subject.setdefault(_subject(effect), []).append(how + _does(chapter.used, effect))
     sentences = (f"{subject} {listed(does)}." for subject, does in by_subject.items())
     return " ".join(s[0].upper() + s[1:] for s in sentences)
 

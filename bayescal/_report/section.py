@@ -21,7 +21,7 @@ from bayescal._core.json_shape import read_json
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import FORMER, RESULT, SCHEMA, hashes, refuse_unfinished, result
-from bayescal._report.whole_folder import refuse_mixed
+from bayescal._report.whole_folder import AVERAGED, files_of, refuse_mixed
 from bayescal._search.calibrate import step_of
 from bayescal._search.discover import discover
 from bayescal._search.gate import gate
@@ -36,12 +36,13 @@ class Chapter:
     """One set of readings.
 
     Attributes:
-        calibration: the last, which is signed for.
+        calibration: the last model's.
         check: where it fails.
         data: everything that was found, as in result.json.
         first, first_check: where it began; None where only result.json tells of it.
         picture: the loop as it was drawn at the time (PNG); None where the pictures can be drawn again.
         folder: that it was read from; None for what was found in memory.
+        average: the last model's calibration averaged over structures; None where one has nearly all probability.
     """
 
     calibration: Calibration
@@ -51,6 +52,12 @@ class Chapter:
     first_check: Check | None = None
     picture: bytes | None = None
     folder: Path | None = None
+    average: Calibration | None = None
+
+    @property
+    def used(self) -> Calibration:
+        """What is signed for, and all numbers are of: the average over structures, where several are probable."""
+        return self.calibration if self.average is None else self.average
 
 
 def chapters(given: Iterable[Any], effects: Iterable[Effect] = ()) -> list[Chapter]:
@@ -99,9 +106,8 @@ def of_trail(trail: SearchPath, titles: list[str] | None = None) -> Chapter:
         more = [n for n in step["effects"] if n not in before]
         step |= {"title": title, "added": more[0] if len(more) == 1 else None}
     first, final = trail.steps[0], trail.final
-    return Chapter(
-        final.calibration, final.check, data, first=first.calibration, first_check=first.check
-    )
+    began = {"first": first.calibration, "first_check": first.check}
+    return Chapter(final.calibration, final.check, data, **began, average=trail.average)
 
 
 def of_folder(
@@ -120,7 +126,8 @@ def of_folder(
         )
     data = _read_result(folder / RESULT)
     refuse_mixed(folder)
-    calibration = load(folder / CALIBRATION, effects=tuple(effects), instruments=tuple(instruments))
+    own = {"effects": tuple(effects), "instruments": tuple(instruments)}
+    calibration = load(folder / CALIBRATION, **own)
     _refuse_strangers(folder, data, calibration)
     picture = folder / PICTURE
     drawn = picture.read_bytes() if picture.is_file() else b""
@@ -130,6 +137,7 @@ def of_folder(
         data,
         picture=drawn if drawn.startswith(PNG) else None,
         folder=folder,
+        average=load(folder / AVERAGED, **own) if AVERAGED in files_of(folder) else None,
     )
 
 

@@ -19,13 +19,14 @@ from bayescal._calibration.check import check
 from bayescal._calibration.fit import fit
 from bayescal._calibration.guards import contradictions, following_members, too_different
 from bayescal._calibration.holdout_contradiction import HoldoutTest
+from bayescal._calibration.judgement import noiseless, wrong_question
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
 from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.deadline import Handover
-from bayescal._core.errors import TimeIsUp
+from bayescal._core.errors import InputError, TimeIsUp
 from bayescal._core.formatting import probability
 from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
@@ -48,7 +49,7 @@ from bayescal._search.discover import (
     walked,
     with_causes,
 )
-from bayescal._search.gate import judged, left_out_better, refuse_noiseless, wrong_question
+from bayescal._search.gate import judged, left_out_better
 from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search, ShownStructure
 from bayescal._search.search_path import Gate, SearchPath, Step
@@ -459,7 +460,8 @@ def step_of(
     Raises:
         InputError: the readings show no noise.
     """
-    refuse_noiseless(calibration)
+    if said := noiseless(calibration):
+        raise InputError(said)
     checked, floor, kept, test = check(calibration), noise_floor(calibration), None, None
     if holdout is not None:
         kept = predict(calibration, holdout)

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.guards import conflicts, without_priors
+from bayescal._calibration.judgement import of_noise, of_thermometers, surprising
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.settings import guarding
-from bayescal._core.errors import InputError
 from bayescal._core.formatting import number
-from bayescal._data.dataset_checks import oddities, rounding_step
-from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import unit_label
-from bayescal._model.unknown_effect import FORMS, FREED, JUMP, covariate_in
+from bayescal._model.unknown_effect import FREED, JUMP
 from bayescal._search.one_profile import said_of_profiles
 from bayescal._search.search_path import Gate, Step
 from bayescal._search.taken_over import IN_TIME, TakenOver, taken_over
@@ -41,9 +37,9 @@ def against(steps: Sequence[Step]) -> list[str]:
     last = steps[-1]
     found = last.against or [
         *last.different,
-        *_of_noise(last),
+        *of_noise(last.calibration, last.check, last.doubts, _may_be_missing(last)),
         *_undecided(last),
-        *_thermometers(steps),
+        *of_thermometers(last.calibration, steps[0].calibration.model),
         *_taken_over(steps),
         *_against_the_steps_before(steps),
     ]
@@ -64,77 +60,9 @@ def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     if notes:
         last = last.noted(notes)
         steps = (*steps[:-1], last)
-    if reasons and last.calibration.verdict.ok:
+    if last.calibration.verdict.ok:
         steps = (*steps[:-1], last.judged(reasons))
     return tuple(steps), _gate(steps, reasons)
-
-
-def wrong_question(
-    calibration: Calibration, floor: float, accepted: Collection[str]
-) -> tuple[str, ...]:
-    """Why nothing can be learnt from a model: readings that contradict it, or that were rounded more than they vary.
-
-    Args:
-        calibration: of the model.
-        floor: noise that no model could remove, output unit.
-        accepted: coefficients or effects that may contradict their priors.
-    """
-    free = [n.removesuffix(FREED) for n in calibration.model.names if n.endswith(FREED)]
-    accepted = {*accepted, *free, *(n + FREED for n in free)}
-    found = conflicts(calibration, accepted)
-    found = found or [one.said for one in without_priors(calibration, accepted)]
-    grid, unit = rounding_step(calibration.readings["output"]), unit_label(calibration.unit)
-    if floor < recording().as_good_as_noise * grid:
-        found.append(
-            f"The output is rounded in steps of {grid:.3g} {unit}, which is more than its noise: nothing finer than "
-            "a step can be known, and standard uncertainties are too small. Record it with more digits."
-        )
-    return tuple(found)
-
-
-def refuse_noiseless(calibration: Calibration) -> None:
-    """Readings that a model explains to their last digit: there is no noise to tell anything by, nor to check.
-
-    Raises:
-        InputError: they are, and how coarsely the output is rounded; or the fit found no finite noise at all.
-    """
-    output, variance = calibration.readings["output"], calibration.linear.variance
-    noise, unit = math.sqrt(float(np.median(variance))), unit_label(calibration.unit)
-    if noise > np.spacing(np.max(np.abs(output))):
-        return
-    if math.isnan(noise):
-        raise InputError(
-            f"{calibration.readings.file}: no fit of the model to these readings is finite: the output covers "
-            f"{number(np.ptp(output))} {unit}, which the model cannot be. Check its unit, the nominal zero and scale "
-            "(--unit, --nominal-zero, --nominal-scale)"
-        )
-    grid = rounding_step(output)
-    rounded = f" It is rounded in steps of {grid:.3g} {unit}." if grid else ""
-    raise InputError(
-        f"{calibration.readings.file}: a model of {len(calibration.layout.blocks)} unknowns explains the output to its "
-        f"last digit in all {len(output)} readings, which then show no noise and no uncertainty.{rounded} Record it "
-        "with more digits"
-    )
-
-
-def _surprising(step: Step) -> list[str]:
-    """A group that the others do not expect, although their uncertainty counts: something in it was different.
-
-    What is missing from a model is missing in every group, and counts as their noise. There is a test for each group.
-    """
-    out = step.left_out
-    if out is None or not np.isfinite(out.by_chance).any():
-        return []
-    worst = int(np.nanargmin(out.by_chance))
-    # The largest of as many tests as there are groups: its p-value counts that often (C. Bonferroni).
-    beyond = out.by_chance[worst] * out.count < guarding().chance
-    if not (beyond and out.surprise[worst] > guarding().surprised):
-        return []
-    return [
-        f"{out.group.capitalize()} {out.members[worst]} is not like the others: predicted from these, its errors are "
-        f"{out.surprise[worst]:.1f} times what they should be ({scheme(out.group)}). Its thermometer or a setting was "
-        "different, or the sensor changed: look at its columns, or leave it out."
-    ]
 
 
 def _freed(steps: Sequence[Step]) -> list[str]:
@@ -242,24 +170,21 @@ def in_one_order(step: Step) -> list[str]:
     return found
 
 
-def _thermometers(steps: Sequence[Step]) -> list[str]:
-    """What is odd in the column of a thermometer that the first model's coefficients hang on."""
-    readings, model = steps[-1].calibration.readings, steps[0].calibration.model
-    warm = [n for n in readings.columns if n in model.columns and readings.unit(n) == "degC"]
-    every = [n for n in readings.columns if readings.unit(n) == "degC"]
-    if not warm:
-        return []
-    found = oddities({n: readings[n] for n in readings.columns}, every, readings.output)
-    return [
-        f"Column {one.column!r} {one.said}: what depends on it is not measured."
-        for one in found
-        if one.column in warm
-    ]
-
-
 def _taken_over(steps: Sequence[Step]) -> list[str]:
     """Terms of the first model that something else stands for in the last, the one that moved the most alone."""
     return [str(one) for one in _followed(steps) if not one.measured][:1]
+
+
+def _may_be_missing(step: Step) -> str:
+    """What may be what residuals still depend on, in words."""
+    candidates = step.discovery.candidates if step.discovery else ()
+    if leads := [c for c in candidates if c.kind == "lead"]:
+        named = " or ".join(f"{c.effect} (probability {c.probability:.2f})" for c in leads)
+        return (
+            f"{named} may be what is missing. Add it (--add {leads[0].effect}), or take the readings of the next "
+            "experiment."
+        )
+    return "something is missing that no candidate describes, or readings of two devices or conditions are mixed."
 
 
 def _undecided(step: Step) -> list[str]:
@@ -275,108 +200,6 @@ def _undecided(step: Step) -> list[str]:
         f"The model is complete with probability {found.nothing_missing:.2g} only, and the readings do not tell what "
         f"is missing; the most probable are {named}."
     ]
-
-
-def _of_noise(step: Step) -> list[str]:
-    verdict = step.calibration.verdict
-    if not verdict.ok:
-        return ["The fit did not converge: " + " ".join(verdict.reasons)]
-    if step.check.fixed is not None and step.check.fixed.wrong:
-        return [
-            f"The fixed coefficients leave residuals of {step.check.fixed.rms:.3g} {step.check.unit} rms, "
-            f"{step.check.fixed.rms / step.check.fixed.noise:.1f} times the noise of the same model with free "
-            "coefficients."
-        ]
-    found, evidence = [], step.calibration.log_evidence
-    if evidence is not None and not math.isfinite(evidence[0]):
-        found.append(
-            "The log evidence is not finite: the readings have too few digits, or a prior is improper."
-        )
-    found += step.doubts
-    found += _of_scatter(step)
-    found += _left_over(step)
-    found += _between_runs(step)
-    coefficient, z = step.check.autocorrelation
-    if abs(z) > guarding().correlated_z and abs(coefficient) > guarding().correlated:
-        found.append(
-            f"Noise model inadequate: neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), "
-            "so the probabilities of missing effects are too confident. Either the noise is correlated in "
-            "time or something is missing that no candidate describes."
-        )
-    return found
-
-
-def _left_over(step: Step) -> list[str]:
-    """What the residuals still depend on; and readings too few to tell noise from unknowns."""
-    free, size = len(step.calibration.layout.blocks), len(step.calibration.readings)
-    if size < free + 3:
-        return [
-            f"{size} readings are too few for {free} unknowns: the noise cannot be told, and uncertainties hang on "
-            "the priors."
-        ]
-    rows = [(e.log_bayes_factor, e.against) for e in step.check.entries]
-    rows += [(p.log_bayes_factor, " and ".join(p.against)) for p in step.check.pairs]
-    factor, against = max(rows, default=(0.0, ""))
-    if factor > guarding().still_depends:
-        said = f"The residuals still depend on {against} (log Bayes factor {factor:.0f}): "
-        candidates = step.discovery.candidates if step.discovery else ()
-        if leads := [c for c in candidates if c.kind == "lead"]:
-            named = " or ".join(f"{c.effect} (probability {c.probability:.2f})" for c in leads)
-            return [
-                f"{said}{named} may be what is missing. Add it (--add {leads[0].effect}), or take the readings of the "
-                "next experiment."
-            ]
-        return [
-            f"{said}something is missing that no candidate describes, or readings of two devices or conditions are "
-            "mixed."
-        ]
-    return []
-
-
-def _between_runs(step: Step) -> list[str]:
-    """A function of time that only tells runs apart: of which of them a new run would be is not known."""
-    calibration = step.calibration
-    _, codes = calibration.readings.groups("run")
-    for name in calibration.model.names:
-        if covariate_in(name) not in FORMS:
-            continue
-        added = calibration.linear.contribution(name)
-        means = np.bincount(codes, added) / np.bincount(codes)
-        # Squares about the runs' means against all squares: next to none within runs means that the function does
-        # nothing but tell runs apart.
-        if np.sum((added - means[codes]) ** 2) < guarding().within * np.sum(
-            (added - added.mean()) ** 2
-        ):
-            return [
-                f"Runs stand {np.ptp(means):.3g} {unit_label(calibration.unit)} apart ({name} steps where none goes "
-                "on): they are of two devices or conditions, or the sensor was restarted, and which of them a new run "
-                "will be like is not known."
-            ]
-    return []
-
-
-def _of_scatter(step: Step) -> list[str]:
-    """What the leave-one-out tests say against the noise law."""
-    check = step.check
-    along = [name for name, p in check.scatter_with.items() if p < guarding().rare]
-    if along:
-        return [
-            f"Noise model inadequate: the scatter changes with {' and '.join(along)}, so standard uncertainties hold "
-            "for no part of the record. Give the readings their own uncertainties (column output_uncertainty)."
-        ]
-    if check.one_sided < guarding().rare:
-        return [
-            "Noise model inadequate: the readings far from the model stand on one side "
-            f"(p = {check.one_sided:.1g}), outliers that draw it there. Find what makes them, and leave them out."
-        ]
-    if check.pit_p < guarding().rare:
-        outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""
-        return [
-            "Noise model inadequate: readings do not scatter about the model as normal noise does (leave-one-out "
-            f"probabilities uniform: p = {check.pit_p:.1g}{outside}). Look at the readings; a model with noise "
-            "bc.StudentT() bears outliers on both sides."
-        ]
-    return []
 
 
 def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
@@ -400,7 +223,7 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
         reasons.append(
             _worse("the hold-out data", best, best.holdout_rmse, last.holdout_rmse, unit)
         )
-    return [*reasons, *_surprising(last), *_contradicted(last)]
+    return [*reasons, *surprising(last.left_out), *_contradicted(last)]
 
 
 def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.prior_influence import not_measured
 from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number, table
@@ -186,6 +187,7 @@ def plan_readings(
     stated = stated_limit(limit) if isinstance(limit, str) else limit
     quantity = limited_quantity(calibration, stated, members=members, local_gravity=local_gravity)
     values = quantity.values()
+    untold = not_measured(calibration, values, of=stated.quantity)
     if not np.ptp(values, axis=0).max() > 0:
         raise InputError(f"limit {stated.text!r}: {stated.quantity} has no uncertainty to shrink")
     values = values - values.mean(axis=0)
@@ -223,6 +225,7 @@ def plan_readings(
         units={c: best.readings.unit(c) for c in numbers},
         notes=(
             *(f"{clause}; there the model is carried on" for clause in quantity.not_covered),
+            *([] if untold is None else [str(untold)]),
             *([OF_SCATTER] if stated.quantity in scatter else []),
         ),
     )

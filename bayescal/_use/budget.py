@@ -20,7 +20,10 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.mixture import inclusion, without
-from bayescal._calibration.prior_influence import variance_by_origin
+from bayescal._calibration.prior_influence import (
+    not_measured,
+    variance_by_origin,
+)
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number, table, with_error
@@ -33,7 +36,12 @@ from bayescal._data.unit_conversion import (
 )
 from bayescal._use.compensation_program import PAST, bias_only
 from bayescal._use.compensator import Compensator, compensator
-from bayescal._use.operating_equation import AtPoint, OperatingEquation
+from bayescal._use.operating_equation import (
+    ALL,
+    AtPoint,
+    OperatingEquation,
+    posterior_moments,
+)
 
 REST = "between-group sd, shapes, curvature"
 STRUCTURES = "which effects there are (average over structures)"
@@ -223,6 +231,9 @@ def budget(
     found, gradient = _slopes(chosen, point)
     covariance = chosen._moments.covariance
     variance = float(gradient @ covariance @ gradient)
+    every = posterior_moments(chosen._equation, chosen._calibration, ALL, chosen._calibration.seed)
+    untold = not_measured(chosen._calibration, (every.draws @ gradient)[:, None])
+    said = () if untold is None else (f"Most of it is prior: {untold}. {untold.cure}.",)
     return Budget(
         stimulus=chosen.stimulus,
         unit=chosen.unit,
@@ -236,7 +247,7 @@ def budget(
         coefficients=_by_coefficient(chosen, gradient, variance),
         sources=_by_source(chosen, point, gradient, variance),
         covariance=covariance,
-        notes=notes_on(chosen, point),
+        notes=(*said, *notes_on(chosen, point)),
     )
 
 

@@ -24,16 +24,27 @@ from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity, sources_of
+from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import inclusion
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
+from bayescal._core.formatting import number
 from bayescal._core.json_shape import OneOf, required
 from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements, of_columns
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
+from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame
 from bayescal._use.expression_graph import Graph, NotExportable, trace
-from bayescal._use.operating_equation import Inverse, OperatingEquation, PosteriorMoments, Scalars
+from bayescal._use.operating_equation import (
+    Folded,
+    Inverse,
+    OperatingEquation,
+    PosteriorMoments,
+    Scalars,
+    equation_in_use,
+    left_out,
+)
 
 PAST = ("rate", "lag", "lag slope")  # kinds of input that follow from a temperature's past
 MARGIN = 0.01  # of the range of the stimulus: a reading at its end scatters about it
@@ -70,7 +81,9 @@ class Input:
 
     @property
     def middle(self) -> float:
-        """Where an operating point is, where nothing is said of it: no rate and no lag."""
+        """Where an operating point is, where nothing is said of it: the last reading; no rate and no lag."""
+        if self.name == "time":
+            return self.high
         return 0.5 * (self.low + self.high) if self.kind in ("column", "elapsed") else 0.0
 
 
@@ -301,8 +314,8 @@ def provenance_of(
         for k, v in calibration.reference.items()
         if not isinstance(v, dict) and not k.endswith(("_low", "_high"))
     }
-    why_not = calibration.verdict.why_not
-    unreliable = (f"{NOT_RELIABLE}{why_not}",) if why_not else ()
+    said = why_not(calibration)
+    unreliable = (f"{NOT_RELIABLE}{said}",) if said else ()
     return Provenance(
         instrument=instrument.name,
         title=instrument.title,
@@ -351,6 +364,8 @@ def notes_on_use(
         notes.append(
             f"Taken as new in use, with the between-group standard deviation of the calibration: {', '.join(new)}."
         )
+    if equation.folded is not None:
+        notes.append(_left_out(calibration, equation, equation.folded))
     for lag in equation.lags:
         if lag.shape:
             share = "" if lag.multiple == 1.0 else f"{lag.multiple:.3g} · "
@@ -364,6 +379,18 @@ def notes_on_use(
     elif stimulus_range is None:
         notes.append(f"The range of {stimulus} in the calibration is not stated.")
     return tuple(notes)
+
+
+def _left_out(calibration: Calibration, equation: OperatingEquation, left: Folded) -> str:
+    """Which effects count at one place alone, where that is, and how much of the output that leaves out."""
+    inputs = inputs_at_fit(calibration, equation_in_use(calibration, dict(equation.members)))
+    rms = left_out(equation, left, calibration, inputs)
+    known = {equation.use.stimulus}.union(*(e.columns for e in equation.layout.model.effects))
+    at = [f"{n} = {v:.6g} {unit_label(u)}".rstrip() for n, v, u in left.at if n not in known]
+    return (
+        f"{', '.join(left.effects)} would need further inputs, and counts as at {', '.join(at)}. What it makes of the "
+        f"output elsewhere is left out: {number(rms)} {unit_label(calibration.unit)} rms over the calibration."
+    )
 
 
 SCHEMA, VERSION = "bayescal.compensator", 2

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.mixture import usual_columns, with_columns
+from bayescal._calibration.judgement import why_not
+from bayescal._calibration.mixture import usual_columns
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
 from bayescal._data.measurements import Measurements
@@ -38,6 +39,7 @@ from bayescal._use.operating_equation import (
     OperatingEquation,
     PosteriorMoments,
     equation_in_use,
+    folded,
     input_names,
     posterior_moments,
 )
@@ -149,8 +151,8 @@ class Compensator:
 
     @property
     def why_not(self) -> str:
-        """Why the result is not to be used, in words; empty where it may be."""
-        return self.loaded.about.why_not if self.loaded else self._calibration.verdict.why_not
+        """Why the result is not to be used, in words; empty where it may be. A fit that nobody checked is checked."""
+        return self.loaded.about.why_not if self.loaded else why_not(self._calibration)
 
     @property
     def output_unit(self) -> str:
@@ -310,7 +312,8 @@ def compensator(
     """The compensator of a calibrated instrument.
 
     Args:
-        calibration: a fit, or an average over structures: over those that need no further input than the likely ones.
+        calibration: a fit, or an average over structures. Effects that need an input which no probable one does stand
+            in it as what they come to at the middle of the calibrated range; `notes` say what that leaves out.
         draws: posterior draws to average over, at most.
         members: which member of a group is used, such as {"device": "A17"}; every other run, cell or device counts
             as a new one, whose deviation is drawn from its spread.
@@ -321,8 +324,14 @@ def compensator(
     """
     if draws < 2:
         raise InputError(f"draws={draws}: an uncertainty needs at least 2")
-    calibration = with_columns(calibration, usual_columns(calibration))
-    return Compensator(calibration, equation_in_use(calibration, members), draws)
+    usual = usual_columns(calibration)
+    whole = Compensator(calibration, equation_in_use(calibration, members), draws)
+    rare = [e.name for e in calibration.model.effects if not usual.issuperset(e.columns)]
+    if not rare:
+        return whole
+    units = {whole.stimulus: whole.unit, **{i.name: i.unit for i in whole.inputs}}
+    middle = [(name, float(value), units[name]) for name, value in whole.middle.items()]
+    return replace(whole, equation=folded(whole._equation, calibration, rare, middle))
 
 
 def load_compensator(path: str | Path) -> Compensator:

@@ -56,7 +56,7 @@ from bayescal._use.budget import notes_on
 from bayescal._use.compensation_program import PAST, bias_only
 from bayescal._use.compensation_program import limits as calibrated_limits
 from bayescal._use.compensator import Compensator
-from bayescal._use.operating_equation import equation_in_use
+from bayescal._use.operating_equation import ALL, equation_in_use
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = rf"(?P<low>{_NUMBER})\s*(?:\.\.|…|to\b)\s*(?P<high>{_NUMBER})"
@@ -243,6 +243,13 @@ class DrawnQuantity:
     estimate: tuple[float, float]
     scatter: float = 0.0
 
+    @classmethod
+    def of(cls, values: Float[np.ndarray, "d g"], scatter: float = 0.0) -> DrawnQuantity:
+        """Of its value in each draw at each place of a range."""
+        middle = values.mean(axis=0)
+        ends = float(middle.min()), float(middle.max())
+        return cls(values.min(axis=1), values.max(axis=1), ends, scatter)
+
     def probability(self, limits: Limits, shift: float = 0.0) -> float:
         """Probability of conformity, had the posterior stood higher by `shift`."""
         low, high = self.low + shift, self.high + shift
@@ -377,7 +384,6 @@ def risks_of_curves(
 
 
 READING, MEAN = "corrected reading", "corrected mean"
-ALL = 10**9  # draws: every one there is
 # Along each of so many ranges. Between 33 places a parabola rises by less than 1/1000 of what it rises over the range
 # ((1/32)²); with two and three ranges 81 and 125 places keep the draws in memory.
 PLACES = {1: 33, 2: 9, 3: 5}
@@ -420,10 +426,10 @@ class LimitedQuantity:
 
     def drawn(self, later: float = 0.0) -> DrawnQuantity:
         """What the posterior says of it, s after the last reading of the calibration."""
-        raise NotImplementedError
+        return DrawnQuantity.of(self.values(later))
 
-    def values(self) -> Float[np.ndarray, "d g"]:
-        """Its value in each draw, in the calibration's order, at each place of the limit's range."""
+    def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
+        """Its value in each draw, in the calibration's order, at each place of the limit's range; as `drawn`."""
         raise NotImplementedError
 
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
@@ -447,11 +453,7 @@ class LimitedUnknown(LimitedQuantity):
 
     draws: np.ndarray
 
-    def drawn(self, later: float = 0.0) -> DrawnQuantity:
-        mean = float(self.draws.mean())
-        return DrawnQuantity(self.draws, self.draws, (mean, mean))
-
-    def values(self) -> Float[np.ndarray, "d g"]:
+    def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
         return np.asarray(self.draws)[:, None]
 
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
@@ -501,17 +503,10 @@ class QuantityInUse(LimitedQuantity):
         return "time" in self._acting
 
     def drawn(self, later: float = 0.0) -> DrawnQuantity:
-        values, scatter = self._values(self.chosen._moments.draws, later)
-        middle = values.mean(axis=0)
-        return DrawnQuantity(
-            values.min(axis=1),
-            values.max(axis=1),
-            (float(middle.min()), float(middle.max())),
-            scatter,
-        )
+        return DrawnQuantity.of(*self._values(self.chosen._moments.draws, later))
 
-    def values(self) -> Float[np.ndarray, "d g"]:
-        return self._values(self.chosen._moments.draws, 0.0)[0]
+    def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
+        return self._values(self.chosen._moments.draws, later)[0]
 
     def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
         if self._size > 1:
@@ -602,7 +597,7 @@ def limited_quantity(
             "of it"
         )
     unit = slots.get(limit.quantity, chosen.unit)
-    point = chosen.middle | {i.name: i.high for i in chosen.inputs if i.name == "time"}
+    point = chosen.middle
     spans, not_covered, notes = [], [], []
     for span in limit.over:
         name, low, high = _resolved(chosen, span, limit, local_gravity)

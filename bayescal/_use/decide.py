@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any, Literal, NamedTuple, Protocol, get_args
 
@@ -31,7 +31,9 @@ import pandas as pd
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
+from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import inclusion
+from bayescal._calibration.prior_influence import NotMeasured, not_measured
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, Printed, number, table, with_error
@@ -64,6 +66,7 @@ TIMES = 160  # looked at, evenly in the logarithm: each is 1.13 times the one be
 STEPS = 50  # of bisection between two of them
 FAR = 3.0  # spans of the record beyond which a drift is extrapolated so far that it is said
 
+CANNOT = "cannot be said from these readings"
 ADVICE = (
     "For a recalibration interval, calibrate in runs that lie weeks apart, with their time, and let the model hold a "
     "drift, such as bias.drift."
@@ -119,6 +122,16 @@ def recalibration(
         return quantity.drawn(later).probability(limits)
 
     after = first_below(probability, stated)
+    changed = quantity.values(HORIZON if after is None else after) - quantity.values()
+    # What is less probable than a failure at the stated probability cannot decide about the date.
+    if untold := not_measured(calibration, changed, rare=1 - stated):
+
+        def alone(later: float) -> float:
+            return _alone(untold, quantity, calibration, later).probability(limits)
+
+        if after is not None or first_below(alone, stated) is not None:
+            said = f"{CANNOT}: {untold}. {untold.cure}"
+            return Recalibration(stated, None, why_not=said, notes=(ADVICE,))
     if after is None:
         years = HORIZON / YEAR
         return Recalibration(
@@ -137,6 +150,14 @@ def recalibration(
         begin = datetime.fromtimestamp(since, UTC)
         date = (begin + timedelta(seconds=float(time.max()) + after)).date().isoformat()
     return Recalibration(stated, after, date, notes=tuple(notes))
+
+
+def _alone(
+    untold: NotMeasured, quantity: LimitedQuantity, calibration: Calibration, later: float = 0.0
+) -> DrawnQuantity:
+    """What the readings alone say of a quantity, without the priors of what they did not measure."""
+    values = untold.by_readings_alone(calibration, quantity.values(later))
+    return DrawnQuantity.of(values, quantity.drawn(later).scatter)
 
 
 def first_below(probability: Callable[[float], float], stated: float) -> float | None:
@@ -167,7 +188,6 @@ def _no_answer(quantity: LimitedQuantity, calibration: Calibration, stated: floa
         return f"{name} is one number of the model, which holds no change of it in time"
     if not quantity.follows_time:
         return f"the model cannot say when: nothing in it that acts on {name} changes with the time of the record"
-    # What is less probable than a failure at the stated probability cannot decide about the date.
     shares = inclusion(calibration)
     likely = (e for e in calibration.model.effects if shares[e.name] > 1 - stated)
     forms = [e.name for e in likely if _describes_the_record(e)]
@@ -190,6 +210,7 @@ def in_words(seconds: float) -> str:
 
 
 ACCEPT, REJECT, UNDECIDED = "accept", "reject", "undecided"
+NOT_RELIABLE = "the calibration is not reliable: {}"
 
 
 @dataclass(frozen=True)
@@ -261,6 +282,12 @@ class Decisions(Printed):
     decisions: tuple[Decision, ...]
     calibration: str
     notes: tuple[str, ...] = ()
+
+    def withheld(self, why: str) -> Decisions:
+        """The same with nothing decided, as the calibration is not reliable, and why that is."""
+        said = NOT_RELIABLE.format(why.rstrip("."))
+        open_ = (replace(d, decision=UNDECIDED, why=said, risk=None) for d in self.decisions)
+        return replace(self, decisions=tuple(open_))
 
     @property
     def conforms(self) -> bool:
@@ -526,7 +553,7 @@ def _decision(
     guarded = acceptance(drawn, limits, how.false_accept)
     accepted = guarded if how.rule == "guarded" else limits
     decision, why = _decided(calibration, quantity, drawn, p, how)
-    uncertainty = float(max(np.std(drawn.low), np.std(drawn.high)))
+    uncertainty = _uncertainty(drawn)
     notes = list(quantity.notes)
     within = accepted or Limits(math.inf, math.inf)  # where no estimate is accepted
     risks = None
@@ -573,10 +600,15 @@ def _decided(
 ) -> tuple[str, str]:
     """The decision, and why."""
     limits, error = quantity.limits, drawn.probability_error(p)
-    if why_not := calibration.verdict.why_not:
-        return UNDECIDED, f"the calibration is not reliable: {why_not.rstrip('.')}"
+    if said := why_not(calibration):
+        return UNDECIDED, NOT_RELIABLE.format(said.rstrip("."))
     if quantity.not_covered:
         return UNDECIDED, "; ".join(quantity.not_covered)
+    asked = {"of": quantity.limit.quantity, "scatter": drawn.scatter, "rare": how.false_accept}
+    if untold := not_measured(calibration, quantity.values(), **asked):
+        alone = _alone(untold, quantity, calibration).probability(limits)
+        if untold.hyperparameter or not _alike(p, alone, how.false_accept):
+            return UNDECIDED, f"{CANNOT}: {untold}. {untold.cure}"
     conforms, fails = percent(p, error), percent(1 - p, error)
     if how.rule == "guarded":
         if p >= 1 - how.false_accept:
@@ -610,10 +642,21 @@ def _decided(
     )
 
 
+def _alike(p: float, other: float, risk: float) -> bool:
+    """Whether two probabilities of conformity are one to a decision that may be wrong with some probability."""
+    same = (p >= 1 - risk) == (other >= 1 - risk) and (p <= risk) == (other <= risk)
+    return same and abs(p - other) <= risk
+
+
+def _uncertainty(drawn: DrawnQuantity) -> float:
+    """Standard uncertainty; over a range, the larger of its two ends."""
+    return float(max(np.std(drawn.low, ddof=1), np.std(drawn.high, ddof=1)))
+
+
 def capability_index(drawn: DrawnQuantity, limits: Limits) -> float | None:
     """Width of the tolerance over 4u (JCGM 106, 7.6); None with a single limit."""
     width = limits.high - limits.low
-    u = math.hypot(max(np.std(drawn.low), np.std(drawn.high)), drawn.scatter)
+    u = math.hypot(_uncertainty(drawn), drawn.scatter)
     if math.isinf(width):
         return None
     return width / (4 * u) if u > 0 else math.inf

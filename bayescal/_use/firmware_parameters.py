@@ -46,7 +46,7 @@ from bayescal._core.formatting import number, table
 from bayescal._core.quoting import ascii_text, one_line
 from bayescal._core.version import __version__
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, convert, unit_label
-from bayescal._use.compensation_program import STIMULUS, inputs_at_fit
+from bayescal._use.compensation_program import NOT_RELIABLE, STIMULUS, inputs_at_fit
 from bayescal._use.compensator import Compensator, compensator
 
 ORDER = 3
@@ -517,9 +517,8 @@ def _notes(
             notes.append(
                 f"{a}: the scale factor differs from nominal by {by}, has no place here, and is left out."
             )
-        calibration = chosen[a].calibration
-        if calibration is not None and not calibration.verdict.reliable:
-            notes.append(f"{a}: RESULT NOT RELIABLE: {calibration.verdict.why_not}")
+        if why_not := chosen[a].why_not:
+            notes.append(f"{a}: {NOT_RELIABLE}{why_not}")
     return [
         *notes,
         "Beyond these temperatures the correction stays as at their ends.",

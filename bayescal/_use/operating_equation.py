@@ -14,7 +14,7 @@ closed form, anything else by optimistix' Newton, reading by reading.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -82,13 +82,36 @@ class UnknownInUse(NamedTuple):
         name: of the coefficient or shape; "(new run)" beside it for a deviation not measured.
         key: under which the equation finds it.
         unit: in which it is reported.
-        kind: "coefficient", "shape", or "new" for one drawn anew in use.
+        kind: "coefficient", "shape", "new" for one drawn anew in use, "folded" for what folded effects come to.
     """
 
     name: str
     key: str
     unit: str
     kind: str
+
+
+class Folded(NamedTuple):
+    """Effects that stand in the equation as what they come to at one place: an unknown for each slot.
+
+    Attributes:
+        effects: by name.
+        slots: (slot, unit) that they act on.
+        at: (name, value, unit) of the stimulus and every input there.
+    """
+
+    effects: tuple[str, ...]
+    slots: tuple[tuple[str, str], ...]
+    at: tuple[tuple[str, float, str], ...]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Stimulus and inputs at the place, by name."""
+        return {name: value for name, value, _ in self.at}
+
+    def name(self, slot: str) -> str:
+        """Of a slot's unknown."""
+        return f"{slot}: {', '.join(self.effects)}"
 
 
 class OperatingEquation(eqx.Module):
@@ -100,6 +123,7 @@ class OperatingEquation(eqx.Module):
         known: numeric columns and rates of the readings of the fit.
         lags: what the equation asks of the past.
         asked: which of them, in the order in which bases ask; one may be asked for by several.
+        folded: effects that it does not hold; None where it holds all.
     """
 
     layout: Layout
@@ -107,6 +131,7 @@ class OperatingEquation(eqx.Module):
     known: tuple[str, ...] = eqx.field(static=True)
     lags: tuple[Lag, ...] = eqx.field(static=True, default=())
     asked: tuple[int, ...] = eqx.field(static=True, default=())
+    folded: Folded | None = eqx.field(static=True, default=None)
 
     @property
     def use(self) -> Use:
@@ -139,6 +164,9 @@ class OperatingEquation(eqx.Module):
                 name = member_name(b.name, member or "new " + per)
                 kind = "new" if member is None else kind
             found.append(UnknownInUse(name, b.name, b.coefficient.unit, kind))
+        if (folded := self.folded) is not None:
+            names = ((folded.name(slot), unit) for slot, unit in folded.slots)
+            found += [UnknownInUse(name, name, unit, "folded") for name, unit in names]
         return tuple(found)
 
     def point(
@@ -233,6 +261,8 @@ class OperatingEquation(eqx.Module):
         acting = [b for b in self.blocks if b.slot in own or b.slot in frame.columns]
         values = {b.name: jnp.reshape(known[b.name], (1,)) for b in acting}
         slots, corrected, _ = forward.compose(self.layout, frame, values, known, {}, acting)
+        if (folded := self.folded) is not None:
+            slots = {**slots, **{s: slots[s] + known[folded.name(s)] for s, _ in folded.slots}}
         return slots, corrected
 
 
@@ -269,6 +299,30 @@ def equation_in_use(
         known=known,
     )
     return _with_lags_of(found, calibration)
+
+
+def folded(
+    equation: OperatingEquation,
+    calibration: Calibration,
+    effects: Collection[str],
+    at: Sequence[tuple[str, float, str]],
+) -> OperatingEquation:
+    """An equation without some effects, each slot with what these come to at one place.
+
+    Args:
+        equation: that holds them.
+        calibration: that it is of.
+        effects: their names.
+        at: stimulus and every input: name, value, unit.
+    """
+    model = equation.layout.model
+    kept = replace(model, effects=tuple(e for e in model.effects if e.name not in effects))
+    acting = {b.slot for b in equation.blocks if b.effect.name in effects}
+    slots = tuple((s.name, s.unit) for s in model.instrument.slots if s.name in acting)
+    names = tuple(e.name for e in model.effects if e.name in effects)
+    bare = replace(equation, layout=replace(equation.layout, model=kept), lags=(), asked=())
+    found = replace(_with_lags_of(bare, calibration), folded=Folded(names, slots, tuple(at)))
+    return found if slots else replace(found, folded=None)
 
 
 def _with_lags_of(found: OperatingEquation, calibration: Calibration) -> OperatingEquation:
@@ -328,10 +382,15 @@ def _theta(equation: OperatingEquation, calibration: Calibration) -> dict[str, A
         u.key: jnp.asarray(
             float(blocks[u.key].coefficient.mean)
             if u.kind == "new"
+            else 0.0
+            if u.kind == "folded"
             else samples_in_use(equation, calibration, u).mean()
         )
         for u in equation.unknowns()
     }
+
+
+ALL = 10**9  # draws: every one there is
 
 
 class PosteriorMoments(NamedTuple):
@@ -347,33 +406,107 @@ def posterior_moments(
 ) -> PosteriorMoments:
     """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all.
 
-    A deviation that is new in use is independent of everything measured: its draws are standardised, so that
-    they move no mean.
+    A deviation that is new in use is independent of everything measured, and so are its draws: they move no mean and no
+    covariance, so that what is computed from draws and from moments agrees.
     """
     unknowns, blocks = equation.unknowns(), {b.name: b for b in equation.blocks}
     size = calibration.posterior.sizes
     total = size["chain"] * size["draw"]
     random = np.random.default_rng(seed)
     step = max(1, -(-total // draws))
-    values, mean, extra = np.zeros((total, len(unknowns))), np.zeros(len(unknowns)), {}
+    values, mean = np.zeros((total, len(unknowns))), np.zeros(len(unknowns))
+    new = [i for i, u in enumerate(unknowns) if u.kind == "new"]
+    left = equation.folded
+    at_one_place = {} if left is None else _of_folded(equation, left, calibration, seed)
+    for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new):
+        known = u.key in at_one_place
+        values[:, i] = at_one_place[u.key] if known else samples_in_use(equation, calibration, u)
+        mean[i] = values[:, i].mean()
     thin = values[::step].copy()
-    for i, unknown in enumerate(unknowns):
-        if unknown.kind == "new":
-            block = blocks[unknown.key]
-            centre = block.coefficient.mean
-            spread = _spread(calibration, block, total) * has_effect(calibration, block.effect.name)
-            normal = random.standard_normal(len(thin))
-            normal = (normal - normal.mean()) / (normal.std() or 1.0)
-            mean[i], extra[i] = centre, float(np.mean(spread**2))
-            thin[:, i] = centre + spread[::step] * normal
-        else:
-            values[:, i] = samples_in_use(equation, calibration, unknown)
-            mean[i] = values[:, i].mean()
-            thin[:, i] = values[::step, i]
     covariance = np.atleast_2d(np.cov(values.T)) if len(unknowns) else np.zeros((0, 0))
-    for i, variance in extra.items():
-        covariance[i, i] = variance
+    for i in new:
+        block = blocks[unknowns[i].key]
+        spread = _spread(calibration, block, total) * has_effect(calibration, block.effect.name)
+        mean[i], covariance[i, i] = block.coefficient.mean, float(np.mean(spread**2))
+        thin[:, i] = mean[i] + _independent(thin - mean, spread[::step], covariance[i, i], random)
     return PosteriorMoments(thin, mean, covariance)
+
+
+def _with_and_without(
+    equation: OperatingEquation, folded: Folded, calibration: Calibration, draws: int, seed: int
+) -> tuple[OperatingEquation, Array, Array]:
+    """The equation that holds the folded effects too, with draws of its θ, and the same without these, (d, p)."""
+    whole = equation_in_use(calibration, dict(equation.members))
+    theirs = {b.name for b in whole.blocks if b.effect.name in folded.effects}
+    theta = posterior_moments(whole, calibration, draws, seed).draws
+    kept = [u.key not in theirs for u in whole.unknowns()]
+    return whole, jnp.asarray(theta), jnp.asarray(theta * kept)
+
+
+def _of_folded(
+    equation: OperatingEquation, left: Folded, calibration: Calibration, seed: int
+) -> dict[str, np.ndarray]:
+    """Draws of what the folded effects come to at their place, (d,), by the key of their unknown."""
+    whole, *both = _with_and_without(equation, left, calibration, ALL, seed)
+    at, found = left.values, dict[str, np.ndarray]()
+    names = input_names(whole, calibration.frame)
+    inputs = {name: jnp.full(1, at.get(name, 0.0)) for name in names}
+    stimulus = jnp.full(1, at[equation.use.stimulus])
+    for slot, _ in left.slots:
+        with_them, without = (
+            slots_over_draws(whole, calibration.frame.reference, slot, theta, stimulus, inputs)
+            for theta in both
+        )
+        found[left.name(slot)] = np.asarray(with_them - without)[:, 0]
+    return found
+
+
+FEW = 200  # draws, and readings, over which the size of what is left out is known well enough
+
+
+def left_out(
+    equation: OperatingEquation,
+    left: Folded,
+    calibration: Calibration,
+    inputs: Mapping[str, np.ndarray],
+) -> float:
+    """What the folded effects make of the output elsewhere than at their place: rms over draws and readings, its unit.
+
+    Args:
+        equation, left: an equation, and the effects folded in it.
+        calibration: that it is of.
+        inputs: of the equation that holds them, at the readings of the calibration.
+    """
+    whole, *both = _with_and_without(equation, left, calibration, FEW, calibration.seed)
+    rows = slice(None, None, -(-len(calibration.readings) // FEW))
+    readings, name = calibration.readings, equation.use.stimulus
+    acting = readings[name] if readings.has(name) else np.zeros(len(readings))
+    there = {n: np.full(len(v), left.values.get(n, 0.0)) for n, v in inputs.items()}
+    added = []
+    for one in (inputs, there):
+        at = jnp.asarray(acting[rows]), {n: jnp.asarray(v[rows]) for n, v in one.items()}
+        reference = calibration.frame.reference
+        with_them, without = (points_over_draws(whole, reference, t, *at) for t in both)
+        added.append(np.asarray(with_them - without))
+    return float(np.sqrt(np.mean((added[0] - added[1]) ** 2)))
+
+
+def _independent(
+    others: Float[np.ndarray, "d p"],
+    spread: Float[np.ndarray, "d"],
+    variance: float,
+    random: np.random.Generator,
+) -> Float[np.ndarray, "d"]:
+    """Draws of mean zero, of a standard deviation each and a variance of all, that are correlated with no others."""
+    size = others.std(axis=0)
+    others = (others[:, size > 0] / size[size > 0])[
+        :, : len(spread) // 2
+    ]  # of a handful of draws few
+    beside = spread[:, None] * np.column_stack([np.ones(len(spread)), others])
+    normal = random.standard_normal(len(spread))
+    drawn = spread * (normal - beside @ np.linalg.lstsq(beside, normal, rcond=None)[0])
+    square = float(drawn @ drawn) / (len(drawn) - 1)
+    return drawn * (variance / square) ** 0.5 if square > 0 else drawn
 
 
 def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np.ndarray:
@@ -534,6 +667,17 @@ def slots_over_draws(equation: OperatingEquation, reference, name: str, theta, s
     def values(one):
         named = _named(equation, one)
         return jax.vmap(lambda s, i: equation.slot(name, named, s, i, reference))(stimulus, inputs)
+
+    return jax.vmap(values)(theta)
+
+
+@compiled
+def points_over_draws(equation: OperatingEquation, reference, theta, stimulus, inputs):
+    """The expected output at each place, for draws of θ, (d, n)."""
+
+    def values(one):
+        named = _named(equation, one)
+        return jax.vmap(lambda s, i: equation.point(named, s, i, reference))(stimulus, inputs)
 
     return jax.vmap(values)(theta)
 

@@ -484,7 +484,7 @@ class Session:
 
     def decide(self, limits: Sequence[str], **how: Any) -> Decisions:
         """`bc.decide` about the current model; its report begins with it."""
-        number, found = self.current.number, decide(self.final().calibration, limits, **how)
+        number, found = self.current.number, decide(self._trail().calibration, limits, **how)
         self._decisions[number] = found
         return found
 

@@ -136,8 +136,9 @@ def test_the_page_tells_what_was_missing_and_how_the_error_fell(pages, kind: str
 
 def test_intervals_are_not_confused(pages) -> None:
     """U is twice the standard uncertainty and says k; the credible interval has a column of its own."""
-    final = trail().final.calibration
-    draws = final.samples(HIDDEN)
+    draws = trail().calibration.samples(
+        HIDDEN
+    )  # averaged over structures, as everything that leaves
     page = pages("a trail")
     heads = re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", page.source)
     assert {"value ± U (k = 2)", "k = 2 interval", "95 % credible interval"} <= set(heads)
@@ -175,7 +176,7 @@ def test_a_fit_that_did_not_converge_is_for_nothing(pages) -> None:
 
 
 def test_the_budget_is_in_it(pages) -> None:
-    found = bc.budget(trail().final.calibration)
+    found = bc.budget(trail().calibration)
     assert f"(k = {found.k:g})" in pages("a trail").text
     assert all(c.name in pages("a trail").text for c in found.coefficients)
 

@@ -1,0 +1,238 @@
+"""Whether a fit is to be used, by its own readings: what the gate asks of a last model, whatever led to it.
+
+A model that no search judged is judged here before something is decided about it, certified or exported. What is
+missing from it only a search tells; what it gets wrong shows in its residuals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.check import check
+from bayescal._calibration.check_result import Check
+from bayescal._calibration.guards import (
+    conflicts,
+    doubts_of_the_mode,
+    following_members,
+    too_different,
+    without_priors,
+)
+from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
+from bayescal._calibration.noise_in_time import noise_floor
+from bayescal._calibration.settings import guarding
+from bayescal._core.formatting import number
+from bayescal._data.dataset_checks import oddities, rounding_step
+from bayescal._data.record_settings import recording
+from bayescal._data.unit_conversion import unit_label
+from bayescal._model.model import Model
+from bayescal._model.unknown_effect import FORMS, FREED, covariate_in
+
+LOOK = "something is missing from the model. Look for it: bayescal discover, or calibrate."
+
+
+def why_not(calibration: Calibration) -> str:
+    """Why a calibration is not to be used, in words; empty where it may be. One that nobody checked is checked."""
+    verdict = calibration.verdict
+    if verdict.checked or not verdict.reliable:
+        return verdict.why_not
+    known = vars(calibration)  # kept with what else is computed of it
+    if "why_not" not in known:
+        known["why_not"] = " ".join(_against(calibration))
+    return known["why_not"]
+
+
+def _against(calibration: Calibration) -> Sequence[str]:
+    if said := noiseless(calibration):
+        return (said,)
+    return wrong_question(calibration, noise_floor(calibration), ()) or [
+        *too_different(calibration),
+        *following_members(calibration),
+        *of_noise(calibration, check(calibration), doubts_of_the_mode(calibration), LOOK),
+        *of_thermometers(calibration, calibration.model),
+        *surprising(leave_one_group_out(calibration)),
+    ]
+
+
+def wrong_question(
+    calibration: Calibration, floor: float, accepted: Collection[str]
+) -> tuple[str, ...]:
+    """Why nothing can be learnt from a model: readings that contradict it, or that were rounded more than they vary.
+
+    Args:
+        calibration: of the model.
+        floor: noise that no model could remove, output unit.
+        accepted: coefficients or effects that may contradict their priors.
+    """
+    free = [n.removesuffix(FREED) for n in calibration.model.names if n.endswith(FREED)]
+    accepted = {*accepted, *free, *(n + FREED for n in free)}
+    found = conflicts(calibration, accepted)
+    found = found or [one.said for one in without_priors(calibration, accepted)]
+    grid, unit = rounding_step(calibration.readings["output"]), unit_label(calibration.unit)
+    if floor < recording().as_good_as_noise * grid:
+        found.append(
+            f"The output is rounded in steps of {grid:.3g} {unit}, which is more than its noise: nothing finer than "
+            "a step can be known, and standard uncertainties are too small. Record it with more digits."
+        )
+    return tuple(found)
+
+
+def noiseless(calibration: Calibration) -> str:
+    """Of readings that a model explains to their last digit, that they are, in words; empty for others.
+
+    There is no noise to tell anything by, nor to check; or the fit found no finite noise at all.
+    """
+    output, variance = calibration.readings["output"], calibration.linear.variance
+    noise, unit = math.sqrt(float(np.median(variance))), unit_label(calibration.unit)
+    if noise > np.spacing(np.max(np.abs(output))):
+        return ""
+    if math.isnan(noise):
+        return (
+            f"{calibration.readings.file}: no fit of the model to these readings is finite: the output covers "
+            f"{number(np.ptp(output))} {unit}, which the model cannot be. Check its unit, the nominal zero and scale "
+            "(--unit, --nominal-zero, --nominal-scale)"
+        )
+    grid = rounding_step(output)
+    rounded = f" It is rounded in steps of {grid:.3g} {unit}." if grid else ""
+    return (
+        f"{calibration.readings.file}: a model of {len(calibration.layout.blocks)} unknowns explains the output to its "
+        f"last digit in all {len(output)} readings, which then show no noise and no uncertainty.{rounded} Record it "
+        "with more digits"
+    )
+
+
+def surprising(out: LeaveOneGroupOut | None) -> list[str]:
+    """A group that the others do not expect, although their uncertainty counts: something in it was different.
+
+    What is missing from a model is missing in every group, and counts as their noise. There is a test for each group.
+    """
+    if out is None or not np.isfinite(out.by_chance).any():
+        return []
+    worst = int(np.nanargmin(out.by_chance))
+    # The largest of as many tests as there are groups: its p-value counts that often (C. Bonferroni).
+    beyond = out.by_chance[worst] * out.count < guarding().chance
+    if not (beyond and out.surprise[worst] > guarding().surprised):
+        return []
+    return [
+        f"{out.group.capitalize()} {out.members[worst]} is not like the others: predicted from these, its errors are "
+        f"{out.surprise[worst]:.1f} times what they should be ({scheme(out.group)}). Its thermometer or a setting was "
+        "different, or the sensor changed: look at its columns, or leave it out."
+    ]
+
+
+def of_thermometers(calibration: Calibration, model: Model) -> list[str]:
+    """What is odd in the column of a thermometer that the coefficients of a model hang on."""
+    readings = calibration.readings
+    warm = [n for n in readings.columns if n in model.columns and readings.unit(n) == "degC"]
+    every = [n for n in readings.columns if readings.unit(n) == "degC"]
+    if not warm:
+        return []
+    found = oddities({n: readings[n] for n in readings.columns}, every, readings.output)
+    return [
+        f"Column {one.column!r} {one.said}: what depends on it is not measured."
+        for one in found
+        if one.column in warm
+    ]
+
+
+def of_noise(
+    calibration: Calibration, check: Check, doubts: Sequence[str], missing: str
+) -> list[str]:
+    """What a fit's own residuals say against it.
+
+    Args:
+        calibration, check: the fit, and where it fails.
+        doubts: of its mode.
+        missing: what is said where residuals still depend on something.
+    """
+    verdict = calibration.verdict
+    if not verdict.ok:
+        return ["The fit did not converge: " + " ".join(verdict.reasons)]
+    if check.fixed is not None and check.fixed.wrong:
+        return [
+            f"The fixed coefficients leave residuals of {check.fixed.rms:.3g} {check.unit} rms, "
+            f"{check.fixed.rms / check.fixed.noise:.1f} times the noise of the same model with free "
+            "coefficients."
+        ]
+    found, evidence = [], calibration.log_evidence
+    if evidence is not None and not math.isfinite(evidence[0]):
+        found.append(
+            "The log evidence is not finite: the readings have too few digits, or a prior is improper."
+        )
+    found += doubts
+    found += _of_scatter(check)
+    found += _left_over(calibration, check, missing)
+    found += _between_runs(calibration)
+    coefficient, z = check.autocorrelation
+    if abs(z) > guarding().correlated_z and abs(coefficient) > guarding().correlated:
+        found.append(
+            f"Noise model inadequate: neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), "
+            "so the probabilities of missing effects are too confident. Either the noise is correlated in "
+            "time or something is missing that no candidate describes."
+        )
+    return found
+
+
+def _left_over(calibration: Calibration, check: Check, missing: str) -> list[str]:
+    """What the residuals still depend on; and readings too few to tell noise from unknowns."""
+    free, size = len(calibration.layout.blocks), len(calibration.readings)
+    if size < free + 3:
+        return [
+            f"{size} readings are too few for {free} unknowns: the noise cannot be told, and uncertainties hang on "
+            "the priors."
+        ]
+    rows = [(e.log_bayes_factor, e.against) for e in check.entries]
+    rows += [(p.log_bayes_factor, " and ".join(p.against)) for p in check.pairs]
+    factor, against = max(rows, default=(0.0, ""))
+    if factor > guarding().still_depends:
+        return [
+            f"The residuals still depend on {against} (log Bayes factor {factor:.0f}): {missing}"
+        ]
+    return []
+
+
+def _between_runs(calibration: Calibration) -> list[str]:
+    """A function of time that only tells runs apart: of which of them a new run would be is not known."""
+    _, codes = calibration.readings.groups("run")
+    for name in calibration.model.names:
+        if covariate_in(name) not in FORMS:
+            continue
+        added = calibration.linear.contribution(name)
+        means = np.bincount(codes, added) / np.bincount(codes)
+        # Squares about the runs' means against all squares: next to none within runs means that the function does
+        # nothing but tell runs apart.
+        if np.sum((added - means[codes]) ** 2) < guarding().within * np.sum(
+            (added - added.mean()) ** 2
+        ):
+            return [
+                f"Runs stand {np.ptp(means):.3g} {unit_label(calibration.unit)} apart ({name} steps where none goes "
+                "on): they are of two devices or conditions, or the sensor was restarted, and which of them a new run "
+                "will be like is not known."
+            ]
+    return []
+
+
+def _of_scatter(check: Check) -> list[str]:
+    """What the leave-one-out tests say against the noise law."""
+    along = [name for name, p in check.scatter_with.items() if p < guarding().rare]
+    if along:
+        return [
+            f"Noise model inadequate: the scatter changes with {' and '.join(along)}, so standard uncertainties hold "
+            "for no part of the record. Give the readings their own uncertainties (column output_uncertainty)."
+        ]
+    if check.one_sided < guarding().rare:
+        return [
+            "Noise model inadequate: the readings far from the model stand on one side "
+            f"(p = {check.one_sided:.1g}), outliers that draw it there. Find what makes them, and leave them out."
+        ]
+    if check.pit_p < guarding().rare:
+        outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""
+        return [
+            "Noise model inadequate: readings do not scatter about the model as normal noise does (leave-one-out "
+            f"probabilities uniform: p = {check.pit_p:.1g}{outside}). Look at the readings; a model with noise "
+            "bc.StudentT() bears outliers on both sides."
+        ]
+    return []

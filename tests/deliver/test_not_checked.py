@@ -1,0 +1,121 @@
+"""A model that nobody checked is checked before it decides, certifies or is exported, whichever way it came."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import bayescal as bc
+from bayescal._report.certificate import dcc_text
+from bayescal._use.firmware_parameters import firmware_parameters
+from bayescal._workbench.session import Session
+from bayescal_models import mems_gyro
+from tests.commands.test_certificate import STATED
+from tests.support.command_line import needs_installation, run
+from tests.support.made_up import bent_sensor
+
+LIMIT = "bias: 20..24 °/s"
+DEPENDS = "residuals still depend on temperature"
+
+
+@cache
+def readings() -> bc.Measurements:
+    """A gyroscope whose bias bends with temperature, which the baseline does not: log Bayes factor 99."""
+    return mems_gyro.simulate({"bias.temperature_quadratic": 3e-4}, seed=1)
+
+
+@pytest.fixture(scope="module")
+def fit() -> bc.Calibration:
+    return bc.fit(mems_gyro.INSTRUMENT.baseline(), readings(), bc.LeastSquares(draws=400))
+
+
+@pytest.fixture(scope="module")
+def saved(fit, tmp_path_factory) -> Path:
+    return fit.save(tmp_path_factory.mktemp("unchecked") / "calibration.nc")
+
+
+def test_a_fit_and_a_saved_fit_decide_nothing_where_their_check_fails(fit, saved) -> None:
+    for one in (fit, bc.load(saved)):
+        (found,) = bc.decide(one, LIMIT).decisions
+        assert found.decision == "undecided" and found.probability > 0.99
+        assert "not reliable" in found.why and DEPENDS in found.why
+
+
+def test_a_step_of_the_workbench_decides_nothing_where_its_check_fails(tmp_path) -> None:
+    session = Session.begin(
+        mems_gyro.INSTRUMENT.baseline(),
+        readings(),
+        folder=tmp_path / "kept",
+        method=bc.LeastSquares(draws=400),
+    )
+    (found,) = session.decide([LIMIT]).decisions
+    assert found.decision == "undecided" and DEPENDS in found.why
+    assert "Not to be used as it is" in session.verdict()
+
+
+def test_the_last_model_of_a_search_that_could_not_add_it_decides_nothing() -> None:
+    alone = {"max_effects": 0, "widen_noise": False, "method": bc.LeastSquares(draws=400)}
+    trail = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings(), **alone)
+    (found,) = bc.decide(trail.calibration, LIMIT).decisions
+    assert found.decision == "undecided" and DEPENDS in found.why
+
+
+def test_a_step_on_the_way_is_checked_by_itself() -> None:
+    """The first model of a search is shown, and may be taken: nobody judged it."""
+    trail = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings(), method=bc.LeastSquares())
+    first, last = trail.steps[0].calibration, trail.calibration
+    assert bc.decide(last, LIMIT).decisions[0].decision == "accept"
+    assert bc.decide(first, LIMIT).decisions[0].decision == "undecided"
+
+
+def test_no_certificate_is_written_of_it(fit, tmp_path) -> None:
+    stated = tmp_path / "stated.toml"
+    stated.write_text(STATED, "utf-8")
+    with pytest.raises(bc.InputError, match=DEPENDS):
+        dcc_text(fit, stated)
+
+
+@pytest.mark.parametrize("name", ["c.h", "c.py", "c.json", "c.html"])
+def test_every_export_says_that_it_is_not_reliable(fit, name, tmp_path) -> None:
+    text = bc.compensator(fit).export(tmp_path / name).read_text("utf-8")
+    assert "RESULT NOT RELIABLE" in text or "not reliable" in text.lower()
+    assert DEPENDS in text
+
+
+def test_parameters_of_an_autopilot_say_that_it_is_not_reliable(fit) -> None:
+    found = firmware_parameters({"gyro_x": fit}, "ardupilot-params")
+    assert any("RESULT NOT RELIABLE" in note and DEPENDS in note for note in found.notes)
+
+
+@needs_installation
+@pytest.mark.parametrize(
+    "asked",
+    [
+        ("decide", "--limit", LIMIT),
+        ("export", "--format", "c"),
+        ("budget",),
+    ],
+)
+def test_commands_leave_with_1(saved, asked) -> None:
+    command, *options = asked
+    done = run(command, saved, *options)
+    assert done.status == 1 and DEPENDS in " ".join(done.out.split()) + done.err
+
+
+def test_what_passes_its_check_decides_and_keeps_its_identity() -> None:
+    from bayescal._calibration.description import identity
+
+    fit = bent_sensor.gyro()
+    found = bc.decide(fit, LIMIT)
+    assert found.conforms and found.calibration == identity(fit)
+
+
+def test_a_calibration_that_was_checked_is_not_checked_again(fit, tmp_path) -> None:
+    """What `calibrate` has judged, with conflicts that the user accepts, stays judged when it is loaded."""
+    passed = fit.judged(())
+    again = bc.load(passed.save(tmp_path / "calibration.nc"))
+    assert bc.decide(again, LIMIT).conforms
+    assert not bc.decide(replace(fit), LIMIT).conforms

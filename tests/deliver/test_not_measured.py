@@ -1,0 +1,192 @@
+"""What the readings did not measure decides nothing, sets no date, and is said to be the prior's wherever it stands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal import effects
+from bayescal._report.certificate import dcc_text
+from bayescal._use.decide import DAY, YEAR
+from bayescal_models import mems_gyro
+from tests.commands.test_certificate import STATED
+from tests.support.made_up import bent_sensor
+
+CANNOT = "cannot be said from these readings"
+
+
+def level(drift: float) -> bc.Instrument:
+    """A level whose zero drifts; `drift` is the plausible size over the test, arcsec. Runs differ by some 0.5."""
+    return bc.Instrument(
+        name="level",
+        title="an electronic level",
+        columns=(bc.Column("time", "s"), bc.Column("run", None), bc.Column("output", "arcsec")),
+        slots=(bc.Slot("zero", "arcsec"),),
+        response=lambda slots, r: slots["zero"],
+        effects=(
+            effects.constant("zero", 100.0, "arcsec", source="made up"),
+            effects.drift("zero", drift, "arcsec", source="made up"),
+            effects.deviation("zero", "run", 0.5, "arcsec", source="made up"),
+        ),
+        noise=bc.White(bc.HalfCauchy(1.0)),
+        use=bc.Use("tilt", "arcsec", equation=lambda tilt, slots, r: tilt + slots["zero"]),
+    )
+
+
+def levelled(instrument: bc.Instrument, seed: int = 1) -> bc.Measurements:
+    """Four runs over 200 days; the zero moves by 3.3 arcsec, and would pass 12 arcsec after 1.8 years."""
+    random, runs, readings = np.random.default_rng(seed), 4, 6
+    start = np.linspace(0, 200 * DAY, runs)
+    time = (start[:, None] + 60.0 * np.arange(readings)).ravel()
+    run = np.repeat(np.arange(runs), readings)
+    zero = 1.0 + 3.3 * (time - time.mean()) / np.ptp(time)
+    zero += (0.5 * random.standard_normal(runs))[run]
+    return bc.Measurements.from_arrays(
+        instrument,
+        time=time,
+        run=run.astype(str),
+        output=zero + 0.3 * random.standard_normal(len(time)),
+    )
+
+
+@pytest.fixture(scope="module")
+def untold() -> bc.Calibration:
+    """A drift whose posterior is its prior: runs differ by more than it is taken for."""
+    instrument = level(0.05)
+    return bc.fit(instrument.baseline(), levelled(instrument), bc.LeastSquares())
+
+
+@pytest.fixture(scope="module")
+def told() -> bc.Calibration:
+    """The same readings where a drift of that size is plausible: they measure it."""
+    instrument = level(4.0)
+    return bc.fit(instrument.baseline(), levelled(instrument), bc.LeastSquares())
+
+
+@pytest.fixture(scope="module")
+def unturned() -> bc.Calibration:
+    """A gyroscope that was never turned, with a scale factor in its model: nothing measures it."""
+    still = mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(average=300, rate_input=(0.0,)))
+    model = mems_gyro.INSTRUMENT.baseline() + "scale.constant"
+    return bc.fit(model, still, bc.LeastSquares())
+
+
+def test_no_date_follows_from_a_drift_that_was_not_measured(untold) -> None:
+    (found,) = bc.decide(untold, "zero: ±12 arcsec").decisions
+    again = found.recalibration
+    assert again.after is None and again.date is None
+    assert CANNOT in again.why_not and "zero.drift" in again.why_not
+    assert "10 years" not in str(again)
+    assert "What would tell: readings over more of time" in again.why_not
+    assert found.decision == "accept"  # of today it can be said: runs differ, and that is measured
+
+
+def test_a_drift_that_was_measured_sets_the_date(told) -> None:
+    (found,) = bc.decide(told, "zero: ±12 arcsec").decisions
+    assert found.recalibration.after is not None
+    assert 0.2 * YEAR < found.recalibration.after < 2.5 * YEAR
+
+
+@pytest.mark.parametrize("rule", ["guarded", "simple", "shared-risk"])
+@pytest.mark.parametrize(
+    "limit",
+    [
+        "scale: ±20000 ppm",
+        "scale.constant: ±20000 ppm",
+        "corrected reading: ±2 °/s at rate_input = 80 °/s",
+        "corrected mean: ±2 °/s at rate_input = 80 °/s",
+    ],
+)
+def test_nothing_is_decided_by_a_coefficient_that_is_its_prior(unturned, limit, rule) -> None:
+    (found,) = bc.decide(unturned, limit, rule=rule).decisions
+    assert found.decision == "undecided" and found.risk is None
+    assert CANNOT in found.why and "scale.constant" in found.why
+    assert "What would tell: readings over more of rate_input" in found.why
+
+
+def test_what_does_not_hang_on_it_is_decided(unturned) -> None:
+    bias, reading = bc.decide(
+        unturned, ["bias: 20..24 °/s", "corrected reading: ±1 °/s at rate_input = 0 °/s"]
+    ).decisions
+    assert bias.decision == reading.decision == "accept"
+
+
+def test_two_coefficients_of_which_only_the_sum_is_measured_decide_nothing_by_themselves() -> None:
+    """Two constants, as a bias and a hysteresis are in a record that only warms."""
+    other = bc.Effect(
+        "zero.other",
+        "zero",
+        basis=lambda r: r["time"] * 0 + 1.0,
+        coefficients=(bc.Coefficient("arcsec", bc.Normal(0.0, 50.0)),),
+        columns=("time",),
+        source="made up",
+    )
+    instrument = replace(level(4.0), effects=(*level(4.0).effects, other))
+    fit = bc.fit(instrument.baseline(), levelled(instrument), bc.LeastSquares())
+    one, other, both = bc.decide(
+        fit, ["zero.constant: ±500 arcsec", "zero.other: ±500 arcsec", "zero: ±12 arcsec"]
+    ).decisions
+    assert CANNOT in one.why and CANNOT in other.why
+    assert CANNOT not in both.why
+
+
+def test_in_an_average_over_structures_what_is_improbable_does_not_count(untold) -> None:
+    """A drift that is not measured where it is: in 2 % of the draws it sets no date, in half of them it would."""
+    (block,) = (b for b in untold.layout.x_blocks if b.name == "zero.drift")
+
+    def with_share(share: float) -> bc.Calibration:
+        x = untold.joint.x.copy()
+        x[:, int(share * x.shape[1]) :, block.start] = 0.0
+        return replace(untold, joint=replace(untold.joint, x=x))
+
+    rare, common = (
+        bc.decide(with_share(p), "zero: ±12 arcsec").decisions[0].recalibration for p in (0.02, 0.5)
+    )
+    assert CANNOT not in rare.why_not and "not within 10 years" in rare.why_not
+    assert CANNOT in common.why_not
+
+
+def test_a_plan_says_that_the_uncertainty_is_the_priors(unturned, told) -> None:
+    plan = bc.plan_readings(unturned, "scale.constant: ±200 ppm", {"again": unturned.readings})
+    assert any("tell less of" in note and "scale.constant" in note for note in plan.notes)
+    plan = bc.plan_readings(told, "zero: ±12 arcsec", {"again": told.readings})
+    assert not any("tell less of" in note for note in plan.notes)
+
+
+def test_a_budget_says_which_part_is_a_prior(unturned) -> None:
+    at_speed, at_rest = (bc.budget(unturned, {"rate_input": rate}) for rate in (80.0, 0.0))
+    assert any("Most of it is prior" in n and "scale.constant" in n for n in at_speed.notes)
+    assert not any("Most of it is prior" in n for n in at_rest.notes)
+
+
+@pytest.mark.usefixtures("unpainted")
+def test_a_certificate_and_a_report_mark_it(unturned, tmp_path) -> None:
+    stated = tmp_path / "stated.toml"
+    stated.write_text(STATED, "utf-8")
+    space = {"dcc": "https://ptb.de/dcc"}
+    root = ElementTree.fromstring(dcc_text(unturned, stated))
+    names = [
+        quantity.findtext("dcc:name/dcc:content", "", space)
+        for quantity in root.iterfind(".//dcc:result//dcc:quantity", space)
+    ]
+    assert "scale.constant, by its prior more than by the readings" in names
+    assert "bias.constant" in names
+    page = bc.report(unturned, tmp_path / "report.html").read_text("utf-8")
+    signed = page.partition("<caption>Result</caption>")[2].partition("</table>")[0]
+    row = signed.partition("scale.constant")[2].partition("</tr>")[0]
+    assert "(mostly its prior)" in row
+    row = signed.partition("bias.constant")[2].partition("</tr>")[0]
+    assert "(mostly its prior)" not in row
+
+
+def test_the_spread_of_runs_is_measured_by_four_and_not_by_one() -> None:
+    fit = bent_sensor.gyro()
+    (found,) = bc.decide(bc.fit(fit.model, fit.readings), "bias.run.group_sd: ≤ 1 °/s").decisions
+    assert CANNOT not in found.why
+    one = fit.readings.select(np.flatnonzero(fit.readings.groups("run")[1] == 0))
+    (found,) = bc.decide(bc.fit(fit.model, one), "bias.run.group_sd: ≤ 1 °/s").decisions
+    assert CANNOT in found.why

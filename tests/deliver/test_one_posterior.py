@@ -1,0 +1,197 @@
+"""Of one quantity one value and one uncertainty, wherever it stands: report, certificate, budget, decision, export.
+
+All are of the average over structures, where several are probable.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._calibration.summary import summary
+from bayescal._core.formatting import number, with_error
+from bayescal._data.unit_conversion import unit_label
+from bayescal._report.certificate import d_si, dcc_text
+from bayescal._search.calibrate import step_of
+from bayescal._search.gate import judged
+from tests.commands.test_certificate import STATED
+from tests.support.command_line import needs_installation, run
+from tests.support.contract_cases import Case
+
+# An effect of which three draws in ten are, that needs a column which nothing else does where there is one.
+SOMETIMES = {
+    "mems_gyro": "bias.drift",
+    "still_sensor": "bias.drift",
+    "quartz_beam_accelerometer": "bias.drift",
+    "inclinometer": "zero.temperature",
+    "ng_accelerometer": "bias.drift",
+    "differential_pair": "bias.drift",
+}
+SHARE = 0.3
+DCC, SI = "{https://ptb.de/dcc}", "{https://ptb.de/si}"
+
+
+class Stated(NamedTuple):
+    """A value and its standard uncertainty."""
+
+    value: float
+    u: float
+
+
+@cache
+def trail(name: str) -> bc.SearchPath:
+    """A search that ended with two structures: without the effect, and with it."""
+    case, effect = Case(name), SOMETIMES[name]
+    model, method = case.model, bc.LeastSquares(draws=400)
+    best = bc.fit(model, case.readings, method)
+    whole = bc.fit(model + effect, case.readings, method)
+    x = whole.joint.x.copy()
+    for block in (b for b in whole.layout.x_blocks if b.effect.name == effect):
+        absent = int((1 - SHARE) * x.shape[1])
+        x[:, :absent, block.start : block.start + block.size] = 0.0
+    steps, gate = judged([step_of(best)])
+    average = replace(whole, joint=replace(whole.joint, x=x), verdict=steps[-1].calibration.verdict)
+    return bc.SearchPath(steps, gate, None, average=average)
+
+
+def on_the_page(text: str) -> dict[str, tuple[str, str]]:
+    """Of each unknown of the table of coefficients: "value ± U", and its unit."""
+    table = text.partition("shapes, noise</caption>")[2].partition("</table>")[0]
+    cells = r'<tr><th scope="row">(.*?)</th><td class="u">(.*?)</td><td class="n">(.*?)</td>'
+    rows = re.findall(cells, html.unescape(table))
+    return {n: (value.replace("−", "-"), unit) for n, unit, value in rows}
+
+
+def in_the_certificate(text: str) -> dict[str, Stated]:
+    """Of each coefficient with an expanded uncertainty, value and U/2 in SI."""
+    found = {}
+    for quantity in ElementTree.fromstring(text).iterfind(f".//{DCC}result//{DCC}quantity"):
+        name = quantity.findtext(f"{DCC}name/{DCC}content", "")
+        u = quantity.findtext(f".//{SI}expandedUnc/{SI}uncertainty")
+        if u is not None:
+            value = float(quantity.findtext(f".//{SI}value", "nan"))
+            found[name.partition(", by its prior")[0]] = Stated(value, float(u) / 2)
+    return found
+
+
+@pytest.mark.parametrize(
+    "name", [n if n == "mems_gyro" else pytest.param(n, marks=pytest.mark.slow) for n in SOMETIMES]
+)
+@pytest.mark.usefixtures("unpainted")
+def test_one_value_and_one_uncertainty_of_each_quantity(name: str, tmp_path: Path) -> None:
+    found, stated = trail(name), tmp_path / "stated.toml"
+    average = found.calibration
+    stated.write_text(STATED, "utf-8")
+    page = on_the_page(bc.report(found, tmp_path / "report.html").read_text("utf-8"))
+    certificate = in_the_certificate(dcc_text(average, stated))
+    use = average.model.instrument.use is not None
+    budget = {c.name: c for c in bc.budget(average).coefficients} if use else {}
+    program = bc.compensator(average).program if use else None
+    exported = {} if program is None else {u.name: i for i, u in enumerate(program.unknowns)}
+    for row in summary(average)[0]:
+        unknown, unit = row["name"], row["unit"]
+        one = Stated(row["mean"], row["sd"])
+        assert page[unknown] == (with_error(one.value, 2 * one.u), unit_label(unit))
+        factor, _ = d_si(unit)
+        rounding = 0.1 * factor * one.u  # to two digits of U
+        assert certificate[unknown] == pytest.approx([factor * v for v in one], abs=rounding)
+        limit = f"{unknown}: ≤ {one.value + 100 * one.u!r} {unit if unit != '1' else ''}"
+        (decided,) = bc.decide(average, limit).decisions
+        assert (decided.estimate[0], decided.uncertainty) == pytest.approx(one, rel=1e-9)
+        if unknown in budget:
+            b = budget[unknown]
+            assert (b.value, b.uncertainty) == pytest.approx(one, rel=1e-9)
+        if program is not None and unknown in exported:
+            i = exported[unknown]
+            assert program.unknowns[i].mean == pytest.approx(one.value, rel=1e-9)
+            assert program.covariance[i][i] ** 0.5 == pytest.approx(one.u, rel=1e-9)
+    assert any(unknown.startswith(SOMETIMES[name]) for unknown in page)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        n if n == "mems_gyro" else pytest.param(n, marks=pytest.mark.slow)
+        for n in SOMETIMES
+        if n != "differential_pair"
+    ],
+)
+@pytest.mark.usefixtures("unpainted")
+def test_a_compensated_value_has_one_uncertainty(name: str, tmp_path: Path) -> None:
+    """At the operating point that nobody names: budget, decision, report, compensator and export."""
+    found = trail(name)
+    average = found.calibration
+    budget, chosen = bc.budget(average), bc.compensator(average)
+    assert chosen.equation is not None
+    (decided,) = bc.decide(average, f"corrected mean: ±1 {budget.unit}").decisions
+    assert decided.uncertainty == pytest.approx(budget.uncertainty, rel=2e-3)
+    assert {n: low for n, (low, _, _) in decided.at.items() if n in budget.at} == budget.at
+    given: dict[str, Any] = {n: v for n, v in budget.at.items() if n != budget.stimulus}
+    program = bc.load_compensator(chosen.export(tmp_path / "c.json"))
+    for compensate in (chosen, program):
+        value = compensate(output=budget.reading, noise=False, method="first order", **given)
+        assert value.uncertainty[0] == pytest.approx(budget.uncertainty, rel=1e-9)
+    text = bc.report(found, tmp_path / "report.html").read_text("utf-8")
+    shown = budget.shown()
+    assert f"U = {number(shown.expanded, 2)} {unit_label(shown.unit)}" in text
+
+
+def test_what_needs_a_further_input_counts_at_one_place_and_the_rest_is_said() -> None:
+    """A drift of three draws in ten asks nobody for the time: it counts as at the last reading."""
+    average = trail("mems_gyro").calibration
+    chosen, time = bc.compensator(average), average.readings["time"]
+    assert [i.name for i in chosen.inputs] == ["temperature"]
+    (said,) = (n for n in chosen.notes if "would need further inputs" in n)
+    drift = average.samples("bias.drift")
+    progress = (time - time.mean()) / np.ptp(time)
+    left = np.sqrt(np.mean(drift**2) * np.mean((progress - progress.max()) ** 2))
+    assert f"time = {time.max():.6g} s" in said
+    told = re.search(r"left out: ([\d.e-]+) °/s rms", said)
+    assert told is not None and float(told[1]) == pytest.approx(left, rel=0.1)
+    names = [u.name for u in chosen.program.unknowns]
+    assert names == ["bias.constant", "bias.temperature", "bias: bias.drift"]
+    # At the last reading it is as a decision about the bias has it.
+    at = {"temperature": 60.0}
+    value = chosen(output=0.0, noise=False, method="first order", warn=False, **at)
+    (decided,) = bc.decide(average, "bias: ±1 °/s at temperature = 60 °C").decisions
+    assert -value.value[0] == pytest.approx(decided.estimate[0], rel=1e-6)
+    assert value.uncertainty[0] == pytest.approx(decided.uncertainty, rel=2e-3)
+
+
+@needs_installation
+@pytest.mark.usefixtures("unpainted")
+def test_commands_say_the_same_of_a_folder(tmp_path: Path) -> None:
+    folder, stated = tmp_path / "result", tmp_path / "stated.toml"
+    folder.mkdir()
+    trail("mems_gyro").save(folder)
+    stated.write_text(STATED, "utf-8")
+    limit = ("--limit", "bias.constant: ±90 °/s")
+    decided = run("decide", folder, *limit, "--json").data
+    (one,) = decided["decisions"]
+    dcc = run("export", folder, "--format", "dcc", "--certificate", stated, *limit).out
+    factor, _ = d_si("deg/s")
+    written = in_the_certificate(dcc)["bias.constant"]
+    u = one["uncertainty"]
+    assert written == pytest.approx([factor * one["estimate"][0], factor * u], abs=0.1 * factor * u)
+    page = tmp_path / "report.html"
+    done = run("report", folder, "--out", page, *limit, "--certificate", stated)
+    assert done.status == 0, done.err
+    text = page.read_text("utf-8")
+    assert on_the_page(text)["bias.constant"][0] == with_error(one["estimate"][0], 2 * u)
+    assert decided["calibration"] in text and decided["calibration"] in dcc
+    assert f"{with_error(one['estimate'][0], u)} °/s" in text
+    budget = run("budget", folder, "--json").data
+    (row,) = (c for c in budget["coefficients"] if c["name"] == "bias.constant")
+    assert (row["value"], row["uncertainty"]) == pytest.approx((one["estimate"][0], u))
+    exported = json.loads(run("export", folder, "--format", "json").out)
+    assert exported["about"]["calibration"] == decided["calibration"]
