@@ -578,6 +578,8 @@ class Session:
         trail, number = self._trail(), self.current.number
         folder = self.folder / f"result_{number:03d}"
         folder.mkdir(exist_ok=True)
-        with suppress(NotDrawn):  # a report says itself what could not be drawn, an export needs no picture
+        with suppress(
+            NotDrawn
+        ):  # a report says itself what could not be drawn, an export needs no picture
             save_search(trail, folder)
         return folder, trail
