@@ -31,7 +31,7 @@ import pyarrow.parquet as pq
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import parsed_json
-from bayescal._core.progress import note, tell
+from bayescal._core.progress import note, stage, tell
 from bayescal._core.quoting import one_line
 from bayescal._core.settings_in_force import OutcomeSettings, given_settings, use_settings
 from bayescal._core.version import __version__
@@ -714,7 +714,8 @@ class _Run:
                 f"{self.folder} holds results of more partitions ({others[0]} …) than these readings make: they are "
                 "of other readings. Choose another folder, or remove them"
             )
-        self._each({p.number: None for p in self.partitions})
+        with stage("fitting devices"):
+            self._each({p.number: None for p in self.partitions})
         elsewhere = self._elsewhere()
         again = {
             number: own

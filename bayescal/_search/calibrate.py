@@ -27,7 +27,7 @@ from bayescal._core import deadline
 from bayescal._core.deadline import Handover
 from bayescal._core.errors import TimeIsUp
 from bayescal._core.formatting import probability
-from bayescal._core.progress import stage
+from bayescal._core.progress import stage, tell
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import said_of, set_aside
 from bayescal._data.time_in_runs import going_on
@@ -42,6 +42,7 @@ from bayescal._model.model import Model, testable
 from bayescal._model.unknown_effect import freed
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import (
+    ENDED,
     WORK,
     discovery_at,
     placeholders,
@@ -128,7 +129,7 @@ def calibrate(
         used = set_aside(causes, keep_spikes, model.columns)
         kept = None if holdout is None else set_aside(holdout, keep_spikes, model.columns)
         used, accepted = _said_of_holdout(used, kept), frozenset(accept_conflicts)
-        loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
+        loop = Loop(used, kept, method, seed, reference, max_effects, accepted, resumed=len(seeds))
         loop, first = loop.begin(model)
         # Stated values that the readings contradict: the value may be wrong, or an effect missing; the search weighs
         # both.
@@ -165,6 +166,7 @@ class Loop:
     begun: float = 0.0  # of the search
     step_takes: float = 0.0  # s, as the first one did
     given: tuple[Effect, ...] = ()  # of the model given, to be weighed anew
+    resumed: int = 0  # structures of an earlier search, which are weighed first
 
     def begin(self, model: Model) -> tuple[Loop, Step]:
         """The first step, of the model without what is weighed anew.
@@ -318,6 +320,9 @@ class Loop:
         way = path(library, chosen) if in_time else [*dict.fromkeys([Structure(), chosen])]
         # Where sampling may be ended early, the last model stands before it begins.
         twice = deadline.current().apart and not isinstance(self.method, LeastSquares)
+        if hurried and len(way) > 1:
+            best = " + ".join(sorted(chosen.effects)) or "the first model under another noise law"
+            tell(f"interrupted: fitting the best so far, {best}; Ctrl-C again does not wait for it")
         for before, at in pairwise(way):
             weighed = structures.weigh(at)
             model = weighed.sized_model
@@ -335,7 +340,8 @@ class Loop:
                 replace(s, discovery=discovery_at(library, at, shut, stopped))
                 for s, at in zip(steps, way, strict=False)
             ]
-            if (last := steps[-1].discovery) and (why := self.incomplete(steps)):
+            why = ENDED if stopped else self.incomplete(steps)
+            if (last := steps[-1].discovery) and why:
                 steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
             steps[-1] = self.said_of_given(steps[-1])
         trail = self.trail(steps, structures, complete=not stopped, stopped=stopped)
@@ -454,6 +460,7 @@ class Loop:
             stopped=stopped,
             seconds=time.monotonic() - self.begun,
             max_effects=self.max_effects,
+            resumed=self.resumed,
         )
         if not (complete or stopped):
             return self._unjudged(steps, UNDER_WAY, search)

@@ -41,6 +41,7 @@ from bayescal._search.walk import ended_early, walk
 WORK = 0.9
 # Of the time left, for the walk: the rest tells what it found, fits that, samples and checks it.
 SEARCH = 2 / 3
+ENDED = "not stated, as the search was ended early"
 TO_SAY = 10.0  # s after Ctrl-C, for what was found until then
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
 
@@ -172,7 +173,8 @@ def discover(
         )
         library, stopped = walked(Library(structures), max_effects)
         with deadline.grace(TO_SAY):
-            return discovery_at(library, Structure(), shut, stopped)
+            found = discovery_at(library, Structure(), shut, stopped)
+        return found.not_stated(ENDED) if stopped else found
 
     with deadline.until(time_limit), deadline.share(WORK):
         return deadline.within(run)
