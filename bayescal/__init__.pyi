@@ -131,6 +131,7 @@ from ._core.errors import BayescalError as BayescalError
 from ._core.errors import InputError as InputError
 from ._core.errors import ModelError as ModelError
 from ._core.errors import NotConverged as NotConverged
+from ._core.errors import NotDrawn as NotDrawn
 from ._core.errors import TimeIsUp as TimeIsUp
 
 __version__: str

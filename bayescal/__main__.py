@@ -1,5 +1,11 @@
 """`python -m bayescal`: the command line."""
 
+import os
+import sys
+
+if sys.path[:1] == [os.getcwd()]:  # `-m` puts it there: what stands in the current folder is data
+    del sys.path[0]
+
 from bayescal._cli.main import main
 
 if __name__ == "__main__":

@@ -66,7 +66,7 @@ def batch(
     print_result(fleet.data() if json_ else fleet)
     if not json_:
         print(f"\nwritten: {fleet.folder}")
-    bad, lost = fleet.devices - fleet.trusted, len(fleet.missing)
+    bad, lost = fleet.devices - fleet.fitted, len(fleet.missing)
     said = [f"{bad} of {fleet.devices} devices have no result, or none to rely on"] * bool(bad)
     said += [
         f"{lost} files have none: put right what is said of them, and the same command goes on from there"
@@ -89,7 +89,8 @@ def _at_once(
     fitted = bc.fit_batch(model, devices, **asked)
     fitted.save(out)
     bad = [name for name, ok in zip(fitted.devices, fitted.ok, strict=True) if not ok]
-    data = {"file": str(out), "devices": len(fitted), "not_trusted": bad, **fitted.about}
+    data = {"file": str(out), "devices": len(fitted), "not_fitted": bad, "checked": 0}
+    data |= {"odd": fitted.odd, **fitted.about}
     if fitted.population is not None:
         data["population"] = fitted.population.table.to_dict("records")
     print_result(data if json_ else fitted)

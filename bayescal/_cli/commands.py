@@ -23,7 +23,14 @@ from typing import TYPE_CHECKING, Any
 import bayescal as bc
 from bayescal._calibration.settings import SearchSettings
 from bayescal._cli import options
-from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
+from bayescal._cli.console import (
+    drawn,
+    exit_unless,
+    exit_unless_drawn,
+    print_notes,
+    print_result,
+    result_folder,
+)
 from bayescal._cli.options import (
     ColumnOptions,
     Commands,
@@ -362,24 +369,28 @@ def _one(
             follow=told,
         )
         from bayescal._report.result_json import result
+        from bayescal._report.save_search import draw_search, write_results
         from bayescal._report.whole_folder import AVERAGED, files_of
 
-        def write() -> None:
+        def write() -> bool:
             if folder is not None:
-                trail.save(folder)
+                write_results(trail, folder)
             flags = trail.final.calibration.readings.flags
             print_notes(f for f in flags if f not in readings.flags)
             print_result(
                 result(trail) if json_ else loop_text(trail, own, told.begun, verbose, output_unit)
             )
+            made = folder is None or drawn(draw_search, {"": trail}, folder)
             if folder is not None and not json_:
                 there = files_of(folder)
                 usual = ("result.json", "calibration.nc", AVERAGED, "loop.png")
                 names = (n for n in usual if n in there)
                 print(f"\nwritten: {folder}/{', '.join(names)}, manifest.json")
+            return made
 
-        deadline.finish(write)
+        made = deadline.finish(write)
     exit_unless(trail.ok, trail.gate.reason)
+    exit_unless_drawn(made)
 
 
 def _several(
@@ -404,21 +415,24 @@ def _several(
             **_how(asked, first, settings),
         )
         from bayescal._cli.output import channels_in_short
-        from bayescal._report.save_search import channels_data
+        from bayescal._report.save_search import channels_data, draw_channels, write_channels
 
-        def write() -> None:
+        def write() -> bool:
             if folder is not None:
-                found.save(folder)
+                write_channels(found, folder)
             fitted = {n: t.final.calibration.readings for n, t in found.trails.items()}
             print_notes(flag for flag in _flags(fitted) if flag not in _flags(readings))
             print_result(channels_data(found) if json_ else found)
             if not json_:
                 print(f"\nIN SHORT\n\n{channels_in_short(found)}")
+            made = folder is None or drawn(draw_channels, found, folder)
             if folder is not None and not json_:
                 print(f"\nwritten: {folder}/channels.json, and a folder for each channel")
+            return made
 
-        deadline.finish(write)
+        made = deadline.finish(write)
     exit_unless(found.ok, found.reason)
+    exit_unless_drawn(made)
 
 
 def _opened(
@@ -670,7 +684,7 @@ def noise(
     """Noise density, bias instability and random walk of a sensor at rest, with 95 % intervals."""
     from bayescal._cli.request import open_channels
     from bayescal._core.atomic_file import write_text
-    from bayescal._report.whole_folder import folders_of, whole_folder
+    from bayescal._report.whole_folder import drawing, folders_of, whole_folder
     from bayescal._use.kalibr_file import kalibr_yaml
 
     if not 0 < quantile < 1:
@@ -695,11 +709,19 @@ def noise(
         written = []
         if yaml is not None:
             written.append(write_text(kalibr_yaml(found, topic, quantile), yaml))
-        if folder is not None:
-            pictures = {f"noise_{place}.png": name for name, place in folders_of(found).items()}
-            with whole_folder(folder) as hidden:
+        pictures = {f"noise_{place}.png": name for name, place in folders_of(found).items()}
+
+        def draw() -> None:
+            assert folder is not None
+            with drawing("The Allan deviation"), whole_folder(folder) as hidden:
+                from bayescal._report.plots import own_style
+
                 for picture, name in pictures.items():
-                    bc.plot.save(bc.plot.noise(found[name]), hidden / picture)
-            written += [folder / picture for picture in pictures]
+                    with own_style():
+                        bc.plot.save(bc.plot.noise(found[name]), hidden / picture)
+            written.extend(folder / picture for picture in pictures)
+
+        made = folder is None or drawn(draw)
         if written and not json_:
             print(f"written: {', '.join(map(str, written))}")
+    exit_unless_drawn(made)

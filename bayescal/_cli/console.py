@@ -6,7 +6,7 @@ Light: every command loads it before it starts.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import typer
 
 from bayescal._core.as_json import as_json, json_text
 from bayescal._core.atomic_file import folder_made
-from bayescal._core.errors import InputError
+from bayescal._core.errors import InputError, NotDrawn
 from bayescal._core.quoting import one_line
 
 
@@ -40,6 +40,26 @@ def exit_unless(reliable: bool, why: str) -> None:
     """
     if not reliable:
         print(f"bayescal: result not reliable: {why}", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+def drawn(make: Callable[..., Any], *given: Any) -> bool:
+    """Make pictures or a page of a result that is written; whether they could be made: where not, that is said."""
+    try:
+        make(*given)
+    except NotDrawn as error:
+        print_notes([str(error)])
+        return False
+    return True
+
+
+def exit_unless_drawn(*made: bool) -> None:
+    """Leave with status 1 if something could not be drawn, as `drawn` has said.
+
+    Raises:
+        typer.Exit: it could not.
+    """
+    if not all(made):
         raise typer.Exit(1)
 
 

@@ -7,13 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 import bayescal as bc
-from bayescal._cli.console import exit_unless, print_notes, print_result, result_folder
+from bayescal._cli.console import (
+    drawn,
+    exit_unless,
+    exit_unless_drawn,
+    print_notes,
+    print_result,
+    result_folder,
+)
 from bayescal._cli.options import (
     ColumnOptions,
     Commands,
@@ -39,6 +47,7 @@ SENSORS = {
     "magnetometer_triad": "magnetometers",
 }
 FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
+REPORT = "report.html"
 
 
 def exit_unless_reliable(given: Mapping[str, bc.Compensator | bc.VectorCorrection]) -> None:
@@ -128,9 +137,11 @@ def triad(
                 _write(hidden, trail, correction, readings, asked.name)
         if asked.json_:
             print_result(data(correction))
-        elif folder is not None:
+        made = folder is None or _draw({"": trail}, folder)
+        if folder is not None and not asked.json_:
             print(_written(folder))
     exit_unless(trail.ok, trail.gate.reason)
+    exit_unless_drawn(made)
 
 
 @commands.example("bayescal imu log.csv --accelerometers ax,ay,az --gyroscopes gx,gy,gz --out unit")
@@ -193,15 +204,16 @@ def imu(
                 for file in ("imu.h", "imu.py"):
                     bc.export_vector(first, hidden / file, others=each[1:], name=asked.name)
                 bc.export_vector(first, hidden / "imu.yaml", others=each[1:2])
-                bc.report([one[0] for one in found.values()], hidden / "report.html")
         if asked.json_:
             print_result({name: data(correction) for name, (_, correction, _) in found.items()})
-        elif folder is not None:
-            for name in found:
-                print(_written(folder / name))
-            print(f"written: {folder}/imu.h, imu.py, imu.yaml, report.html, manifest.json")
-    for trail, _, _ in found.values():
+        trails = {name: trail for name, (trail, _, _) in found.items()}
+        made = folder is None or _draw(trails, folder)
+        if folder is not None and not asked.json_:
+            for place in (*found, ""):
+                print(_written(folder / place))
+    for trail in trails.values():
         exit_unless(trail.ok, trail.gate.reason)
+    exit_unless_drawn(made)
 
 
 def _three(given: str | None) -> dict[str, str]:
@@ -272,13 +284,12 @@ def triad_text(trail: bc.SearchPath, correction: bc.VectorCorrection) -> str:
 
 
 def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str | None) -> None:
-    """All that there is of three axes, to a folder that is not seen yet."""
+    """All that there is of three axes but what is drawn, to a folder that is not seen yet."""
     from bayescal._report.save_search import write_search
     from bayescal._report.whole_folder import list_files
     from bayescal._use.vector_export import left_out
 
     write_search(trail, folder)
-    bc.report(trail, folder / "report.html")
     for name in FILES:
         bc.export_vector(correction, folder / name, name=sensor)
     if said := left_out(correction, "yaml"):
@@ -287,9 +298,32 @@ def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str
     list_files(folder, None)
 
 
+def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
+    """Pictures and reports of three axes, in the folders of their results in this one, and a report of all.
+
+    Returns:
+        Whether all could be made; what could not is said.
+    """
+    from bayescal._report.save_search import draw_search
+    from bayescal._report.whole_folder import drawing, list_files, whole_folder
+
+    made = [drawn(draw_search, trails, folder)]
+
+    def reports() -> None:
+        with drawing(REPORT), whole_folder(folder, more=True) as hidden:
+            for place, trail in trails.items():
+                made.append(drawn(bc.report, trail, hidden / place / REPORT))
+                list_files(hidden / place, None)
+            if len(trails) > 1:
+                made.append(drawn(bc.report, [*trails.values()], hidden / REPORT))
+
+    return all((drawn(reports), *made))
+
+
 def _written(folder: Path) -> str:
-    names = ("result.json", "calibration.nc", "report.html", "poses.csv", "manifest.json")
-    return f"written: {folder}/{', '.join((*FILES, *names))}"
+    from bayescal._report.whole_folder import MANIFEST, files_of
+
+    return f"written: {folder}/{', '.join((*files_of(folder), MANIFEST))}"
 
 
 @commands.example("bayescal compensate result/calibration.nc flight.csv --out done.csv")
@@ -513,9 +547,10 @@ def report(
             )
         decided = bc.decide(given[0].used, limit, **vars(by))
     how = {"title": title, "certificate": stated, "output_unit": output_unit}
-    written = bc.report(given, out, decisions=decided, **how)
+    made = drawn(partial(bc.report, given, out, decisions=decided, **how))
     reasons = [reason for c in given for reason in c.data["verdict"]["reasons"]]
-    print_result({"file": str(written), "chapters": len(given)} if json_ else f"written: {written}")
+    print_result({"file": str(out), "chapters": len(given)} if json_ else f"written: {out}")
     exit_unless(all(c.data["verdict"]["ok"] for c in given), " ".join(reasons))
+    exit_unless_drawn(made)
     if decided is not None:
         exit_unless_conforms(decided)

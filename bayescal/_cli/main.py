@@ -1,9 +1,9 @@
 """The command line.
 
-Exit status: 0 done; 1 not converged, or the noise gate failed (results are written all the same), or a time limit
-came before there was a result; 2 bad input: one sentence on stderr, or a list of all that is wrong with the files;
-nothing written. Ctrl-C ends with what there is, and the status that this has; 130 where there is nothing yet, and where
-it is pressed again.
+Exit status: 0 done; 1 not converged, or the noise gate failed, or a picture could not be drawn (results are written all
+the same), or a time limit came before there was a result; 2 bad input: one sentence on stderr, or a list of all that is
+wrong with the files; nothing written. Ctrl-C ends with what there is, and the status that this has; 130 where there is
+nothing yet, and where it is pressed again.
 
 Heavy modules load inside the commands, so that `bayescal --help` answers at once.
 """
@@ -20,7 +20,8 @@ import typer
 
 from bayescal._cli import batch, commands, deliverables
 from bayescal._core import deadline
-from bayescal._core.errors import BayescalError, NotConverged, TimeIsUp
+from bayescal._core.errors import BayescalError, NotConverged, NotDrawn, TimeIsUp
+from bayescal._core.folder_settings import obey_no_folder
 from bayescal._core.quoting import one_line
 from bayescal._search.own_files import in_one_line, own_file_line
 
@@ -45,11 +46,12 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # where ° or µ cannot be shown, ? is
+    obey_no_folder()
     try:
         status = app(standalone_mode=False, prog_name="bayescal")
         sys.stdout.flush()
         _leave(status if isinstance(status, int) else 0)
-    except (NotConverged, TimeIsUp) as error:
+    except (NotConverged, TimeIsUp, NotDrawn) as error:
         _fail(str(error), 1)
     except BayescalError as error:
         _fail(str(error), 2, listed=len(getattr(error, "problems", ())) > 1)

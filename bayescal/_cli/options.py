@@ -11,6 +11,7 @@ import inspect
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,6 +19,7 @@ from typing import Annotated, Any
 import typer
 
 from bayescal._core.errors import InputError
+from bayescal._core.progress import EVERY, stage
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 
 METHODS = {"marginal": "Marginal", "least-squares": "LeastSquares", "nuts": "NUTS"}  # public names
@@ -113,6 +115,7 @@ def _refuse_no_duration(text: str | None) -> str | None:
     return text
 
 
+ENDLESS = ("workbench",)  # commands that say themselves what they do
 ARGUMENTS = ("files", "file", "calibration", "calibrations")  # which are no options
 
 # By the parameter's name; as "command.name" where a command means something else by it.
@@ -445,7 +448,9 @@ def with_groups(command: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(command)
     def run(**values: Any) -> None:
-        command(**{name: _taken(p.annotation, name, values) for name, p in declared.items()})
+        name = command.__name__
+        with nullcontext() if name in ENDLESS else stage(name, EVERY):
+            command(**{n: _taken(p.annotation, n, values) for n, p in declared.items()})
 
     seen = [_told(p, command.__name__) for one in declared.values() for p in _single(one)]
     run.__signature__ = inspect.Signature(seen)  # pyright: ignore[reportAttributeAccessIssue]

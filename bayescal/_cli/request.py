@@ -16,6 +16,7 @@ import bayescal as bc
 from bayescal._cli.console import print_notes
 from bayescal._cli.options import METHODS, ModelOptions, ReadRequest, SearchRequest, named_numbers
 from bayescal._core.errors import InputError
+from bayescal._core.progress import stage
 from bayescal._data.read import read
 from bayescal._model.installed import FileColumns, file_columns
 from bayescal._search.own_files import (
@@ -99,7 +100,8 @@ def _read(
     files: Sequence[Path], of: Any, asked: ReadRequest, names: Sequence[str]
 ) -> dict[str, Measurements]:
     outputs: dict[str, Any] = {"outputs": list(names)} if names else {}
-    found = read(list(files), of, **asked.columns.for_read(), **outputs)
+    with stage("reading"):
+        found = read(list(files), of, **asked.columns.for_read(), **outputs)
     return found if names else {"": found}  # pyright: ignore[reportReturnType]
 
 

@@ -3,7 +3,8 @@
 Two things end work early: its time limit, and Ctrl-C. Loops ask between their pieces (`ask`), and hand over what stands
 as a result before they begin (`offer`). A compiled call cannot be asked: so under a deadline work is done in a thread
 of its own (`within`), whose door waits until then and a little longer, takes what was handed over last, and leaves the
-call behind.
+call behind. Ctrl-C comes at no moment that work can reckon with: what is left to be done of a result then is done in a
+time that begins with it (`grace`), unless it is pressed again.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from bayescal._core.errors import TimeIsUp
 
 TICK = 0.02  # s between looks at the clock
 LATE = 0.2  # s beyond the deadline, in which work may end by itself;
-OUTERMOST = 0.4  # more at the door of all, of the 2 s that Ctrl-C may take: writing takes the rest
+OUTERMOST = 0.4  # more at the door of all
 FIRST = 4.0  # where a time limit has passed and nothing stands yet, of the 5 s that it may be exceeded by
 T = TypeVar("T")
 
@@ -153,6 +154,25 @@ def share(part: float = 1.0, keep: float = 0.0) -> Iterator[Deadline]:
 
 
 @contextmanager
+def grace(seconds: float) -> Iterator[Deadline]:
+    """After Ctrl-C, so much time for what makes a result of what there is; else the deadline that stands."""
+    end = current()
+    allow(seconds)
+    if end.interrupted:
+        ends_at = min(time.monotonic() + seconds, end.ends_at)
+        end = replace(end, ends_at=ends_at, limit=end.why, ended=threading.Event())
+    with _holding(end):
+        yield end
+
+
+def allow(seconds: float) -> None:
+    """From here on the doors wait so long after Ctrl-C, for a result to be made; pressed once more, they do not."""
+    own = _DOOR.get()
+    while own is not None:
+        own.grace, own = max(own.grace, seconds), own.outer
+
+
+@contextmanager
 def _holding(made: Deadline) -> Iterator[Deadline]:
     token = _CURRENT.set(made)
     try:
@@ -167,6 +187,7 @@ class Handover:
 
     outer: Handover | None = None
     offered: Callable[[str], Any] | None = None
+    grace: float = 0.0  # s that it waits longer after Ctrl-C, if it is not pressed again
     shut: bool = False
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -229,7 +250,7 @@ def within(work: Callable[[], T]) -> T:
     token = _DOOR.set(own)
     try:
         if end.apart:
-            return _apart(work, lambda late: late > _patience(end, own))
+            return _apart(work, end, own)
         return work()
     except TimeIsUp as early:
         if outer is None and end.interrupted and own.offered is None:
@@ -247,21 +268,22 @@ def within(work: Callable[[], T]) -> T:
 def _patience(end: Deadline, own: Handover) -> float:
     """Seconds beyond the deadline: the door of all waits longest, so that those within are left first."""
     farther_out = OUTERMOST if own.outer is None else 0.0
-    return LATE + farther_out + (0.0 if end.interrupted or own.anything else FIRST)
+    more = own.grace if end.interrupted else 0.0 if own.anything else FIRST
+    return LATE + farther_out + more
 
 
 def finish(work: Callable[[], T]) -> T:
     """Write a result: the first Ctrl-C waits for it, the second does not."""
-    return _apart(work, lambda late: False) if current().apart else work()
+    return _apart(work, current(), None) if current().apart else work()
 
 
-def _apart(work: Callable[[], T], give_up: Callable[[float], bool]) -> T:
-    """Do work in a thread; at a second Ctrl-C, and where `give_up` says so by the seconds since the deadline, leave it.
+def _apart(work: Callable[[], T], end: Deadline, own: Handover | None) -> T:
+    """Do work in a thread; at a second Ctrl-C, and some time after the deadline if it has a door, leave it.
 
     Raises:
         TimeIsUp: it was left.
     """
-    end, made, failed, done = current(), list[T](), list[BaseException](), threading.Event()
+    made, failed, done = list[T](), list[BaseException](), threading.Event()
 
     def run() -> None:
         try:
@@ -283,11 +305,13 @@ def _apart(work: Callable[[], T], give_up: Callable[[float], bool]) -> T:
         try:
             while not done.wait(TICK):
                 since = min(since, time.monotonic()) if end.over else math.inf
-                if give_up(time.monotonic() - since):
+                if own is not None and time.monotonic() - since > _patience(end, own):
                     raise TimeIsUp(end.why)
         except KeyboardInterrupt:  # a second one, or a first where another has the signal
-            if end.interrupted:
+            if end.interrupted and (own is None or not own.grace):
                 raise
+            if own is not None and end.interrupted:
+                own.grace = 0.0
             end.ended.set()
     if failed:
         raise failed[0]

@@ -4,7 +4,8 @@ BayescalError
 ├── InputError      a file, a column, a unit or an option cannot be used as it is   (exit status 2)
 ├── ModelError      a model cannot be composed, or not with these readings          (exit status 2)
 ├── NotConverged    a fit ended without a result to trust; carries the calibration  (exit status 1)
-└── TimeIsUp        the time limit came before there was any result                 (exit status 1)
+├── TimeIsUp        the time limit came before there was any result                 (exit status 1)
+└── NotDrawn        a picture or a page failed; the result that it is of is written (exit status 1)
 """
 
 from __future__ import annotations
@@ -56,3 +57,15 @@ class TimeIsUp(BayescalError):
             f"Ended before there was a result ({why}): nothing is kept. Give more time, or fewer readings (--average)"
         )
         self.why = why
+
+
+class NotDrawn(BayescalError):
+    """A picture, or a page with pictures, could not be made; the result that it was to show is written all the same."""
+
+    def __init__(self, what: str, why: BaseException | str) -> None:
+        if not isinstance(why, str):
+            first = next(iter(str(why).splitlines()), "")
+            why = f"{type(why).__name__}: {first}".removesuffix(": ")
+        super().__init__(
+            f"{what} could not be drawn ({why}); the result is kept, and stands as it is"
+        )

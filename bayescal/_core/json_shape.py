@@ -8,7 +8,8 @@ A shape is one of
     {"key": shape, …}             exactly these keys; one that ends in "?" may be missing
     {str: shape}                  any keys
     OneOf(shape, …)               whichever fits; None for null
-    ANY                           a plain value that nothing is made of but text: no deeper than 32
+    ANY                           a plain value that nothing is made of but text: no deeper than 32, no whole number
+                                  of more than 64 bits
 
 What comes in is walked no deeper than its shape, so that no nesting ends the program.
 """
@@ -30,6 +31,7 @@ LARGEST = 50_000_000  # bytes of a JSON file that is read
 LARGEST_TOML = 100_000  # bytes of a mapping, a certificate's data
 LONGEST_LINE = 2_000  # characters: dotted keys take a time that grows with their number's square
 DEEPEST = 32  # of lists and tables in each other; what bayescal writes has at most 9
+MOST_WHOLE = 2**64  # from which a whole number fits no type that one is turned into
 
 _SURROGATE = re.compile("[\ud800-\udfff]")  # half a character, which no file can hold
 
@@ -55,7 +57,7 @@ def mismatch(value: Any, shape: Any, where: str = "") -> str:
         tried = [mismatch(value, one, where) for one in shape.shapes]
         return "" if "" in tried else max(tried, key=lambda said: len(said.partition(" is ")[0]))
     if shape is ANY:
-        return _too_deep(value, where)
+        return _unusable(value, where)
     if shape is None:
         return "" if value is None else _expected(value, "null", where)
     if isinstance(shape, type):
@@ -109,10 +111,12 @@ def _first(found: Any) -> str:
     return next((one for one in found if one), "")
 
 
-def _too_deep(value: Any, where: str) -> str:
-    """Whether lists and tables stand in each other deeper than anything that is written here."""
+def _unusable(value: Any, where: str) -> str:
+    """Whether lists and tables stand in each other deeper than anything written here, or hold a larger number."""
     level = [value]
     for _ in range(DEEPEST):
+        if any(type(one) is int and abs(one) >= MOST_WHOLE for one in level):
+            return f"{where or 'it'} holds a whole number of more than 64 bits"
         level = [
             inner
             for one in level
@@ -128,7 +132,7 @@ def parsed_json(text: str | bytes) -> Any:
     """JSON as a value.
 
     Raises:
-        ValueError: it is none, or nested deeper than anything that is written here.
+        ValueError: it is none, nested deeper than anything that is written here, or holds a larger whole number.
     """
     return _parsed(json.loads, text)
 
@@ -138,7 +142,7 @@ def _parsed(parse: Callable[[Any], Any], text: str | bytes) -> Any:
         found = parse(text)
     except RecursionError:
         raise ValueError(f"it is nested deeper than {DEEPEST}") from None
-    if said := _too_deep(found, ""):
+    if said := _unusable(found, ""):
         raise ValueError(said)
     return found
 

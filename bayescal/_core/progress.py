@@ -1,15 +1,45 @@
-"""Lines on stderr that tell how far it is: one for anything that takes over a second, one for each step of a search."""
+"""Lines on stderr that tell how far it is: for anything that takes over a second, and then at least every ten seconds.
+
+A line says what is being done, for how long by now, and how long such a thing usually takes.
+"""
 
 from __future__ import annotations
 
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+SOON, EVERY = 1.0, 9.0  # s, until a stage is first told of, and from a line to the next
+
+# How long a stage usually takes, on two cores; from a few hundred readings to ten thousand under correlated noise.
+USUALLY = {
+    "reading": "a second for 8 MB of text",
+    "least squares": "a second, with correlated noise up to 10 s",
+    "finding the mode": "a second, with correlated noise up to 10 s",
+    "sampling": "1 to 20 s",
+    "NUTS on whitened unknowns": "10 s to minutes",
+    "NUTS on every unknown": "10 s to minutes",
+    "checking": "1 to 10 s",
+    "looking for missing effects": "1 to 60 s, longer with many readings under correlated noise",
+    "averaging over structures": "1 to 20 s",
+    "fitting each possibility": "some seconds each",
+    "expecting the outcome of each experiment": "10 s",
+    "expecting what each campaign would leave": "10 s",
+    "fitting devices": "a second for ten thousand lines, with --find about a second for each device",
+    "calibrate": "5 to 60 s",
+    "report": "5 to 10 s",
+}
+
+_open: list[threading.Event] = []  # stages, by what ends them, the innermost last
+_told = 0.0  # when the last line was
 
 
 def tell(what: str) -> None:
     """Say on stderr how far it is."""
+    global _told
+    _told = time.monotonic()
     print(f"bayescal: {what} …", file=sys.stderr, flush=True)
 
 
@@ -19,12 +49,26 @@ def note(what: str) -> None:
 
 
 @contextmanager
-def stage(what: str) -> Iterator[None]:
-    """Say on stderr what is going on, once it has taken a second."""
-    timer = threading.Timer(1.0, tell, [what])
-    timer.daemon = True
-    timer.start()
+def stage(what: str, first: float = SOON) -> Iterator[None]:
+    """Say on stderr what is going on, once it has taken `first` seconds, and again where nothing else is told."""
+    begun, done = time.monotonic(), threading.Event()
+
+    def watch() -> None:
+        pause, told = first, first >= EVERY
+        while not done.wait(pause):
+            now = time.monotonic()
+            quiet = now - max(_told, begun)
+            if _open[-1:] == [done] and (quiet >= EVERY or not told):
+                usual = f" (usually {USUALLY[what]})" if what in USUALLY else ""
+                so_far = f", {now - begun:.0f} s so far" if told else ""
+                tell(f"{what}{so_far}{usual}")
+                quiet, told = 0.0, True
+            pause = max(EVERY - quiet, 0.5)
+
+    _open.append(done)
+    threading.Thread(target=watch, daemon=True, name="bayescal progress").start()
     try:
         yield
     finally:
-        timer.cancel()
+        done.set()
+        _open.remove(done)

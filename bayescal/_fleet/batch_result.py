@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+import re
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import pairwise
@@ -20,9 +22,11 @@ import pyarrow as pa
 import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 
-from bayescal._core.atomic_file import replacing_for_user, write_text
+from bayescal._core.as_json import as_json, write_json
+from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError
-from bayescal._core.json_shape import read_json
+from bayescal._core.json_shape import parsed_json, read_json
+from bayescal._fleet.odd_devices import Values, odd_values
 from bayescal._fleet.population import Population
 
 FORMAT = "bayescal.batch/1"
@@ -51,8 +55,29 @@ def first_few(items: Mapping[str, str], total: int, head: str = "", more: str = 
 
 
 def printed(table: pd.DataFrame, digits: int) -> str:
-    """A table with so many significant digits."""
+    """A table with so many significant digits; a curve in one line, its rms amplitude."""
+    if "coefficient" in table:
+        of_curve = table["coefficient"].str.extract(_OF_CURVE, expand=True)
+        amplitudes = {*of_curve[0][of_curve[1].eq(".amplitude")]}
+        shown = ~of_curve[0].isin(amplitudes) | of_curve[1].eq(".amplitude")
+        names = table["coefficient"].str.replace(_AMPLITUDE, r"\1, a curve (rms)", regex=True)
+        table = table.assign(coefficient=names).loc[shown]
     return table.to_string(index=False, float_format=lambda v: f"{v:.{digits}g}")
+
+
+# Of a curve, unknown or a departure: its coefficients, and how long and how large it is.
+_OF_CURVE = re.compile(r"^((?:unknown|departure)\(.*\))(\[\d+\]|\.length|\.amplitude)$", re.DOTALL)
+_AMPLITUDE = re.compile(r"^((?:unknown|departure)\(.*\))\.amplitude$", re.DOTALL)
+
+
+def odd_in_words(odd: Mapping[str, list[str]], devices: int) -> list[str]:
+    """Devices that are not like the others, a line each; nothing where there are none."""
+    told = {name: "; ".join(said) for name, said in odd.items()}
+    head = [f"{len(odd)} of {devices} devices are not like the others:"] if odd else []
+    return head + first_few(told, len(told), more=f", all in {WHOLE}")
+
+
+NOT_CHECKED = "fitted is not checked: what the model lacks was looked for in none of them (--find, in Python find=True)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +110,7 @@ class DeviceResult:
 
     Attributes:
         device: its name.
-        ok: whether to trust it.
+        ok: whether its fit is to be relied on; what the model lacks is another question.
         reason: why not: a refusal, or what the fit did not reach; empty if nothing.
         names, units: of its unknowns; none if it was refused.
         mean: (q,), in these units.
@@ -132,11 +157,12 @@ class BatchResult:
 
     Attributes:
         devices: names, in the order in which they came.
-        ok: whether each result is reliable, (devices,).
+        ok: whether each fit is to be relied on, (devices,); what the model lacks is another question.
         reasons: why not; empty where nothing stands against it.
         parts: the numbers, devices with the same unknowns together.
         population: what the devices have in common, if it was asked for.
         about: instrument, effects, method, seed and notes.
+        facts: by device, how many readings were fitted, and their T0, °C; NaN where that is not known.
     """
 
     devices: tuple[str, ...]
@@ -145,9 +171,29 @@ class BatchResult:
     parts: tuple[BatchPart, ...]
     population: Population | None
     about: dict[str, Any]
+    facts: pd.DataFrame
 
     def __len__(self) -> int:
         return len(self.devices)
+
+    @cached_property
+    def odd(self) -> dict[str, list[str]]:
+        """Devices that are not like the others, and in what: a value beyond chance, that all of them have."""
+        good = [(part, self.ok[part.devices]) for part in self.parts]
+        inside = [(part, own) for part, own in good if own.any()]
+        common = [n for n in inside[0][0].names if "[" not in n] if inside else []
+        common = [n for n in common if all(n in part.names for part, _ in inside)]
+
+        def values(name: str) -> Values:
+            at = [(part, own, part.names.index(name)) for part, own in inside]
+            return Values(
+                [self.devices[d] for part, own, _ in at for d in part.devices[own]],
+                np.concatenate([part.mean[own, i] for part, own, i in at]),
+                np.concatenate([part.sd[own, i] for part, own, i in at]),
+                at[0][0].units[at[0][2]],
+            )
+
+        return odd_values(common, values, self.facts.loc[self.ok])
 
     def __iter__(self) -> Iterator[DeviceResult]:
         return (self[i] for i in range(len(self)))
@@ -217,7 +263,9 @@ class BatchResult:
                 f"a batch is saved as Parquet: name the file ….parquet, not {path.name!r}"
             )
         table, population = self._rows(), self.population and self.population.data()
-        head = json.dumps({"schema": FORMAT, "about": self.about, "population": population})
+        facts = {name: self.facts[name].tolist() for name in self.facts}
+        told = {"about": self.about, "population": population, "facts": facts}
+        head = json.dumps(as_json({"schema": FORMAT, **told}), allow_nan=False)
         sealed = {"bayescal": head, "bayescal_sha256": _digest(table, head.encode())}
         with replacing_for_user(path) as partial:
             pq.write_table(table.replace_schema_metadata(sealed), partial, write_page_checksum=True)
@@ -225,8 +273,9 @@ class BatchResult:
 
     def __str__(self) -> str:
         bad = np.flatnonzero(~self.ok)
-        lines = [f"{len(self)} devices, {len(self) - len(bad)} reliable ({self.about['method']})"]
+        lines = [f"{len(self)} devices, {len(self) - len(bad)} fitted ({self.about['method']})"]
         lines += first_few({self.devices[i]: self.reasons[i] for i in bad[:SHOWN]}, len(bad))
+        lines += [NOT_CHECKED, *odd_in_words(self.odd, len(self))]
         for part in self.parts:
             good = self.ok[part.devices]
             if not good.any():
@@ -271,7 +320,7 @@ def load_batch(path: str | Path) -> BatchResult:
         table = pq.read_table(path, page_checksum_verification=True)
         about = table.schema.metadata or {}
         text, seal = about[b"bayescal"], about[b"bayescal_sha256"]
-        head = json.loads(text)
+        head = parsed_json(text)
         if head["schema"] != FORMAT:
             raise KeyError(head["schema"])
         whole = _digest(table, text).encode() == seal
@@ -287,17 +336,23 @@ def load_batch(path: str | Path) -> BatchResult:
     codes, names = pd.factorize(columns["device"])
     starts = np.searchsorted(codes, np.arange(len(names)))
     try:
-        population = head["population"]
+        population, devices = head["population"], tuple(map(str, names))
         return BatchResult(
-            devices=tuple(map(str, names)),
+            devices=devices,
             ok=columns["ok"][starts].astype(bool),
             reasons=tuple(columns["reason"][starts]),
             parts=_parts(columns, [*starts, len(codes)]),
             population=population and Population.of_data(population),
             about=head["about"],
+            facts=facts_of(devices, head.get("facts", {})),
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path.name} was changed after it was saved: {error}. {AGAIN}") from None
+
+
+def facts_of(devices: Sequence[str], known: Mapping[str, Sequence[float | None]]) -> pd.DataFrame:
+    """Of each device, how many readings and about which temperature; NaN where that is not known."""
+    return pd.DataFrame(known, list(devices), ["readings", "T0"], dtype=float)
 
 
 def _parts(columns: dict[str, np.ndarray], starts: list[int]) -> tuple[BatchPart, ...]:
@@ -333,10 +388,12 @@ class FleetResult:
 
     Attributes:
         folder: of the results.
-        devices, trusted, readings: how many.
-        doubted: some devices whose result is not reliable, and why.
+        devices, fitted, checked, readings: how many; fitted are devices whose fit is to be relied on, checked those in
+            which it was looked for what the model lacks (`find`).
+        doubted: some devices whose fit is not to be relied on, and why.
         missing: file → why its devices are not among the results; the same call goes on from there.
-        table: one row a coefficient: mean over the devices that are trusted, standard deviation between them, typical
+        odd: devices that are not like the others, and in what: a value beyond chance, an effect that few have.
+        table: one row a coefficient: mean over the devices that are fitted, standard deviation between them, typical
             (root mean square) standard uncertainty, unit.
         population: what the devices have in common, if it was asked for.
         apart: devices that stand out from the population, and their posterior predictive p, the least first.
@@ -347,10 +404,12 @@ class FleetResult:
 
     folder: Path
     devices: int
-    trusted: int
+    fitted: int
+    checked: int
     readings: int
     doubted: dict[str, str]
     missing: dict[str, str]
+    odd: dict[str, list[str]]
     table: pd.DataFrame
     population: Population | None
     apart: dict[str, float]
@@ -360,6 +419,12 @@ class FleetResult:
 
     def __len__(self) -> int:
         return self.devices
+
+    @property
+    def trusted(self) -> int:
+        """`fitted`, as it was called."""
+        warnings.warn("FleetResult.trusted is called fitted now", DeprecationWarning, stacklevel=2)
+        return self.fitted
 
     @property
     def files(self) -> Path:
@@ -387,7 +452,7 @@ class FleetResult:
         raise InputError(f"there is no device {device!r} among the {self.devices} of {self.folder}")
 
     def data(self) -> dict[str, Any]:
-        """Plain JSON."""
+        """Plain data."""
         plain = {f.name: getattr(self, f.name) for f in fields(self)}
         del plain["folder"], plain["table"]
         return {
@@ -404,12 +469,15 @@ class FleetResult:
         Raises:
             InputError: it cannot be written.
         """
-        text = json.dumps(self.data(), indent=1, ensure_ascii=False)
-        return write_text(text + "\n", self.folder / WHOLE)
+        return write_json(as_json(self.data()), self.folder / WHOLE, indent=1)
 
     def __str__(self) -> str:
-        lines = [f"{self.devices} devices, {self.trusted} reliable ({self.about['method']})"]
-        lines += first_few(self.doubted, self.devices - self.trusted)
+        lines = [f"{self.devices} devices, {self.fitted} fitted ({self.about['method']})"]
+        lines += first_few(self.doubted, self.devices - self.fitted)
+        lines += [
+            f"{self.checked} checked for what their model lacks" if self.checked else NOT_CHECKED
+        ]
+        lines += odd_in_words(self.odd, self.devices)
         lines += first_few(self.missing, len(self.missing), "no results of ", " files")
         lines += first_few(self.left_out, len(self.left_out), "not read: ", ", not read either")
         lines.append(printed(self.table, 4))
@@ -434,9 +502,13 @@ def load_fleet(folder: str | Path) -> FleetResult:
         held = read_json(folder / WHOLE)
         if held.pop("schema") != FLEET_FORMAT:
             raise KeyError("schema")
-        table, population = pd.DataFrame(held.pop("coefficients")), held.pop("population")
+        rows, population = held.pop("coefficients"), held.pop("population")
+        table = pd.DataFrame(rows).astype(
+            dict.fromkeys(("mean", "between devices", "typical sd"), float)
+        )
         population = population and Population.of_data(population)
         effects = pd.DataFrame(held.pop("effects"), columns=EFFECTS)
+        held = {"fitted": held.pop("trusted", None), "checked": len(effects) > 0, "odd": {}} | held
         return FleetResult(folder, table=table, population=population, effects=effects, **held)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(

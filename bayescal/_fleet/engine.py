@@ -13,6 +13,7 @@ from __future__ import annotations
 import functools
 import importlib.util
 import operator
+import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import jax
 
 from bayescal._core.errors import BayescalError, InputError
+from bayescal._core.folder_settings import obey_no_folder
 from bayescal._core.progress import note
 
 if TYPE_CHECKING:
@@ -70,9 +72,11 @@ def _here(workers: int | None) -> Iterator[LocalCluster]:
             "any user of this computer can have the workers run code as long as they run, because they have no keys: "
             "pip install cryptography"
         )
-    no_pages = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
+    settings = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
+    settings["distributed.worker.preload"] = [__name__]  # has each worker call `dask_setup`
     with (
-        dask.config.set(no_pages),
+        _modules_of_no_folder(),
+        dask.config.set(settings),
         LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
@@ -84,6 +88,22 @@ def _here(workers: int | None) -> Iterator[LocalCluster]:
         ) as cluster,
     ):
         yield cluster  # pyright: ignore[reportReturnType]
+
+
+@contextmanager
+def _modules_of_no_folder() -> Iterator[None]:
+    """Python processes begun meanwhile look for modules where this one does, and not first in the current folder."""
+    before = os.environ.get("PYTHONSAFEPATH", "")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        os.environ["PYTHONSAFEPATH"] = before  # empty is as not set
+
+
+def dask_setup(_: Any) -> None:
+    """What each worker of this machine does before its first task."""
+    obey_no_folder()
 
 
 T = TypeVar("T")

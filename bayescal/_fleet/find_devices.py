@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.special import expit, logsumexp
 
 from bayescal._core.errors import BayescalError
@@ -183,6 +183,7 @@ class Share(NamedTuple):
         share: of the devices that have it, its mean.
         low, high: of its 95 % interval, if any device has it.
         expected: number of devices that have it, its mean.
+        each: probability that each device has it, with what all say together, (devices,).
     """
 
     in_fleet: float
@@ -190,6 +191,7 @@ class Share(NamedTuple):
     low: float
     high: float
     expected: float
+    each: np.ndarray
 
 
 def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> dict[str, Share]:
@@ -214,18 +216,19 @@ def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> 
     nowhere = of_any / (able + 1)  # the less probable, the more devices could show it and do not
     rng = np.random.default_rng(seed)
 
-    def drawn(share: Float[np.ndarray, "e"]) -> Int[np.ndarray, "e"]:
-        """How many devices have each effect, with a structure drawn for each device."""
+    def drawn(share: Float[np.ndarray, "e"]) -> Float[np.ndarray, "d e"]:
+        """Which effects each device has, with a structure drawn for each."""
         inside = np.clip(share, NONE, ALL)
         weight = log_evidence + has_effect @ (np.log(inside) - np.log1p(-inside))
         weight += rng.gumbel(size=len(weight))  # the largest is a draw by weight
         taken = weight == np.repeat(np.maximum.reduceat(weight, begins), lengths)
-        return has_effect[taken].sum(axis=0).astype(int)
+        return has_effect[taken]
 
     share, has = prior, np.ones(len(names), dtype=bool)
-    shown, counts, there = [], [], []
+    shown, counts, there, each = [], [], [], np.zeros((len(devices), len(names)))
     for i in range(BURN_IN + rounds):
-        count = drawn(np.where(has, share, 0.0))
+        each_has = drawn(np.where(has, share, 0.0))
+        count = each_has.sum(axis=0).astype(int)
         share = rng.beta(1.0 + count, 1.0 + able - count)
         if i >= BURN_IN // 2:  # before, every effect may find its devices
             # The fleet has an effect surely where a device has.
@@ -234,15 +237,18 @@ def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> 
             shown.append(share)
             counts.append(count)
             there.append(has)
+            each += each_has / rounds
     low, high = np.quantile(shown, (0.025, 0.975), axis=0)
     expected, in_fleet = np.mean(counts, axis=0), np.mean(there, axis=0)
     mean = np.mean(np.where(there, shown, 0.0), axis=0)
     columns = (in_fleet, mean, low, high, expected)
-    return {n: Share(*(float(c[i]) for c in columns)) for i, n in enumerate(names)}
+    return {n: Share(*(float(c[i]) for c in columns), each=each[:, i]) for i, n in enumerate(names)}
 
 
-def effects_table(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.DataFrame:
-    """One row an effect, the most probable first.
+def effects_table(
+    structures: Sequence[DeviceStructure], seed: int = 0
+) -> tuple[pd.DataFrame, dict[str, Share]]:
+    """One row an effect, the most probable first; and the shares that it was made of.
 
     Columns: effect; devices whose own structure has it; in how many it is one of the effects of which one is missing.
     Then of all devices together: probability that any has it, how many are expected to, their share, and its 95 %
@@ -251,10 +257,11 @@ def effects_table(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.Da
     named = Counter(name for one in structures for name in one.effects)
     possible = Counter(name for one in structures for name in {n for s in one.sets for n in s})
     known = [Evidence(one.prior, {tuple(e): v for e, v in one.weighed}) for one in structures]
+    found = shares(known, seed)
     rows = [
         [name, named[name], possible[name], one.in_fleet, one.expected, *one[1:4]]
-        for name, one in shares(known, seed).items()
+        for name, one in found.items()
         if named[name] or possible[name] or one.expected > fleet_settings().kept
     ]
     rows.sort(key=lambda row: (-row[4], -row[1]))
-    return pd.DataFrame(rows, columns=EFFECTS)
+    return pd.DataFrame(rows, columns=EFFECTS), found

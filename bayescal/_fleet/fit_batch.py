@@ -31,7 +31,7 @@ import pyarrow.parquet as pq
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import parsed_json
-from bayescal._core.progress import note, tell
+from bayescal._core.progress import note, stage, tell
 from bayescal._core.quoting import one_line
 from bayescal._core.settings_in_force import OutcomeSettings, given_settings, use_settings
 from bayescal._core.version import __version__
@@ -43,6 +43,7 @@ from bayescal._fleet.batch_result import (
     WHOLE,
     BatchResult,
     FleetResult,
+    facts_of,
     first_few,
     load_batch,
 )
@@ -66,6 +67,7 @@ from bayescal._fleet.fit_devices import (
     tailored_to_first,
     temperature_sums,
 )
+from bayescal._fleet.odd_devices import Values, odd_effects, odd_values
 from bayescal._fleet.partial_pooling import learn_population
 from bayescal._fleet.population import AskedPopulation, chosen
 from bayescal._inference.checkpoint import model_texts, shown
@@ -326,10 +328,10 @@ class PartitionSummary:
 
     Attributes:
         number: of the partition.
-        devices, trusted, readings: how many.
-        doubted: some devices whose result is not reliable, and why.
+        devices, fitted, readings: how many.
+        doubted: some devices whose fit is not to be relied on, and why.
         unreadable: file → why it cannot be used.
-        structures: of the devices that were searched.
+        structures: of the devices that were searched, by name.
         elsewhere: devices that stand in other partitions too, as of `fit_partition`.
         again: whether its results stood there before.
         seconds: of the processor.
@@ -338,11 +340,11 @@ class PartitionSummary:
 
     number: int
     devices: int
-    trusted: int
+    fitted: int
     readings: int
     doubted: dict[str, str]
     unreadable: dict[str, str]
-    structures: tuple[DeviceStructure, ...]
+    structures: dict[str, DeviceStructure]
     elsewhere: dict[str, str]
     again: bool = False
     seconds: float = 0.0
@@ -418,11 +420,11 @@ def _summary(partition: Partition, result: BatchResult) -> PartitionSummary:
     return PartitionSummary(
         partition.number,
         devices=len(result),
-        trusted=len(result) - len(bad),
+        fitted=len(result) - len(bad),
         readings=own["readings"],
         doubted={result.devices[i]: result.reasons[i] for i in bad[:SHOWN]},
         unreadable=own["unreadable"],
-        structures=tuple(DeviceStructure(**held) for held in own["structures"].values()),
+        structures={n: DeviceStructure(**held) for n, held in own["structures"].items()},
         elsewhere=own["elsewhere"],
     )
 
@@ -551,24 +553,32 @@ def fit_fleet(
     run = _Run(request, partitions, folder / ALONE, engine)
     run.fit()
     done = run.in_order
-    if not any(one.trusted for one in done):
+    if not any(one.fitted for one in done):
         raise InputError(f"none of the devices can be used; {run.first_reason}")
     learned, apart = None, dict[str, float]()
     files = [folder / ALONE / partitions[one.number].file for one in done]
     if named:
         learned, apart = learn_population(files, folder / POOLED, named, fit_options.seed, engine)
     doubted = {name: why for one in done for name, why in one.doubted.items()}
+    structures = {name: each for one in done for name, each in one.structures.items()}
+    effects, shares = effects_table([*structures.values()], fit_options.seed)
+    table, fitted = _table(files), sum(one.fitted for one in done)
+    odd = odd_effects([*structures], shares)
+    for name, said in _odd_values(files, table, fitted).items():
+        odd.setdefault(name, []).extend(said)
     fleet = FleetResult(
         out,
         devices=sum(one.devices for one in done),
-        trusted=sum(one.trusted for one in done),
+        fitted=fitted,
+        checked=len(structures),
         readings=sum(one.readings for one in done),
         doubted=dict(list(doubted.items())[:DOUBTED]),
         missing=run.missing,
-        table=_table(files),
+        odd=odd,
+        table=table,
         population=learned,
         apart=apart,
-        effects=effects_table([each for one in done for each in one.structures], fit_options.seed),
+        effects=effects,
         about={
             **request.fit_options.data(request.model),
             "version": __version__,
@@ -603,6 +613,27 @@ def _table(files: Sequence[Path]) -> pd.DataFrame:
             "devices": found["mean_count"],
         }
     )
+
+
+def _odd_values(files: Sequence[Path], table: pd.DataFrame, fitted: int) -> dict[str, list[str]]:
+    """`odd_values` of the devices that are fitted; one unknown after the other, for a process holds not all."""
+    names = table["coefficient"][
+        table["devices"].eq(fitted) & ~table["coefficient"].str.contains(r"\[")
+    ]
+    dataset, facts = pads.dataset(files), list[pd.DataFrame]()
+    for file in files:
+        head = parsed_json((pq.read_schema(file).metadata or {})[b"bayescal"])
+        order = pq.read_table(file, columns=["device"])["device"].unique().to_pylist()
+        facts.append(facts_of(order, head.get("facts", {})))
+
+    def values(name: str) -> Values:
+        of = pads.field("ok") & (pads.field("coefficient") == name)
+        rows = dataset.to_table(["device", "mean", "sd", "unit"], filter=of, use_threads=False)
+        numbers = rows["mean"].to_numpy(), rows["sd"].to_numpy()
+        return Values(rows["device"].to_pylist(), *numbers, rows["unit"][0].as_py())
+
+    ok = dataset.to_table(["device"], filter=pads.field("ok"))["device"].unique().to_pylist()
+    return odd_values([*names], values, pd.concat(facts).loc[ok])
 
 
 def _temperature_sums(request: Request, partition: Partition) -> list[tuple[str, float, int]]:
@@ -683,7 +714,8 @@ class _Run:
                 f"{self.folder} holds results of more partitions ({others[0]} …) than these readings make: they are "
                 "of other readings. Choose another folder, or remove them"
             )
-        self._each({p.number: None for p in self.partitions})
+        with stage("fitting devices"):
+            self._each({p.number: None for p in self.partitions})
         elsewhere = self._elsewhere()
         again = {
             number: own

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
@@ -465,6 +466,9 @@ def fit_together(
         parts=tuple(parts),
         population=None,
         about={**options.data(fitted[0]), "notes": list(fits.notes)},
+        facts=pd.DataFrame.from_dict(
+            fits.facts, "index", dtype=float, columns=["readings", "T0"]
+        ).reindex(names),
     )
 
 
@@ -577,6 +581,7 @@ class _Fits:
         self.refused: dict[str, str] = {}
         self.reasons: dict[str, str] = {}
         self.notes: dict[str, None] = {}
+        self.facts: dict[str, tuple[float, float]] = {}  # by device: how many readings, T0
         self._promoted: dict[Layout, tuple[Layout, tuple[str, ...]]] = {}
         self._found: dict[tuple[tuple[str, str], ...], list[tuple]] = {}
 
@@ -615,10 +620,14 @@ class _Fits:
         ):
             for stack in stacks(*given, refuse, self.options.chunk):
                 names = [block.names[i] for i in stack.devices]
+                t0 = np.broadcast_to(stack.frame.reference.get("T0", np.nan), len(names))
+                self.facts |= zip(names, zip(stack.real.sum(axis=1), t0, strict=True), strict=True)
                 self._keep(names, stack.levels, _in_closed_form(stack))
             return
         for one in frames(*given, refuse):
-            self._keep([block.names[one.device]], [one.levels], self._solved(one))
+            name = block.names[one.device]
+            self.facts[name] = len(one.y), float(one.frame.reference.get("T0", np.nan))
+            self._keep([name], [one.levels], self._solved(one))
 
     def _solved(self, one: DeviceFrame) -> _Solved:
         if isinstance(self.method, LeastSquares):

@@ -9,12 +9,14 @@ from outside, each an equal-area map (Lambert's azimuthal), so that poses that a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
+from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -40,6 +42,11 @@ from bayescal._search.discover import Discovery
 from bayescal._search.search_path import SearchPath
 
 LONGEST = 32  # letters of a label; what is longer leaves no room for the picture
+
+
+def own_style(**more: Any) -> AbstractContextManager[None]:
+    """What is drawn inside is drawn by Matplotlib's defaults and these, whatever settings a file of its has."""
+    return style.context(["default", more])
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from markupsafe import Markup, escape
-from matplotlib import rc_context
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
@@ -26,7 +25,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.description import identity, sources_of
 from bayescal._core.atomic_file import write_text
-from bayescal._core.errors import BayescalError, InputError
+from bayescal._core.errors import BayescalError, InputError, NotDrawn
 from bayescal._core.formatting import number, probability, with_error
 from bayescal._core.templates import template
 from bayescal._data.unit_conversion import unit_label
@@ -59,16 +58,26 @@ class Picture:
 
 
 class Pictures:
-    """Draws the pictures of one page, so that no two share an id."""
+    """Draws the pictures of one page, so that no two share an id.
 
-    def __init__(self) -> None:
-        self.count = 0
+    Attributes:
+        refused: errors that are no fault of a picture.
+        failed: why pictures could not be drawn, which the page says in their place.
+    """
+
+    def __init__(self, refused: tuple[type[Exception], ...] = ()) -> None:
+        self.count, self.refused, self.failed = 0, (InputError, *refused), list[NotDrawn]()
 
     def draw(self, make: Callable[[], Figure], caption: str, alt: str) -> Picture:
-        with rc_context(SVG):
-            text = as_svg(make())
         self.count += 1
-        return Picture(inline(text, f"f{self.count}-", alt), caption)
+        try:
+            with plots.own_style(**SVG):
+                return Picture(inline(as_svg(make()), f"f{self.count}-", alt), caption)
+        except self.refused:
+            raise
+        except Exception as error:  # whatever it is, all else of the page can be read
+            self.failed.append(NotDrawn(f"A picture ({caption})", error))
+            return Picture(Markup("<p>{}.</p>").format(self.failed[-1]), caption)
 
     def residuals(self, calibration: Calibration, found: Check, which: str) -> list[Picture]:
         """Residuals against the covariates, the worst first, a picture each."""
@@ -264,6 +273,7 @@ def report(
     Raises:
         InputError: nothing to report of, another suffix, a place that cannot be written to, or a certificate that
             states something unknown; a folder's result that is not as it was written; an output in no such unit.
+        NotDrawn: a picture could not be drawn; the page is written, and says so in its place.
     """
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
@@ -286,21 +296,26 @@ def report(
             and decisions.calibration == identity(chapter.used)
         ):
             decisions = decisions.withheld(" ".join(chapter.data["verdict"]["reasons"]))
+    folders = [str(c.folder) for c in found if c.folder is not None]
+    pictures = Pictures(OF_DAMAGE if folders else ())
     try:
-        text = page(found, title, stated, decisions, output_unit)
+        text = page(found, pictures, title, stated, decisions, output_unit)
     except (TemplateError, *OF_DAMAGE) as e:
-        folders = [str(c.folder) for c in found if c.folder is not None]
         if not folders:
             raise
         raise InputError(
             f"{RESULT} in {' or '.join(folders)} is not as it was written ({type(e).__name__}: {e}): calibrate again, "
             "or give the calibration alone"
         ) from None
-    return write_text(text, path)
+    written = write_text(text, path)
+    if pictures.failed:
+        raise pictures.failed[0]
+    return written
 
 
 def page(
     found: list[Chapter],
+    pictures: Pictures,
     title: str = "",
     certificate: Certificate | None = None,
     decisions: Decisions | None = None,
@@ -316,7 +331,6 @@ def page(
         "with_error": with_error,
         "zip": zip,
     }
-    pictures = Pictures()
     return template("bayescal._report", "report.html.j2", filters, autoescape=True).render(
         title=title or "Calibration report",
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),

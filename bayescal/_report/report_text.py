@@ -305,11 +305,12 @@ def _found(chapter: Chapter) -> str:
     first = set(steps[0]["effects"])
     added = [e for e in c.model.effects if e.name not in first]
     if not added:
-        weighed = (
-            "Nothing was found missing from"
-            if chapter.data["missing"]
-            else "Nothing was looked for beside"
-        )
+        weighed = "Nothing was found missing from"
+        if not chapter.data["missing"]:
+            count = (chapter.data["search"] or {}).get("weighed", 0)
+            weighed = "Nothing was looked for beside"
+            if count > 1:
+                weighed = f"{count} structures were weighed, and none was fitted but"
         names = c.model.names
         model = f"{len(names)} effects" if len(names) > NAMED else ", ".join(names) or "no effect"
         return f"{weighed} the first model ({model})."

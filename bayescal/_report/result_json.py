@@ -141,6 +141,7 @@ def search_data(trail: SearchPath) -> dict[str, Any] | None:
         "weighed": search.weighed,
         "complete": search.complete,
         "stopped": search.stopped,
+        "resumed": search.resumed,
         "ending": trail.ending,
         "seconds": search.seconds,
         "structures": [

@@ -6,6 +6,7 @@ they are saved as, so the methods are attached here, and `bayescal` takes them f
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,12 @@ from bayescal._core.as_json import as_json, write_json
 from bayescal._core.errors import InputError
 from bayescal._report.report_text import conclusion
 from bayescal._report.result_json import RESULT, UNDER_WAY, result
-from bayescal._report.section import of_trail
+from bayescal._report.section import PICTURE, of_trail
 from bayescal._report.whole_folder import (
     AVERAGED,
     CHANNELS,
     channel_folders,
+    drawing,
     folders_of,
     list_files,
     whole_folder,
@@ -39,18 +41,46 @@ def save_search(self: SearchPath, folder: Path) -> None:
     calibration.nc is of the last step; averaged.nc, where several structures share the probability, is what is to be
     used: predictions, compensation, budgets and exports of the folder are made with it.
 
-    They take their place in one step; what else stands in the folder stays. Where a time limit has come, or Ctrl-C, the
-    picture is left out.
+    They take their place in one step; what else stands in the folder stays. The picture is drawn after that. Where a
+    time limit has come, or Ctrl-C, it is left out.
 
     Raises:
         InputError: there is no such folder, or it cannot be written; what stood there is as it was.
+        NotDrawn: the picture could not be drawn; all else is written.
+    """
+    write_results(self, folder)
+    draw_search({"": self}, folder)
+
+
+def write_results(trail: SearchPath, folder: Path) -> None:
+    """Write what `SearchPath.save` does but for the picture.
+
+    Raises:
+        InputError: as there.
     """
     with whole_folder(Path(folder), without=UNDER_WAY) as hidden:
-        write_search(self, hidden)
+        write_search(trail, hidden)
+
+
+def draw_search(trails: Mapping[str, SearchPath], folder: Path) -> None:
+    """Draw the picture of each search, by the folder in this one that its results stand in; unless time is up.
+
+    Raises:
+        NotDrawn: one could not be drawn.
+    """
+    if deadline.current().over:
+        return
+    with drawing(PICTURE), whole_folder(Path(folder), more=True) as hidden:
+        from bayescal._report.plots import loop, own_style, save
+
+        for place, trail in trails.items():
+            with own_style():
+                save(loop(trail), hidden / place / PICTURE)
+            list_files(hidden / place, None)
 
 
 def write_search(trail: SearchPath, folder: Path) -> None:
-    """Write what `SearchPath.save` does to a folder that is not seen yet.
+    """Write what `SearchPath.save` does, but for the picture, to a folder that is not seen yet.
 
     Raises:
         OSError: it cannot be written.
@@ -60,10 +90,6 @@ def write_search(trail: SearchPath, folder: Path) -> None:
     calibration.save(folder / "calibration.nc")
     if trail.average is not None:
         trail.average.save(folder / AVERAGED)
-    if not deadline.current().over:
-        from bayescal._report.plots import loop, save
-
-        save(loop(trail), folder / "loop.png")
     write_json(result(trail), folder / RESULT)
     list_files(folder, identity(calibration))
 
@@ -117,16 +143,36 @@ def save_channels(self: Channels, folder: Path) -> None:
 
     Raises:
         InputError: there is no such folder, or it cannot be written.
+        NotDrawn: a picture could not be drawn; all else is written.
+    """
+    write_channels(self, folder)
+    draw_channels(self, folder)
+
+
+def write_channels(found: Channels, folder: Path) -> None:
+    """Write what `Channels.save` does but for the pictures.
+
+    Raises:
+        InputError: as there.
     """
     folder = Path(folder)
     with whole_folder(folder, without=UNDER_WAY) as hidden:
-        for name, inner in folders_of(self.trails).items():
-            write_search(self.trails[name], hidden / inner)
-        write_json(channels_data(self), hidden / CHANNELS)
+        for name, inner in folders_of(found.trails).items():
+            write_search(found.trails[name], hidden / inner)
+        write_json(channels_data(found), hidden / CHANNELS)
         with suppress(InputError):  # none were there, or none that can be read
             for inner in channel_folders(folder):
                 if (folder / inner).is_dir() and not (folder / inner).is_symlink():
                     (hidden / inner).mkdir(exist_ok=True)
+
+
+def draw_channels(found: Channels, folder: Path) -> None:
+    """Draw the picture of each channel's search beside its results; unless time is up.
+
+    Raises:
+        NotDrawn: one could not be drawn.
+    """
+    draw_search({f: found.trails[n] for n, f in folders_of(found.trails).items()}, folder)
 
 
 Channels.save = save_channels

@@ -21,7 +21,7 @@ from typing import Any
 
 from bayescal._core.as_json import write_json
 from bayescal._core.atomic_file import left_behind, sha256_of, to_disk, why
-from bayescal._core.errors import InputError
+from bayescal._core.errors import InputError, NotDrawn
 from bayescal._core.json_shape import OneOf, read_json
 
 MANIFEST = "manifest.json"
@@ -71,7 +71,9 @@ def is_inside(name: str) -> bool:
 
 
 @contextmanager
-def whole_folder(folder: Path, calibration: str | None = None, without: str = "") -> Iterator[Path]:
+def whole_folder(
+    folder: Path, calibration: str | None = None, without: str = "", *, more: bool = False
+) -> Iterator[Path]:
     """A hidden folder to write to, whose files take their place in `folder` in one step.
 
     What else stands in `folder` stays, but for the unchanged results of a run before. The same holds in folders that
@@ -81,6 +83,7 @@ def whole_folder(folder: Path, calibration: str | None = None, without: str = ""
         folder: an existing one.
         calibration: identity of the calibration that the files are of; None: as a manifest written inside says.
         without: name of a file that has had its day.
+        more: whether results that stand there stay, and what is written belongs to them.
 
     Raises:
         InputError: it cannot be written, or there is no room; the folder is as it was.
@@ -93,6 +96,8 @@ def whole_folder(folder: Path, calibration: str | None = None, without: str = ""
     shutil.rmtree(hidden, ignore_errors=True)
     try:
         hidden.mkdir()
+        if more:
+            _link_results(visible, hidden)
         yield hidden
         list_files(hidden, calibration)
         _take_its_place(hidden, visible, without)
@@ -102,6 +107,29 @@ def whole_folder(folder: Path, calibration: str | None = None, without: str = ""
         raise InputError(str(error).replace(str(hidden), str(folder)), error.problems) from error
     finally:
         shutil.rmtree(hidden, ignore_errors=True)
+
+
+@contextmanager
+def drawing(what: str) -> Iterator[None]:
+    """Pictures and pages, made once the result that they show is written.
+
+    Raises:
+        NotDrawn: they cannot be, whatever the reason: a font, LaTeX, the library that draws, a full disk.
+    """
+    try:
+        yield
+    except Exception as error:
+        raise NotDrawn(what, error) from error
+
+
+def _link_results(visible: Path, hidden: Path) -> None:
+    """Bring the results that stand in a folder, and in those in it, to the one that takes its place."""
+    inner = (p for p in visible.iterdir() if p.is_dir() and not p.is_symlink())
+    for place in (visible, *inner):
+        for name in sorted(_gone(place, "")):
+            there = hidden / place.relative_to(visible) / name
+            there.parent.mkdir(exist_ok=True)
+            _link(place / name, there)
 
 
 def files_of(folder: Path) -> dict[str, str]:

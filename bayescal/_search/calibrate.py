@@ -28,7 +28,7 @@ from bayescal._core import deadline
 from bayescal._core.deadline import Handover
 from bayescal._core.errors import InputError, TimeIsUp
 from bayescal._core.formatting import probability
-from bayescal._core.progress import stage
+from bayescal._core.progress import stage, tell
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import said_of, set_aside
 from bayescal._data.time_in_runs import going_on
@@ -42,6 +42,7 @@ from bayescal._model.model import Model, testable
 from bayescal._model.unknown_effect import freed
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import (
+    ENDED,
     WORK,
     discovery_at,
     placeholders,
@@ -61,6 +62,10 @@ QUICK = LeastSquares(draws=500)
 NOT_LOOKED = "Nothing was looked for."
 CUT = "The search was ended after {:.0f} s ({}), {}: more time may find more."
 NO_SECOND = "before a second structure was weighed"
+FITTED, SOONEST = (
+    3.0,
+    3.0,
+)  # times the first step, and s more, for a larger model to be fitted and checked
 UNJUDGED = "Whether the last model is to be used was not judged ({})."
 UNDER_WAY = Gate(False, "The search is under way: this model is not its end.")
 
@@ -125,7 +130,7 @@ def calibrate(
         used = set_aside(causes, keep_spikes, model.columns)
         kept = None if holdout is None else set_aside(holdout, keep_spikes, model.columns)
         used, accepted = _said_of_holdout(used, kept), frozenset(accept_conflicts)
-        loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
+        loop = Loop(used, kept, method, seed, reference, max_effects, accepted, resumed=len(seeds))
         loop, first = loop.begin(model)
         # Stated values that the readings contradict: the value may be wrong, or an effect missing; the search weighs
         # both.
@@ -135,11 +140,12 @@ def calibrate(
         loop, structures, shut = loop.open(first, (*effects, *more), widen_noise)
         tell = partial(loop.tell, [first], structures, deadline.door(), follow)
         tell()
+        deadline.allow(loop.finish_takes)
         try:
             library, stopped = loop.look(Library(structures), seeds, tell)
         except TimeIsUp as early:
             return loop.not_searched(first, early.why)
-        return loop.steps_to_best(first, library, shut, stopped, follow)
+        return loop.to_best(first, library, shut, stopped, follow)
 
     if holdout is not None:
         model.require(holdout)
@@ -161,6 +167,7 @@ class Loop:
     begun: float = 0.0  # of the search
     step_takes: float = 0.0  # s, as the first one did
     given: tuple[Effect, ...] = ()  # of the model given, to be weighed anew
+    resumed: int = 0  # structures of an earlier search, which are weighed first
 
     def begin(self, model: Model) -> tuple[Loop, Step]:
         """The first step, of the model without what is weighed anew.
@@ -223,6 +230,11 @@ class Loop:
         # not tuned.
         return tuple(freed(e, 10 ** math.ceil(math.log10(away[n]))) for n, e in named.items())
 
+    @property
+    def finish_takes(self) -> float:
+        """How long the fit of a larger model, its checks and its judgement may take, s."""
+        return SOONEST + FITTED * self.step_takes
+
     def quick(self, model: Model) -> Method | None:
         """How steps on the way are fitted: not sampled, for their errors and evidence need no draws.
 
@@ -252,7 +264,8 @@ class Loop:
         known = [s for s in asked if self._may_be(s, structures)]
         given = Structure(frozenset(e.name for e in self.given))
         last = given if given.effects and self._may_be(given, structures) else None
-        return walked(library, self.max_effects, lambda _: tell(), known, last)
+        keep = min(self.finish_takes, 0.5 * deadline.current().left)
+        return walked(library, self.max_effects, lambda _: tell(), known, last, keep)
 
     def _may_be(self, s: Structure, structures: Structures) -> bool:
         return (
@@ -262,7 +275,7 @@ class Loop:
             and s.noise in ("", *structures.laws)
         )
 
-    def steps_to_best(
+    def to_best(
         self,
         first: Step,
         library: Library,
@@ -270,36 +283,65 @@ class Loop:
         stopped: str,
         follow: Callable[[SearchPath], None] = lambda _: None,
     ) -> SearchPath:
-        """Fit the models on the way to the most probable structure."""
+        """Fit the models on the way to the most probable structure; where Ctrl-C leaves no time for them, it alone.
+
+        Raises:
+            TimeIsUp: a time limit came, or Ctrl-C once more.
+        """
+
+        def steps(hurried: bool, why: str = stopped) -> SearchPath:
+            return self.steps_to_best(first, library, shut, why, follow, hurried)
+
+        hurried = deadline.current().interrupted
+        with deadline.grace(self.finish_takes) as end:
+            try:
+                return steps(hurried)
+            except (TimeIsUp, KeyboardInterrupt) as early:
+                if hurried or (isinstance(early, TimeIsUp) and not end.interrupted):
+                    raise
+        with deadline.grace(self.finish_takes):
+            return steps(True, stopped or STOPPED.format(time.monotonic() - self.begun))
+
+    def steps_to_best(
+        self,
+        first: Step,
+        library: Library,
+        shut: Sequence[Candidate],
+        stopped: str,
+        follow: Callable[[SearchPath], None] = lambda _: None,
+        hurried: bool = False,
+    ) -> SearchPath:
+        """Fit the models on the way to the most probable structure; that alone, and as it is, where this is hurried."""
         structures, steps, to = library.structures, [first], deadline.door()
         chosen = Posterior.of(structures).chosen
         # As long as the first step took, each: what further effects cost is not known before they are fitted.
         takes = self.step_takes * (1 + len(chosen.effects) + bool(chosen.noise))
-        in_time = takes < deadline.current().left
+        in_time = takes < deadline.current().left and not hurried
         way = path(library, chosen) if in_time else [*dict.fromkeys([Structure(), chosen])]
         # Where sampling may be ended early, the last model stands before it begins.
         twice = deadline.current().apart and not isinstance(self.method, LeastSquares)
-        try:
-            for before, at in pairwise(way):
-                weighed = structures.weigh(at)
-                model = weighed.sized_model
-                once = at == way[-1] and not twice
-                method = self.method if once else self.quick(model)
-                steps.append(self.step(model, before, at, method=method, start=weighed.phi))
-                self.tell(steps, structures, to, follow)
-            if self.method != QUICK and (len(way) == 1 or twice):
-                steps[-1] = self.sampled(steps[-1], structures.weigh(way[-1]).phi)
-                self.tell(steps, structures, to)
-        except KeyboardInterrupt:
-            if stopped:
-                raise
-            stopped = STOPPED.format(time.monotonic() - self.begun)
+        if hurried and len(way) > 1:
+            best = " + ".join(sorted(chosen.effects)) or "the first model under another noise law"
+            tell(f"interrupted: fitting the best so far, {best}; Ctrl-C again does not wait for it")
+        for before, at in pairwise(way):
+            weighed = structures.weigh(at)
+            model = weighed.sized_model
+            once = at == way[-1] and not (twice or hurried)
+            method = self.method if once else self.quick(model)
+            steps.append(self.step(model, before, at, method=method, start=weighed.phi))
+            self.tell(steps, structures, to, follow)
+        if hurried and self.method != QUICK:
+            steps[-1] = steps[-1].noted([NOT_SAMPLED.format(deadline.current().limit)])
+        elif self.method != QUICK and (len(way) == 1 or twice):
+            steps[-1] = self.sampled(steps[-1], structures.weigh(way[-1]).phi)
+            self.tell(steps, structures, to)
         if first.calibration.verdict.ok:
             steps = [
                 replace(s, discovery=discovery_at(library, at, shut, stopped))
                 for s, at in zip(steps, way, strict=False)
             ]
-            if (last := steps[-1].discovery) and (why := self.incomplete(steps)):
+            why = ENDED if stopped else self.incomplete(steps)
+            if (last := steps[-1].discovery) and why:
                 steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
             steps[-1] = self.said_of_given(steps[-1])
         last, shares = steps[-1].calibration, ()
@@ -439,6 +481,7 @@ class Loop:
             stopped=stopped,
             seconds=time.monotonic() - self.begun,
             max_effects=self.max_effects,
+            resumed=self.resumed,
         )
         if not (complete or stopped):
             return self._unjudged(steps, UNDER_WAY, search)

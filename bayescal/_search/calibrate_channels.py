@@ -86,9 +86,15 @@ def calibrate_channels(
                 frozenset(accept_conflicts),
             )
             loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
-            with stage(name), deadline.share(1 / (2 * len(models) - i)):
-                channels.append(_Channel.begun(name, model, loop, effects, widen_noise))
+            try:
+                with stage(name), deadline.share(1 / (2 * len(models) - i)):
+                    channels.append(_Channel.begun(name, model, loop, effects, widen_noise))
+            except TimeIsUp:
+                if not channels:
+                    raise
+                continue
             deadline.offer(so_far)
+            deadline.allow(sum(c.loop.finish_takes for c in channels))
         with deadline.share(1 / 2):
             shared = _shared(channels)
         for i, channel in enumerate(channels):
@@ -226,7 +232,7 @@ class _Channel:
         if self.structures is None:
             return self.loop.not_looked(self.first)
         library, to = Library(self.structures), partial(follow, self.name)
-        return self.loop.steps_to_best(self.first, library, self.shut, self.stopped, to)
+        return self.loop.to_best(self.first, library, self.shut, self.stopped, to)
 
 
 def _shared(channels: Sequence[_Channel]) -> list[SharedShape]:

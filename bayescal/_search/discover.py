@@ -47,6 +47,8 @@ from bayescal._search.walk import ended_early, walk
 WORK = 0.9
 # Of the time left, for the walk: the rest tells what it found, fits that, samples and checks it.
 SEARCH = 2 / 3
+ENDED = "not stated, as the search was ended early"
+TO_SAY = 10.0  # s after Ctrl-C, for what was found until then
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
 
 
@@ -177,7 +179,9 @@ def discover(
             model, readings, calibration.reference, effects=effects, widen_noise=widen_noise
         )
         library, stopped = walked(Library(structures), max_effects)
-        return discovery_at(library, Structure(), shut, stopped)
+        with deadline.grace(TO_SAY):
+            found = discovery_at(library, Structure(), shut, stopped)
+        return found.not_stated(ENDED) if stopped else found
 
     with deadline.until(time_limit), deadline.share(WORK):
         return deadline.within(run)
@@ -189,8 +193,9 @@ def walked(
     follow: Callable[[Structures], None] = lambda _: None,
     seeds: Sequence[Structure] = (),
     given: Structure | None = None,
+    keep: float = 0.0,
 ) -> tuple[Library, str]:
-    """Walk over the structures in the greater part of the time left.
+    """Walk over the structures in the greater part of the time left, and not in the last `keep` seconds of it.
 
     Returns:
         The library with what was weighed, and why the walk ended early, if it did.
@@ -204,7 +209,7 @@ def walked(
         return walk(library, max_effects, follow, seeds, given)
 
     begun = time.monotonic()
-    with stage("looking for missing effects"), deadline.share(SEARCH) as end:
+    with stage("looking for missing effects"), deadline.share(SEARCH, keep) as end:
         stopped = deadline.within(run)
     if stopped:  # a walk that was left behind may still add to what it had
         s, library = library.structures, copy.copy(library)

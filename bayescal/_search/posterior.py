@@ -251,6 +251,7 @@ class Search:
         stopped: why it did not, in words; empty where it did, or goes on.
         seconds: since it began.
         max_effects: most effects that it may add.
+        resumed: structures of an earlier search that it began with.
     """
 
     structures: tuple[ShownStructure, ...]
@@ -259,6 +260,7 @@ class Search:
     stopped: str = ""
     seconds: float = 0.0
     max_effects: int | None = None
+    resumed: int = 0
 
     @classmethod
     def of(cls, structures: Structures, *, complete: bool, **counts: Any) -> Search:

@@ -23,6 +23,10 @@ from bayescal._search.discover import Discovery
 from bayescal._search.posterior import OtherPath, Search
 from bayescal._search.structure_average import StructureShare
 
+RESUMED = (
+    "The search was resumed from {} structures of one that was ended early: its probabilities may differ slightly from "
+    "those of a search that was not, and its least probable structures may be others."
+)
 RISES = " ↑"  # beside a hold-out error that is so
 
 
@@ -169,7 +173,7 @@ class SearchPath(Printed):
             said.append(_nearest(max(tested, key=lambda c: c.probability or 0.0), added))
         elif not said:
             said.append("These readings can test no further candidate.")
-        return " ".join(said)
+        return " ".join([*said, *[RESUMED.format(search.resumed)] * bool(search.resumed)])
 
     if TYPE_CHECKING:
 

@@ -191,14 +191,18 @@ def _open(
         document.add_next_tick_callback(lambda: show(session))
 
 
+UNUSED = "/autoload.js"  # of Bokeh, by which pages from elsewhere would show the workbench: it answers any of them
+
+
 def answer_only(application: Any, names: Collection[str]) -> None:
     """Have an application of Tornado answer requests whose Host is one of these, and refuse others (403)."""
     known = application.find_handler
 
     def find(request: Any, **more: Any) -> Any:
-        if request.host.lower() in names:
+        status = 404 if request.path.endswith(UNUSED) else 403
+        if request.host.lower() in names and status != 404:
             return known(request, **more)
-        return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
+        return application.get_handler_delegate(request, ErrorHandler, {"status_code": status})
 
     application.find_handler = find
 

@@ -10,6 +10,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partialmethod
@@ -23,7 +24,7 @@ import numpy as np
 from bayescal._calibration.compare import compare
 from bayescal._calibration.summary import summary
 from bayescal._core import deadline
-from bayescal._core.errors import BayescalError, InputError, ModelError
+from bayescal._core.errors import BayescalError, InputError, ModelError, NotDrawn
 from bayescal._core.formatting import WIDTH, number, table, with_error
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import set_aside
@@ -578,5 +579,8 @@ class Session:
         trail, number = self._trail(), self.current.number
         folder = self.folder / f"result_{number:03d}"
         folder.mkdir(exist_ok=True)
-        save_search(trail, folder)
+        with suppress(
+            NotDrawn
+        ):  # a report says itself what could not be drawn, an export needs no picture
+            save_search(trail, folder)
         return folder, trail

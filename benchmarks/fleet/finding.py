@@ -64,7 +64,7 @@ def measured(work: Path) -> dict[str, Any]:
     return {
         "devices": DEVICES,
         "readings": found.readings // DEVICES,
-        "trusted": found.trusted,
+        "trusted": found.fitted,
         "processor_s": found.about["processor_seconds"],
         "devices_per_core_second": found.devices / found.about["processor_seconds"],
         "effects": effects,

@@ -77,7 +77,7 @@ def measured(work: Path, partitions: int, devices: int) -> dict[str, Any]:
     own = whole.devices / whole.about["processor_seconds"]
     return {
         "devices": whole.devices,
-        "trusted": whole.trusted,
+        "trusted": whole.fitted,
         "readings": whole.readings,
         "partitions": partitions,
         "simulated_s": simulated,

@@ -54,6 +54,9 @@ def test_ctrl_c_leaves_the_best_so_far_and_the_next_run_takes_it_up(
         f"bayescal: note: goes on with the search in {tmp_path}, which was ended early"
     ]
     assert again.data["steps"][-1]["added"] == "bias.temperature_quadratic"
+    assert again.data["search"]["resumed"] == len(data["search"]["structures"])
+    assert again.data["search"]["ending"].count("was resumed from") == 1
+    assert loop.data["search"]["resumed"] == 0 and "resumed" not in loop.data["search"]["ending"]
     first, second = interrupted
     assert first == []
     told = {(frozenset(s["effects"]), s["noise"]) for s in data["search"]["structures"]}

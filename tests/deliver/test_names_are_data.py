@@ -379,6 +379,25 @@ def test_a_hostile_export_is_refused_before_it_is_used(said, tmp_path) -> None:
     assert said in str(error.value)
 
 
+def test_a_number_that_no_float_holds_is_refused_wherever_it_stands(tmp_path) -> None:
+    data, path = program_data(str), tmp_path / "made.json"
+    constants = [i for i, op in enumerate(data["equation"]["operations"]) if op[0] == "const"]
+    changes: list[Callable[[], object]] = [
+        *(
+            lambda i=i: data["equation"]["operations"][i].__setitem__(1, -(10**400))
+            for i in constants
+        ),
+        lambda: data["inputs"][0].update(low=10**400),
+    ]
+    assert constants
+    for change in changes:
+        change()
+        path.write_text(json.dumps(data), "utf-8")
+        with pytest.raises(bc.InputError, match="whole number of more than 64 bits"):
+            load_program(path)
+        data = program_data(str)
+
+
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "nonsense", "\x00", '"\ud800"'])
 def test_what_is_nested_or_no_json_is_refused(text, tmp_path) -> None:
     path: Path = tmp_path / "made.json"

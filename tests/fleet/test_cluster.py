@@ -34,14 +34,14 @@ def test_settings_in_force_hold_on_the_workers(client, lot_folder, tmp_path) -> 
     given = {"out": tmp_path / "out", "client": client, "partition_rows": SMALL}
     with bc.use_settings(bc.RecordSettings(temperature_span=1.0)):
         found = bc.fit_batch(MODEL, lot_folder, **given)
-        assert found.trusted == 24 and found.about["settings"] == {"temperature_span": 1.0}
+        assert found.fitted == 24 and found.about["settings"] == {"temperature_span": 1.0}
     with (
         bc.use_settings(bc.RecordSettings(temperature_span=500.0)),
         pytest.raises(InputError, match="one temperature only"),
     ):
         bc.fit_batch(MODEL, lot_folder, **given)
     usual = bc.fit_batch(MODEL, lot_folder, **given)
-    assert usual.trusted == 24 and "settings" not in usual.about
+    assert usual.fitted == 24 and "settings" not in usual.about
     assert usual.about["found_done"] == 0  # what others had been written with is not taken
 
 
@@ -59,7 +59,7 @@ def test_the_command_takes_a_scheduler(client, lot_folder, tmp_path) -> None:
     address = client.scheduler.address
     ran = run("batch", lot_folder, *GYRO, "-o", tmp_path / "out", "--scheduler", address)
     assert ran.status == 0, ran.err
-    assert "24 devices, 24 reliable" in ran.out
+    assert "24 devices, 24 fitted" in ran.out
 
 
 @pytest.mark.nightly
@@ -98,4 +98,4 @@ def test_wrong_clusters_are_refused(lot_folder, tmp_path, monkeypatch) -> None:
 def test_the_command_starts_workers(lot_folder, tmp_path) -> None:
     ran = run("batch", lot_folder, *GYRO, "-o", tmp_path / "out", "--workers", 2)
     assert ran.status == 0, ran.err
-    assert "24 devices, 24 reliable" in ran.out
+    assert "24 devices, 24 fitted" in ran.out

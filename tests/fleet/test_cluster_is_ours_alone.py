@@ -16,6 +16,7 @@ pytest.importorskip("distributed", reason="needs Dask: pip install 'bayescal[fle
 from distributed import Client
 
 from bayescal._fleet.engine import open_cluster
+from tests.support.folder_of_strangers import ran, strangers_folder
 from tests.support.open_ports import listening, needs_proc
 
 
@@ -48,6 +49,16 @@ def test_scheduler_and_workers_listen_on_this_computer_alone(capsys) -> None:
         assert address.startswith("tls://" if sealed else "tcp://")
         said = capsys.readouterr().err
         assert ("have no keys" in said) is not sealed
+
+
+def test_workers_run_nothing_of_the_current_folder(tmp_path, monkeypatch) -> None:
+    folder = strangers_folder(tmp_path)
+    monkeypatch.chdir(folder)
+    with open_cluster(1) as client:
+        settings = client.submit(importlib.import_module, "arviz_base.rcparams")
+        assert client.submit(lambda m: m.rcParams["stats.ci_prob"], settings).result() == 0.89
+    assert ran(folder) == ""
+    assert not os.environ.get("PYTHONSAFEPATH")
 
 
 STRANGER = """

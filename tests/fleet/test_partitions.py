@@ -39,7 +39,7 @@ def test_partitions_give_what_one_process_gives(lot_folder, result, tmp_path) ->
     found = fitted(lot_folder, tmp_path / "out")
     assert found.about["partitions"] == 5
     same(found, result)
-    assert (len(found), found.trusted, found.missing) == (24, 24, {})
+    assert (len(found), found.fitted, found.missing) == (24, 24, {})
     mean = result.table().query("coefficient == 'bias.temperature'")["mean"]
     row = found.table.set_index("coefficient").loc["bias.temperature"]
     assert row["mean"] == pytest.approx(mean.mean(), rel=1e-12)
@@ -81,7 +81,7 @@ def test_a_large_file_is_cut_between_devices(result, tmp_path) -> None:
     )
     found = fitted(file, tmp_path / "long")
     assert found.readings == len(made) + 11 * len(one)
-    assert (len(found), found.trusted) == (24, 24)
+    assert (len(found), found.fitted) == (24, 24)
 
 
 def test_a_folder_of_csvs_has_a_device_a_file(result, tmp_path) -> None:
@@ -183,7 +183,7 @@ def test_a_device_in_several_partitions_is_refused_once(lot_folder, result, tmp_
     stray = table().query("device == 'D00'")  # which stands in lot-0
     pd.concat([whole, stray]).to_parquet(folder / "lot-3.parquet")
     found = fitted(folder, out)
-    assert (len(found), found.trusted) == (24, 23)
+    assert (len(found), found.fitted) == (24, 23)
     rows = found.rows()
     own = rows[rows.device == "D00"]
     assert len(own) == 1 and not own.ok.any()
@@ -202,7 +202,7 @@ def test_devices_that_cannot_be_used_are_refused_alone(lot_folder, result, tmp_p
     made["temperature [degC]"] = 25.0  # all devices of a partition
     made.to_parquet(folder / "lot-0.parquet")
     found = fitted(folder, tmp_path / "out")
-    assert (len(found), found.trusted) == (24, 19)
+    assert (len(found), found.fitted) == (24, 19)
     assert "one temperature only" in found.doubted["D00"]
     with pytest.raises(InputError, match=r"none of the devices can be used; D.*one temperature"):
         bc.fit_batch(MODEL, folder / "lot-0.parquet", out=tmp_path / "none")
@@ -234,7 +234,7 @@ def test_the_command_goes_by_partition(lot_folder, result, tmp_path) -> None:
     out = tmp_path / "out"
     ran = run("batch", lot_folder, *GYRO, "-o", out)
     assert ran.status == 0, ran.err
-    assert "24 devices, 24 reliable" in ran.out and f"written: {out}" in ran.out
+    assert "24 devices, 24 fitted" in ran.out and f"written: {out}" in ran.out
     same(bc.load_fleet(out), result)
     assert json.loads((out / "fleet.json").read_text())["schema"] == "bayescal.fleet/1"
     ran = run("batch", lot_folder, *GYRO, "-o", tmp_path / "out.parquet")

@@ -34,7 +34,7 @@ def test_a_folder_of_logs_is_a_fleet(tmp_path: Path, rng: np.random.Generator) -
         GENERAL.baseline(), tmp_path, out=tmp_path / "out", reference={"T0": 0.0},
         columns=columns, population=True, partition_rows=1,
     )  # fmt: skip
-    assert found.devices == found.trusted == 4
+    assert found.devices == found.fitted == 4
     rows = found.rows().set_index(["device", "coefficient"])
     for i, (constant, slope) in enumerate(true):
         for name, value in (("bias.constant", constant), ("bias.temperature", slope)):

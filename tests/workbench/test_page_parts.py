@@ -191,3 +191,29 @@ def test_long_gaps_between_runs_are_left_out_of_the_time_axis() -> None:
 @pytest.mark.parametrize("times", [np.arange(10.0), np.array([3.0]), np.array([0.0, 1, 2, 7])])
 def test_a_time_axis_without_long_gaps_is_left_as_it_is(times) -> None:
     assert CutAxis.of(times).place(times).tolist() == times.tolist()
+
+
+def test_a_page_that_fails_costs_no_step(session: Session, monkeypatch) -> None:
+    """What a pane cannot show is on the disk before: the session goes on with it."""
+    page = Workbench(session)
+
+    def failing(*_: Any) -> None:
+        raise RuntimeError("this pane fails")
+
+    monkeypatch.setattr(page.fails, "show", failing)
+    with pytest.raises(RuntimeError, match="this pane fails"):
+        session.add("bias.drift")
+    again = Session.resume(session.folder)
+    assert again.current.number == 1
+    assert "bias.drift" in again.current.calibration.model.names
+
+
+def test_a_picture_that_fails_costs_no_export(session: Session, monkeypatch) -> None:
+    from bayescal._report import plots
+
+    def failing(*_: Any) -> None:
+        raise RuntimeError("this picture fails")
+
+    monkeypatch.setattr(plots, "loop", failing)
+    written = session.export("json")
+    assert written.is_file() and (written.parent / "calibration.nc").is_file()

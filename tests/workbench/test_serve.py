@@ -123,6 +123,25 @@ def test_another_host_is_refused(server: Server) -> None:
 
 @pytest.mark.nightly
 @needs_installation
+def test_no_page_from_elsewhere_may_read_what_is_served(server: Server) -> None:
+    server.ready()
+    asked = "autoload.js?bokeh-autoload-element=x&bokeh-app-path=/&bokeh-absolute-url=/"
+    for method in ("GET", "OPTIONS"):
+        for path in ("", "metadata", "static/js/bokeh.min.js", asked):
+            url = f"http://127.0.0.1:{server.port}{server.path}/{path}"
+            request = urllib.request.Request(
+                url, method=method, headers={"Origin": "http://evil.example"}
+            )
+            try:
+                with urllib.request.urlopen(request, timeout=30) as answer:
+                    status, headers = answer.status, answer.headers
+            except urllib.error.HTTPError as error:
+                status, headers = error.code, error.headers
+            assert headers.get("Access-Control-Allow-Origin") is None, (method, path)
+            assert path != asked or status == 404
+
+
+@needs_installation
 def test_a_request_of_a_megabyte_is_refused(server: Server) -> None:
     server.ready()
     host = f"127.0.0.1:{server.port}"
