@@ -117,7 +117,7 @@ class Layout:
                         factor=factor,
                         place=place,
                         start=start,
-                        value=fixed[name] if name in fixed else coefficient.mean,
+                        value=float(fixed.get(name, coefficient.mean)),
                     )
                 )
                 start += size if place == "x" else 0
