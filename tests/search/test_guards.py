@@ -328,7 +328,7 @@ def test_a_search_goes_on_where_readings_and_prior_contradict_each_other() -> No
     waived = bc.calibrate(
         INSTRUMENT.baseline(), off, method=bc.LeastSquares(), accept_conflicts=["bias.constant"]
     )
-    assert waived.ok and waived.final.calibration.model.names[-1] == "bias.thermal_lag"
+    assert waived.ok and waived.final.calibration.model.effects[-1].reported == "bias.thermal_lag"
 
 
 @pytest.mark.parametrize("between", [True, False])
