@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from scipy.special import expit, logsumexp
+from scipy.special import expit
 
 from bayescal._core.errors import BayescalError
 from bayescal._data.measurements import Measurements
@@ -94,7 +94,7 @@ def search_device(
     chosen = posterior.chosen
     inclusion = {n: posterior.inclusion(n) for n in structures.forms}
     odds = {
-        n: float(logsumexp([structures.log_odds[f] for f in own]))
+        n: float(np.logaddexp.reduce([structures.log_odds[f] for f in own]))
         for n, own in structures.forms.items()
     }
     structure = DeviceStructure(

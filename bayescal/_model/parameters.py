@@ -107,6 +107,7 @@ class Layout:
                 elif name in self.promoted:
                     place = "phi"
                 factor = factor_of(self.model.instrument, effect, coefficient)
+                known: float = coefficient.mean
                 blocks.append(
                     CoefficientBlock(
                         effect=effect,
@@ -117,7 +118,7 @@ class Layout:
                         factor=factor,
                         place=place,
                         start=start,
-                        value=fixed.get(name, coefficient.mean),
+                        value=fixed.get(name, known),
                     )
                 )
                 start += size if place == "x" else 0

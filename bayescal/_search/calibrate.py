@@ -191,7 +191,7 @@ class Loop:
         if effect.is_placeholder:
             return effect.name in {e.name for e in placeholders(model, readings)}
         on_the_way = {e.name for e in instrument.effects} <= {*model.names}
-        catalogued = {e.name for e in instrument.candidates} - {e.name for e in instrument.effects}
+        catalogued = {*instrument.known} - {e.name for e in instrument.effects}
         free = (model - effect).fixed == model.fixed
         testable_here = testable(effect, readings) is None
         return on_the_way and effect.name in catalogued and free and testable_here

@@ -167,7 +167,11 @@ def test_every_documented_key_is_found_in_one_result_or_the_other(
         *(f"other_path.{key}" for key in KEYS["other_path"].split()),
         "other_path.added[]",
         # no times, and too few readings.
-        *(p for p in DOCUMENTED if p.startswith(("allan[]", "missing[].noise_laws", "missing[].unnamed"))),
+        *(
+            p
+            for p in DOCUMENTED
+            if p.startswith(("allan[]", "missing[].noise_laws", "missing[].unnamed"))
+        ),
     }
     assert set(DOCUMENTED) - found <= rare
 

@@ -50,9 +50,9 @@ def hidden(seed: int = 1, **kwargs: float) -> bc.Measurements:
 
 def test_half_of_the_prior_says_nothing_and_a_tenth_of_the_rest_has_no_name() -> None:
     made = structures(hidden())
-    odds = np.exp(list(made.log_odds.values()))
+    odds = np.array([sum(np.exp(made.log_odds[n]) for n in own) for own in made.forms.values()])
     assert np.prod(1 / (1 + odds)) == pytest.approx(0.5)
-    unknown = [made.candidates[n].is_placeholder for n in made.log_odds]
+    unknown = [made.candidates[own[0]].is_placeholder for own in made.forms.values()]
     share = np.log1p(odds)
     assert share[unknown].sum() / share.sum() == pytest.approx(0.1)
 

@@ -124,8 +124,9 @@ class Case:
 
     @property
     def own_effects(self) -> tuple[bc.Effect, ...]:
-        """Baseline and candidates."""
-        return (*self.instrument.effects, *self.instrument.candidates)
+        """Baseline, candidates, and of their forms those that have a name of their own."""
+        known = self.instrument.known.items()
+        return tuple(e for name, e in known if not name.startswith(f"{e.family}."))
 
     @cached_property
     def wide(self) -> bc.Model:

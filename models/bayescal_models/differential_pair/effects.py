@@ -42,7 +42,7 @@ def ends(r: bc.Frame, values: Any) -> tuple[Any, Any]:
     import jax
     import jax.numpy as jnp
 
-    ordered, place = values[r.order], jnp.arange(r.size)
+    ordered, place = jnp.asarray(values)[r.order], jnp.arange(r.size)
     begins = r.step <= 0
     first = jax.lax.cummax(jnp.where(begins, place, 0))
     last = jax.lax.cummin(jnp.where(jnp.append(begins[1:], True), place, r.size - 1), reverse=True)
