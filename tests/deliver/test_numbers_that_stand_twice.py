@@ -71,7 +71,7 @@ THREE_AXES: list[Any] = [
 
 def on_screen(trail: bc.SearchPath) -> dict[str, str]:
     """Name → mean ± standard uncertainty, as the table of coefficients shows it."""
-    rows = (re.split(r"  +", line) for line in coefficients_text(trail).splitlines())
+    rows = (re.split(r"  +", line) for line in coefficients_text(trail, verbose=True).splitlines())
     return {row[0]: row[1] for row in rows if len(row) > 3}
 
 
