@@ -225,7 +225,7 @@ def coefficients_text(trail: SearchPath, verbose: bool = False) -> str:
     """
     final = trail.final.calibration
     shown = unknowns_text(trail.calibration, None if verbose else final.model.names)
-    return f"{shown}\n{final.said_of_it}"
+    return f"{shown}\n{final.remarks}"
 
 
 def averaged_text(trail: SearchPath, verbose: bool = False) -> str:

@@ -330,7 +330,7 @@ class PosteriorMoments(NamedTuple):
 def posterior_moments(
     equation: OperatingEquation, calibration: Calibration, draws: int, seed: int = 0
 ) -> PosteriorMoments:
-    """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all.
+    """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all, which the draws have too.
 
     A deviation that is new in use is independent of everything measured: its draws are standardised, so that
     they move no mean.
@@ -358,7 +358,32 @@ def posterior_moments(
     covariance = np.atleast_2d(np.cov(values.T)) if len(unknowns) else np.zeros((0, 0))
     for i, variance in extra.items():
         covariance[i, i] = variance
+    thin = _with_moments(thin, mean, covariance) if step > 1 else thin
     return PosteriorMoments(thin, mean, covariance)
+
+
+def _with_moments(
+    draws: Float[np.ndarray, "d p"],
+    mean: Float[np.ndarray, "p"],
+    covariance: Float[np.ndarray, "p p"],
+) -> Float[np.ndarray, "d p"]:
+    """Draws moved, linearly and by what thinning has changed, so that mean and covariance are those of all.
+
+    What is computed from draws and by propagation is then the same where the equation is linear.
+    """
+    sd = np.sqrt(np.diag(covariance))
+    moving = np.flatnonzero(sd > 0)
+    if len(draws) <= 2 * len(moving):
+        return draws
+    away = (draws - draws.mean(axis=0))[:, moving] / sd[moving]
+    there = covariance[np.ix_(moving, moving)] / np.outer(sd[moving], sd[moving])
+    roots = []
+    for matrix in (away.T @ away / (len(draws) - 1), there):
+        values, vectors = np.linalg.eigh(matrix)
+        roots.append((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+    moved = np.tile(mean, (len(draws), 1))
+    moved[:, moving] += away @ np.linalg.pinv(roots[0], hermitian=True) @ roots[1] * sd[moving]
+    return moved
 
 
 def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np.ndarray:
