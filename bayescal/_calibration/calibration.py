@@ -44,10 +44,10 @@ class Calibration(Printed, Fitted):
     """
 
     def __str__(self) -> str:
-        return f"{unknowns_text(self)}\n{self.said_of_it}"
+        return f"{unknowns_text(self)}\n{self.remarks}"
 
     @property
-    def said_of_it(self) -> str:
+    def remarks(self) -> str:
         """What was not measured, the verdict, and what stands against the result, a line each."""
         lines = [f"not measured: {d['in_words']}" for d in null_directions(self)]
         lines.append(str(self.verdict))

@@ -7,20 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool
 
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.summary import curves, summary
 from bayescal._inference.assembly import Point
 from bayescal._inference.method import CHAINS, Draws
 from bayescal._inference.trust import sampling
 from bayescal._model.frame import GROUPS
 
 F = TypeVar("F", bound=Fitted)
-A_FIFTH = 0.2  # of the standard uncertainty: a smaller change is lost in the digits printed
 
 
 def has_effect(calibration: Fitted, name: str) -> Bool[np.ndarray, "draws"]:
@@ -37,31 +35,6 @@ def inclusion(calibration: Fitted) -> dict[str, float]:
     return {
         e.name: float(has_effect(calibration, e.name).mean()) for e in calibration.model.effects
     }
-
-
-class AveragedCoefficient(NamedTuple):
-    """A coefficient of the structure that is shown, there and in the average over structures."""
-
-    name: str
-    unit: str
-    mean: float
-    sd: float
-    averaged_mean: float
-    averaged_sd: float
-
-
-def moved(shown: Fitted, averaged: Fitted) -> list[AveragedCoefficient]:
-    """Coefficients, those of curves left out, whose mean or standard uncertainty differs by more than `A_FIFTH`."""
-    there = {r["name"]: r for r in summary(averaged)[0]}
-    found = []
-    for r in summary(shown)[0]:
-        other = there.get(r["name"])
-        if other is not None and r["effect"] not in curves(shown):
-            change = max(abs(other["mean"] - r["mean"]), abs(other["sd"] - r["sd"]))
-            if change > A_FIFTH * r["sd"]:
-                values = (r["mean"], r["sd"], other["mean"], other["sd"])
-                found.append(AveragedCoefficient(r["name"], r["unit"], *values))
-    return found
 
 
 def with_columns(calibration: F, columns: Iterable[str]) -> F:

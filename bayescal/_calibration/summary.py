@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,12 @@ TRACE = 0.01  # of the largest entry, from which a coefficient is named
 MOST_MEMBERS = 4  # of a group, that have a line each
 
 
-def unknowns_text(calibration: Fitted) -> str:
+def unknowns_text(calibration: Fitted, effects: Collection[str] | None = None) -> str:
     """Unknowns with standard uncertainty and 95 % credible interval, and what is held.
+
+    Args:
+        calibration: a fit, or an average over structures.
+        effects: whose unknowns are shown, beside those of the noise; all if not given.
 
     A curve (an unknown dependence) is one line, and so are the members of a large group: single
     coefficients of these mean nothing by themselves.
@@ -36,6 +40,8 @@ def unknowns_text(calibration: Fitted) -> str:
     coefficients, hyperparameters = summary(calibration)
     drawn, large = curves(calibration), _large_groups(calibration)
     for s in (*coefficients, *hyperparameters):
+        if effects is not None and s["effect"] not in (*effects, "noise"):
+            continue
         block = next((b for b, names in large.items() if s["name"] in names), None)
         if s["effect"] in drawn:
             rows.setdefault(s["effect"], _curve_row(calibration, s["effect"]))

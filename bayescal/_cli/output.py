@@ -11,11 +11,10 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, check_text
-from bayescal._calibration.mixture import moved
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.settings import searching
 from bayescal._calibration.summary import null_directions, summary, unknowns_text
-from bayescal._core.formatting import WIDTH, number, probability, table, with_error
+from bayescal._core.formatting import WIDTH, number, probability, table
 from bayescal._core.progress import tell
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
@@ -33,7 +32,6 @@ from bayescal._search.search_path import Step
 Kinds = Mapping[str, Sequence[Effect]]
 # Lines of a table without --verbose, so that a result is a screen.
 SHOWN_STRUCTURES = 2  # of those averaged over
-SHOWN_MOVED = 3  # coefficients that the average moves
 SHOWN_CHECKS = 3  # covariates that a first model is checked against, the worst
 
 
@@ -204,9 +202,7 @@ def loop_text(
             f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)\n\n{draft}"
         )
     parts.append(f"THE ERROR, STEP BY STEP\n\n{trail}")
-    parts.append(f"COEFFICIENTS\n\n{coefficients_text(trail)}")
-    if averaged := averaged_text(trail, verbose):
-        parts.append(averaged)
+    parts.append(f"COEFFICIENTS\n\n{coefficients_text(trail, verbose)}")
     if output_unit is not None:
         rows = rows_in_output_unit(of_trail(trail), output_unit)
         shown = table(["", "value", "unit"], rows, left=1, fold=40)
@@ -219,13 +215,20 @@ def loop_text(
     return "\n\n".join(parts).removeprefix("\n")
 
 
-def coefficients_text(trail: SearchPath) -> str:
-    """Coefficients as they leave, averaged over the structures; then what is said of the most probable one."""
-    return f"{unknowns_text(trail.calibration)}\n{trail.final.calibration.said_of_it}"
+def coefficients_text(trail: SearchPath, verbose: bool = False) -> str:
+    """Coefficients as they leave, averaged over the structures; what is said of the most probable one.
+
+    Args:
+        trail: of a search.
+        verbose: with those that the most probable structure has not.
+    """
+    final = trail.final.calibration
+    shown = unknowns_text(trail.calibration, None if verbose else final.model.names)
+    return f"{shown}\n{final.remarks}"
 
 
 def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
-    """The structures that are averaged over, and the coefficients that this changes; empty where one has it all."""
+    """The structures that are averaged over; empty where one has it all."""
     if trail.average is None:
         return ""
     added = [
@@ -235,29 +238,9 @@ def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
         more = sum(s.probability for s in trail.shares[SHOWN_STRUCTURES:])
         others = f"{len(added) - SHOWN_STRUCTURES} others (--verbose)"
         added[SHOWN_STRUCTURES:] = [[others, probability(more)]]
-    said = (
-        "The coefficients above are averaged over these structures, as predictions, compensation and exports are; "
-        "--structure best uses the most probable one."
-    )
-    parts = [
-        f"STRUCTURES\n\n{table(['effects added', 'probability'], added, left=1, fold=60)}",
-        textwrap.fill(said, WIDTH),
-    ]
-    rows = [
-        [
-            m.name,
-            with_error(m.mean, m.sd),
-            with_error(m.averaged_mean, m.averaged_sd),
-            unit_label(m.unit),
-        ]
-        for m in moved(trail.final.calibration, trail.average)
-    ]
-    if not verbose and len(rows) > SHOWN_MOVED + 1:
-        rows[SHOWN_MOVED:] = [[f"{len(rows) - SHOWN_MOVED} others (--verbose)", "", "", ""]]
-    if rows:
-        head = ["coefficient", "in the most probable", "over structures", "unit"]
-        parts.append(table(head, rows))
-    return "\n".join(parts)
+    said = "Coefficients, predictions and exports are averaged over these; --structure best uses the first."
+    shown = table(["effects added", "probability"], added, left=1, fold=60)
+    return f"STRUCTURES\n\n{shown}\n{textwrap.fill(said, WIDTH)}"
 
 
 def channels_in_short(found: Channels) -> str:

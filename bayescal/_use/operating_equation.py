@@ -404,7 +404,7 @@ class PosteriorMoments(NamedTuple):
 def posterior_moments(
     equation: OperatingEquation, calibration: Calibration, draws: int, seed: int = 0
 ) -> PosteriorMoments:
-    """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all.
+    """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all, which the draws have too.
 
     A deviation that is new in use is independent of everything measured, and so are its draws: they move no mean and no
     covariance, so that what is computed from draws and from moments agrees.
@@ -429,6 +429,7 @@ def posterior_moments(
         spread = _spread(calibration, block, total) * has_effect(calibration, block.effect.name)
         mean[i], covariance[i, i] = block.coefficient.mean, float(np.mean(spread**2))
         thin[:, i] = mean[i] + _independent(thin - mean, spread[::step], covariance[i, i], random)
+    thin = _with_moments(thin, mean, covariance) if step > 1 else thin
     return PosteriorMoments(thin, mean, covariance)
 
 
@@ -507,6 +508,30 @@ def _independent(
     drawn = spread * (normal - beside @ np.linalg.lstsq(beside, normal, rcond=None)[0])
     square = float(drawn @ drawn) / (len(drawn) - 1)
     return drawn * (variance / square) ** 0.5 if square > 0 else drawn
+
+
+def _with_moments(
+    draws: Float[np.ndarray, "d p"],
+    mean: Float[np.ndarray, "p"],
+    covariance: Float[np.ndarray, "p p"],
+) -> Float[np.ndarray, "d p"]:
+    """Draws moved, linearly and by what thinning has changed, so that mean and covariance are those of all.
+
+    What is computed from draws and by propagation is then the same where the equation is linear.
+    """
+    sd = np.sqrt(np.diag(covariance))
+    moving = np.flatnonzero(sd > 0)
+    if len(draws) <= 2 * len(moving):
+        return draws
+    away = (draws - draws.mean(axis=0))[:, moving] / sd[moving]
+    there = covariance[np.ix_(moving, moving)] / np.outer(sd[moving], sd[moving])
+    roots = []
+    for matrix in (away.T @ away / (len(draws) - 1), there):
+        values, vectors = np.linalg.eigh(matrix)
+        roots.append((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+    moved = np.tile(mean, (len(draws), 1))
+    moved[:, moving] += away @ np.linalg.pinv(roots[0], hermitian=True) @ roots[1] * sd[moving]
+    return moved
 
 
 def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np.ndarray:

@@ -71,7 +71,7 @@ THREE_AXES: list[Any] = [
 
 def on_screen(trail: bc.SearchPath) -> dict[str, str]:
     """Name → mean ± standard uncertainty, as the table of coefficients shows it."""
-    rows = (re.split(r"  +", line) for line in coefficients_text(trail).splitlines())
+    rows = (re.split(r"  +", line) for line in coefficients_text(trail, verbose=True).splitlines())
     return {row[0]: row[1] for row in rows if len(row) > 3}
 
 
@@ -109,6 +109,16 @@ def test_of_one_output(made: Trail) -> None:
             line = f"{unknown.name} = {unknown.mean:.9g} +- {sd:.3g}"
             assert line in as_text(program, language)
     assert compared > 0
+    inputs: dict[str, Any] = {i.name: 0.2 * i.low + 0.8 * i.high for i in compensator.inputs}
+    reading = float(trail.final.calibration.readings["output"][0])
+    by_draws, exported = (
+        compensator(output=reading, noise=False, warn=False, method=method, **inputs)
+        for method in ("draws", "first order")
+    )
+    # The equation may bend within the uncertainty; where it does not, all digits are the same.
+    own = exported.uncertainty[0]
+    assert by_draws.value[0] == pytest.approx(exported.value[0], abs=0.02 * own)
+    assert by_draws.uncertainty[0] == pytest.approx(own, rel=0.01)
     said = json.loads(as_text(program, "json"))
     assert [u["mean"] for u in said["unknowns"]] == [u.mean for u in program.unknowns]
     assert np.array_equal(said["covariance"], program.covariance)

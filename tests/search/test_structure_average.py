@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._calibration.mixture import has_effect, inclusion, moved, with_columns
-from bayescal._cli.output import averaged_text
+from bayescal._calibration.mixture import has_effect, inclusion, with_columns
+from bayescal._calibration.summary import summary
+from bayescal._cli.output import averaged_text, coefficients_text, loop_text
+from bayescal._core.formatting import with_error
 from bayescal_models import mems_gyro
 from tests.support.made_up import split_search
 
@@ -94,11 +96,17 @@ def test_a_file_without_the_column_of_an_improbable_effect_is_predicted(average)
     assert inclusion(left)["bias.run"] > 0.5
 
 
-def test_coefficients_that_move_are_said(trail, average) -> None:
-    text = averaged_text(trail)
+def test_coefficients_are_printed_as_they_leave(trail, average) -> None:
+    text = loop_text(trail)
     assert "STRUCTURES" in text and "--structure best" in text
-    names = [m.name for m in moved(trail.final.calibration, average)]
-    assert "bias.constant" in names and "bias.constant" in text
+    (row,) = (r for r in summary(average)[0] if r["name"] == "bias.constant")
+    (own,) = (r for r in summary(trail.final.calibration)[0] if r["name"] == "bias.constant")
+    assert with_error(row["mean"], row["sd"]) in text
+    assert with_error(own["mean"], own["sd"]) not in text
+    assert "bias.run" not in coefficients_text(trail) and "bias.run" in loop_text(
+        trail, verbose=True
+    )
+    assert "bias.run.group_sd" in coefficients_text(trail, verbose=True)
 
 
 def test_a_search_of_one_structure_is_not_averaged() -> None:
