@@ -145,16 +145,14 @@ class NotMeasured:
     @property
     def cure(self) -> str:
         """What would tell, a sentence without its full stop."""
-        columns = dict.fromkeys(
-            c for one in self.unknowns if one.effect for c in one.effect.columns
-        )
+        effects = (one.effect for one in self.unknowns if one.effect)
+        columns = dict.fromkeys(column for effect in effects for column in effect.columns)
         apart = [*(one.name for one in self.unknowns), *self.beside]
+        told = "more readings"
         if columns:
             told = f"readings over more of {' and '.join(columns)}"
-        else:
-            told = (
-                f"readings that tell {' and '.join(apart)} apart" if apart[1:] else "more readings"
-            )
+        elif apart[1:]:
+            told = f"readings that tell {' and '.join(apart)} apart"
         return f"What would tell: {told} (bayescal plan ranks campaigns)"
 
     def by_readings_alone(
@@ -250,7 +248,8 @@ def not_measured(
     worst = by_prior[:, int(np.argmax(by_prior[counts].sum(axis=0)))]
     if worst[counts].sum() <= 0.5:  # the readings say more
         return None
-    named = [i for i in np.argsort(-worst) if worst[i] > guarding().concerned]
+    least = min(guarding().concerned, worst[counts].max())
+    named = [i for i in np.argsort(-worst) if worst[i] >= least]
     return NotMeasured(
         tuple(found[i] for i in named if counts[i]),
         tuple(found[i].name for i in named if not counts[i]),
@@ -258,7 +257,7 @@ def not_measured(
 
 
 def coefficients_not_measured(calibration: Calibration) -> set[str]:
-    """Names of the coefficients that are as they were before the readings."""
+    """Names of the coefficients of which priors say more than the readings do."""
     found = set()
     for b, _ in _with_stated_priors(calibration):
         draws = calibration.samples(b.name).reshape(-1, b.size)

@@ -13,9 +13,9 @@ from bayescal._report.certificate import dcc_text
 from bayescal._use.firmware_parameters import firmware_parameters
 from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
-from tests.commands.test_certificate import STATED
 from tests.support.command_line import needs_installation, run
 from tests.support.made_up import bent_sensor
+from tests.support.stated import STATED
 
 LIMIT = "bias: 20..24 °/s"
 DEPENDS = "residuals still depend on temperature"
@@ -63,6 +63,7 @@ def test_the_last_model_of_a_search_that_could_not_add_it_decides_nothing() -> N
     assert found.decision == "undecided" and DEPENDS in found.why
 
 
+@pytest.mark.slow
 def test_a_step_on_the_way_is_checked_by_itself() -> None:
     """The first model of a search is shown, and may be taken: nobody judged it."""
     trail = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings(), method=bc.LeastSquares())

@@ -13,8 +13,8 @@ from bayescal import effects
 from bayescal._report.certificate import dcc_text
 from bayescal._use.decide import DAY, YEAR
 from bayescal_models import mems_gyro
-from tests.commands.test_certificate import STATED
 from tests.support.made_up import bent_sensor
+from tests.support.stated import STATED
 
 CANNOT = "cannot be said from these readings"
 

@@ -24,9 +24,9 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._report.certificate import d_si, dcc_text
 from bayescal._search.calibrate import step_of
 from bayescal._search.gate import judged
-from tests.commands.test_certificate import STATED
 from tests.support.command_line import needs_installation, run
 from tests.support.contract_cases import Case
+from tests.support.stated import STATED
 
 # An effect of which three draws in ten are, that needs a column which nothing else does where there is one.
 SOMETIMES = {
