@@ -187,10 +187,11 @@ def demo(
         contextlib.redirect_stdout(sys.stderr if json_ else sys.stdout),
     ):
         with whole_folder(out) as hidden:
-            demonstrate(hidden, seed)
+            made = drawn(demonstrate, hidden, seed)
         print(f"\nwritten to {out}: {', '.join([*files_of(out), MANIFEST])}")
     if json_:
         print((out / "result.json").read_text(encoding="utf-8"), end="")
+    exit_unless_drawn(made)
 
 
 def offered(group: str, instrument: str) -> Callable[..., Any] | None:

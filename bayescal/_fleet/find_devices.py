@@ -83,13 +83,15 @@ def search_device(
 
     Raises:
         BayescalError: the readings lack what the model needs.
+        KeyboardInterrupt: the walk was interrupted, which it passes over.
     """
     model.require(readings)
     constants = {**reference_of(readings), **reference}
     structures, _ = structures_over(
         model, readings, constants, effects=find.effects, widen_noise=find.widen_noise
     )
-    walk(Library(structures), find.max_effects)
+    if walk(Library(structures), find.max_effects):
+        raise KeyboardInterrupt  # of a search that was cut short nothing is kept
     posterior = Posterior.of(structures)
     chosen = posterior.chosen
     inclusion = {n: posterior.inclusion(n) for n in structures.forms}

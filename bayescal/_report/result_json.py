@@ -297,7 +297,7 @@ class Keeper:
     def __init__(self, folder: Path) -> None:
         self.path = folder / (UNDER_WAY if RESULT in files_of(folder) else RESULT)
         self._steps, self._data = 0, {}
-        for module in WRITERS:  # now, as loading them takes half of the 2 s that Ctrl-C leaves
+        for module in WRITERS:  # now, so that Ctrl-C need not wait a second for them
             with suppress(ImportError):
                 importlib.import_module(module)
 

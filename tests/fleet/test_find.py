@@ -53,6 +53,23 @@ def test_each_device_gets_the_effects_it_lacks(fleet, tmp_path) -> None:
     assert str(bc.load_fleet(tmp_path / "out")) == str(found)
 
 
+def test_ctrl_c_ends_a_batch_and_not_one_device_s_search(fleet, tmp_path, monkeypatch) -> None:
+    """The walk, which passes over it elsewhere, would leave a device that nobody had searched to its end."""
+    from bayescal._fleet import find_devices
+
+    asked: list[int] = []
+
+    def interrupted(*_: object) -> str:
+        asked.append(1)
+        return "The search was interrupted."
+
+    monkeypatch.setattr(find_devices, "walk", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        bc.fit_batch(MODEL, fleet, out=tmp_path / "out", find=True)
+    assert asked == [1]
+    assert not list((tmp_path / "out").rglob("*.parquet"))
+
+
 def test_what_stands_out_from_a_population_is_named(tmp_path) -> None:
     rng, rows = np.random.default_rng(3), []
     for d in range(40):
