@@ -107,7 +107,7 @@ class HoldoutTest:
         """Orthonormal columns over the noise, at the mean of the draws: of the coefficients that all readings share,
         and of these with the deviations of each group."""
         calibration, readings = with_columns(self.calibration, self.readings.columns), self.readings
-        assembly = calibration.assembly_on(readings, calibration.frame_of(readings))
+        assembly = calibration.assembly_on(calibration.frame_of(readings))
         x, rows, v = calibration.draws()
         none = np.zeros((1, len(readings), rows.shape[2]))
         terms = [t for t in assembly.terms if t.place == "x"]

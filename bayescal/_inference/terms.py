@@ -62,7 +62,7 @@ class CoefficientTerms(NamedTuple):
     def of_block(cls, block: CoefficientBlock) -> CoefficientTerms:
         c, effect, columns = block.coefficient, block.effect, ColumnsOf.of(block.effect)
         names, learned = tuple(map(effect.shape_name, effect.column_shapes)), c.group_sd is not None
-        own = c.per, c.mean, c.size, c.flat, learned
+        own = c.per, block.mean, c.size, c.flat, learned
         return cls(effect, effect.name, *own, columns, names, columns.key)
 
 

@@ -239,9 +239,10 @@ def structures_over(
         plausible = amplitudes(model, readings, frame)
         open_ = {n: e.sized(*plausible) for n, e in open_.items()}
     library = instrument.shown_by(frame, (*open_.values(), *model.effects))
-    record = Record(instrument, frame, np.asarray(readings["output"]), library)
+    record = Record(instrument, frame, np.asarray(frame["output"]), library)
     laws = laws_over(model, frame) if widen_noise else {}
-    return Structures(model, bind(model, readings, open_.values())[0], record, open_, laws), shut
+    layout = bind(model, readings, open_.values(), reference)[0]
+    return Structures(model, layout, record, open_, laws), shut
 
 
 def with_causes(

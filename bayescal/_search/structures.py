@@ -276,7 +276,7 @@ class Structures:
         known = near.assembly.size_factors if near is not None else None
         # A refit at the sizes of its neighbour begins nearly at its mode; `averaged` then tries the others.
         sizes = {n: factor for n, factor in (known or {}).items() if n in structure.effects}
-        layout = Layout(self.model(structure, departures), self.layout.counts)
+        layout = replace(self.layout, model=self.model(structure, departures))
         return Assembly(layout, self.record, sizes)
 
     def expect(self, structure: Structure, total: float) -> None:

@@ -261,7 +261,7 @@ def equation_in_use(
     known = tuple(sorted(n for n in frame.columns if n not in not_inputs))
     one_each = tuple((group, 1) for group, _ in calibration.layout.counts)
     found = OperatingEquation(
-        layout=replace(calibration.layout, counts=one_each),
+        layout=replace(calibration.layout, counts=one_each, origin=()),
         members=tuple(sorted(members.items())),
         known=known,
     )
