@@ -197,17 +197,25 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
     Raises:
         InputError: an instrument or effect is not there, or is another one than then; names it.
     """
-    given, name = {i.name: i for i in instruments}, described["instrument"]
-    if name not in (known := list(dict.fromkeys([*installed_names(), *given]))):
+    own, name = {i.name: i for i in instruments}, described["instrument"]
+    if name not in (there := list(dict.fromkeys([*installed_names(), *own]))):
         raise InputError(
             f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
-            f"{', '.join(known)}). Install the package that offers it"
+            f"{', '.join(there)}). Install the package that offers it"
         )
-    named = given[name] if name in given else installed_instrument(name)
+    named = own[name] if name in own else installed_instrument(name)
     instrument = _tailored(path, named, described["settings"], readings)
     typed = described.get("typed", {})
     made = {n: effect(text, readings=readings, instrument=instrument) for n, text in typed.items()}
-    catalogue = {**_catalogue(instrument), **{e.name: e for e in effects}, **made}
+    ranges, known = described["ranges"], _catalogue(instrument)
+    # Of two of one name, the instrument's and one that is given, it is the one that was fitted.
+    fitted = {e.name: stated(e.ranging(ranges.get(e.name, {}))) for e in effects}
+    given = [
+        e
+        for e in effects
+        if e.name not in known or fitted[e.name] == described["unknowns"].get(e.name)
+    ]
+    catalogue = {**known, **{e.name: e for e in given}, **made}
     for n in described["effects"]:
         if n not in catalogue and (covariate := covariate_in(n)):
             catalogue[n] = instrument.unknown(covariate)
@@ -222,16 +230,15 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
             f"{path.name} uses the effect {', '.join(missing)}, which {name!r} does not have. Give the file "
             "that defines it: --effects my_effects.py (in Python: load(path, effects=[…]))"
         )
-    ranges = described["ranges"]
     chosen = tuple(catalogue[n].ranging(ranges.get(n, {})) for n in described["effects"])
     model = Model(instrument, chosen, noise_from(path, described["noise"]), ())
     for n, size in described.get("sizes", {}).items():
         model = model.resize(n, size)
-    for own in model.effects:
-        then, now = described["unknowns"][own.name], stated(own)
+    for one in model.effects:
+        then, now = described["unknowns"][one.name], stated(one)
         if then != now:
             raise InputError(
-                f"{path.name} was fitted with another effect {own.name!r} than the one given now: then {then}; "
+                f"{path.name} was fitted with another effect {one.name!r} than the one given now: then {then}; "
                 f"now {now}. Give the one it was fitted with: --effects my_effects.py (in Python: "
                 "load(path, effects=[…]))"
             )

@@ -67,11 +67,11 @@ class CoefficientBlock:
         return f"{self.name}.group_sd"
 
     def member_names(self, levels: Levels | None = None) -> list[str]:
-        """Names of its entries, each after its member; by their number, as in φ, where no levels are given."""
+        """Names of its entries, each after its member; by their number, as in φ, where members have no names."""
         per = self.coefficient.per
         if per is None:
             return [self.name]
-        members = range(self.size) if levels is None else levels[per]
+        members = (levels or {}).get(per, range(self.size))  # readings have none
         return [member_name(self.name, member) for member in members]
 
 

@@ -222,8 +222,15 @@ def structures_over(
     known = {e.name: e for e in (*listed, *effects)}
     known |= {e.name: e for e in placeholders(model, readings) if e.name not in known}
     own = {e.name for e in effects}  # who gives an effect says what it depends on
+    slots = {s.name for s in instrument.slots}
 
     def untestable(effect: Effect) -> str | None:
+        if any(
+            (c.slot or effect.slot) not in slots or c.per == "reading" for c in effect.coefficients
+        ):
+            return (
+                "corrects a column or single readings, which no search weighs: add it to the model"
+            )
         gone = sorted(readings.no_causes.intersection(effect.columns))
         if gone and effect.name not in own:
             return f"the column {', '.join(gone)} is left out"
