@@ -1,10 +1,12 @@
 """One effect of each maker in `bayescal.effects`, for a sensor at rest; a file that commands take with --effects."""
 
+from typing import Any
+
 from bayescal import effects
 
-BODY = {"low": 60.0, "high": 1200.0}  # s
-START = {"start": 100.0, "start_unit": "ug"}
-OWN = {"source": "made up"}
+BODY: dict[str, Any] = {"low": 60.0, "high": 1200.0}  # s
+START: dict[str, Any] = {"start": 100.0, "start_unit": "ug"}
+OWN: dict[str, Any] = {"source": "made up"}
 MADE = {
     "constant": effects.constant("bias", 2e4, "ug", **OWN),
     "deviation": effects.deviation("bias", "run", 100.0, "ug", **OWN),
