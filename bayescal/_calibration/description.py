@@ -16,7 +16,7 @@ from bayescal._data.column import Source
 from bayescal._data.measurements import Measurements
 from bayescal._model.departure import Departure, departure
 from bayescal._model.effect import Effect
-from bayescal._model.formula import Formula, effect
+from bayescal._model.formula import Formula, effect, line_of_today
 from bayescal._model.installed import installed_instrument, installed_names
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
@@ -122,13 +122,14 @@ def name_of_today(name: str) -> str:
 
 
 def of_today(described: dict[str, Any]) -> dict[str, Any]:
-    """A description with the names of unknowns that they have now."""
+    """A description with the names of unknowns, and the words of formulas, that they have now."""
     unknowns = {
         name: str(stated_).replace("spread=", "group_sd=")
         for name, stated_ in described.get("unknowns", {}).items()
     }
     fixed = {name_of_today(name): value for name, value in described.get("fixed", {}).items()}
-    changed = {"unknowns": unknowns, "fixed": fixed}
+    typed = {name: line_of_today(line) for name, line in described.get("typed", {}).items()}
+    changed = {"unknowns": unknowns, "fixed": fixed, "typed": typed}
     return described | {key: value for key, value in changed.items() if key in described}
 
 
