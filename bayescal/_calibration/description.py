@@ -15,7 +15,7 @@ from bayescal._core.errors import InputError
 from bayescal._data.column import Source
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import Effect
-from bayescal._model.formula import Formula, effect
+from bayescal._model.formula import Formula, effect, line_of_today
 from bayescal._model.installed import installed_instrument, installed_names
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
@@ -124,13 +124,14 @@ def name_of_today(name: str) -> str:
 
 
 def of_today(described: dict[str, Any]) -> dict[str, Any]:
-    """A description with the names of unknowns that they have now."""
+    """A description with the names of unknowns, and the words of formulas, that they have now."""
     unknowns = {
         name: str(stated_).replace("spread=", "group_sd=")
         for name, stated_ in described.get("unknowns", {}).items()
     }
     fixed = {name_of_today(name): value for name, value in described.get("fixed", {}).items()}
-    changed = {"unknowns": unknowns, "fixed": fixed}
+    typed = {name: line_of_today(line) for name, line in described.get("typed", {}).items()}
+    changed = {"unknowns": unknowns, "fixed": fixed, "typed": typed}
     return described | {key: value for key, value in changed.items() if key in described}
 
 
@@ -199,17 +200,25 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
     Raises:
         InputError: an instrument or effect is not there, or is another one than then; names it.
     """
-    given, name = {i.name: i for i in instruments}, described["instrument"]
-    if name not in (known := list(dict.fromkeys([*installed_names(), *given]))):
+    own, name = {i.name: i for i in instruments}, described["instrument"]
+    if name not in (there := list(dict.fromkeys([*installed_names(), *own]))):
         raise InputError(
             f"{path.name} is a calibration of {name!r}, which is not installed (installed: "
-            f"{', '.join(known)}). Install the package that offers it"
+            f"{', '.join(there)}). Install the package that offers it"
         )
-    named = given[name] if name in given else installed_instrument(name)
+    named = own[name] if name in own else installed_instrument(name)
     instrument = _tailored(path, named, described["settings"], readings)
     typed = described.get("typed", {})
     made = {n: effect(text, readings=readings, instrument=instrument) for n, text in typed.items()}
-    catalogue = {**_catalogue(instrument), **{e.name: e for e in effects}, **made}
+    ranges, known = described["ranges"], _catalogue(instrument)
+    # Of two of one name, the instrument's and one that is given, it is the one that was fitted.
+    fitted = {e.name: stated(e.ranging(ranges.get(e.name, {}))) for e in effects}
+    given = [
+        e
+        for e in effects
+        if e.name not in known or fitted[e.name] == described["unknowns"].get(e.name)
+    ]
+    catalogue = {**known, **{e.name: e for e in given}, **made}
     for n in described["effects"]:
         if n not in catalogue and (covariate := covariate_in(n)):
             catalogue[n] = instrument.unknown(covariate)
@@ -225,18 +234,17 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
             f"{path.name} uses the effect {', '.join(missing)}, which {name!r} does not have. Give the file "
             "that defines it: --effects my_effects.py (in Python: load(path, effects=[…]))"
         )
-    ranges = described["ranges"]
     chosen = tuple(catalogue[n].ranging(ranges.get(n, {})) for n in described["effects"])
     averaged = described.get("averaged", [])
     chosen = tuple(e.averaged if e.name in averaged else e for e in chosen)
     model = Model(instrument, chosen, noise_from(path, described["noise"]), ())
     for n, size in described.get("sizes", {}).items():
         model = model.resize(n, size)
-    for own in model.effects:
-        then, now = described["unknowns"][own.name], stated(own)
+    for one in model.effects:
+        then, now = described["unknowns"][one.name], stated(one)
         if then != now:
             raise InputError(
-                f"{path.name} was fitted with another effect {own.name!r} than the one given now: then {then}; "
+                f"{path.name} was fitted with another effect {one.name!r} than the one given now: then {then}; "
                 f"now {now}. Give the one it was fitted with: --effects my_effects.py (in Python: "
                 "load(path, effects=[…]))"
             )

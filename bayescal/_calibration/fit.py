@@ -18,13 +18,14 @@ from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method, Outcome
+from bayescal._inference.origin import with_origin
 from bayescal._model.effect import Effect
-from bayescal._model.frame import Reference, build_frame, reference_of
+from bayescal._model.frame import Reference, build_frame, origins, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import bind
 
-DIGITS = 1e6 * float(np.finfo(float).eps)  # of the largest output, by which it changes at least
+DIGITS = 1e3 * float(np.finfo(float).eps)  # of the largest output, by which it changes at least
 
 
 def fit(
@@ -72,10 +73,10 @@ def fit(
     method = Marginal() if method is None else method
     model.require(readings)
     _refuse_stuck(readings)
-    reference = _reference(readings, reference)
+    reference = with_origin(model, readings, _reference(readings, reference))
     frame = build_frame(readings, reference)
     model = sized(model, readings, frame)
-    layout, levels = bind(model, readings)
+    layout, levels = bind(model, readings, reference=reference)
 
     def run() -> Outcome:
         return method.run(layout, frame, frame["output"], seed, start)
@@ -130,7 +131,7 @@ def _refuse_nothing(calibration: Calibration) -> None:
 def _reference(readings: Measurements, asked: Reference | None) -> Reference:
     """Constants of the bases: the readings' own, but for those that are asked for."""
     own = reference_of(readings)
-    if strange := sorted(set(asked or {}) - set(own)):
+    if strange := sorted(set(asked or {}) - set(own) - set(origins(asked or {}))):
         raise InputError(
             f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: {', '.join(own)}"
         )

@@ -78,11 +78,13 @@ class Fitted:
     @cached_property
     def assembly(self) -> Assembly:
         """The fitted structure on its readings, as the engine sees it."""
-        instrument, y = self.model.instrument, np.asarray(self.readings["output"])
+        instrument = self.model.instrument
         library = instrument.shown_by(self.frame, self.model.effects)
-        return Assembly(self.layout, Record(instrument, self.frame, y, library))
+        return Assembly(
+            self.layout, Record(instrument, self.frame, np.asarray(self.frame["output"]), library)
+        )
 
-    def assembly_on(self, readings: Measurements, frame: Frame) -> Assembly:
+    def assembly_on(self, frame: Frame) -> Assembly:
         """The fitted structure on other readings; columns are computed in the fit's own program where it fits."""
         fitted = self.assembly.record
         alike = (
@@ -91,10 +93,11 @@ class Fitted:
             and set(frame.labels) == set(fitted.frame.labels)
         )
         counts = {**dict(self.layout.counts), "reading": frame.size}
-        layout = Layout(self.model, tuple(counts.items()), self.layout.promoted)
-        y = np.asarray(readings["output"])
+        layout = replace(self.layout, counts=tuple(counts.items()))
         library = fitted.library if alike else ()
-        return Assembly(layout, Record(self.model.instrument, frame, y, library))
+        return Assembly(
+            layout, Record(self.model.instrument, frame, np.asarray(frame["output"]), library)
+        )
 
     @cached_property
     def linear(self) -> LinearModel:
@@ -121,7 +124,7 @@ class Fitted:
         return build_frame(readings, self.reference, self.levels)
 
     def draws(self, limit: int | None = None) -> Vectors:
-        """Joint draws (x, rows, v) as flat arrays, evenly thinned to `limit`."""
+        """Joint draws (x, rows, v) as flat arrays, x counted from its origin, evenly thinned to `limit`."""
         every = [flat(a) for a in (self.joint.x, self.joint.rows, self.joint.v)]
         step = 1 if limit is None else max(1, -(-len(every[0]) // limit))
         return Vectors(*(a[::step] for a in every))
@@ -175,9 +178,9 @@ def named(
             value = rows[..., row]
             row += 1
         elif b.place == "x":
-            value = x[..., b.start : b.start + b.size]
+            value = b.origin + x[..., b.start : b.start + b.size]
         else:
-            value = np.stack([hyper[name] for name in b.member_names()], axis=-1)
+            value = b.origin + np.stack([hyper[name] for name in b.member_names()], axis=-1)
             if c.group_sd is not None:
                 value = c.mean + hyper[b.group_sd_name][..., None] * value
         if c.per is None:

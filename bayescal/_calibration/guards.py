@@ -142,7 +142,10 @@ def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[
     stands = {}
     for b in (b for b in calibration.layout.x_blocks if b.effect.name in own):
         for i, name in enumerate(b.member_names(calibration.levels)):
-            stands[name] = (float(mean[b.start + i]), guarding().conflict * float(sd[b.start + i]))
+            stands[name] = (
+                b.origin + float(mean[b.start + i]),
+                guarding().conflict * float(sd[b.start + i]),
+            )
     return _against_priors(calibration, stands, accepted)
 
 

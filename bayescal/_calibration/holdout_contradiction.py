@@ -140,7 +140,7 @@ class HoldoutTest:
     def _columns(self) -> list[tuple[str, str | None, Float[np.ndarray, "n"]]]:
         """Of each coefficient its name, its group, and its column over the noise, at the mean of the draws."""
         calibration, readings = with_columns(self.calibration, self.readings.columns), self.readings
-        assembly = calibration.assembly_on(readings, calibration.frame_of(readings))
+        assembly = calibration.assembly_on(calibration.frame_of(readings))
         x, rows, v = calibration.draws()
         none = np.zeros((1, len(readings), rows.shape[2]))
         terms = [t for t in assembly.terms if t.place == "x"]

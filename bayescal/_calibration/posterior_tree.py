@@ -37,7 +37,7 @@ def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTre
     units = {"units": readings.unit("output")}
     thin, chains = c.thinned(cells)
     made = replicate(c.assembly, thin, np.random.default_rng([c.seed, 1]))
-    made = made.reshape(chains, -1, len(readings))
+    made = made.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
     groups = {
         "posterior": c.posterior,
         "log_prior": _log_prior(layout, c.posterior, draws),

@@ -115,7 +115,8 @@ def replicates(
     def made(some: Measurements, frame: Frame) -> np.ndarray:
         members = {per: some.groups(per)[1] for per in frame.codes}
         vectors = calibration.draws(draws).on(len(some))
-        return replicate(calibration.assembly_on(some, frame), vectors, random, members)
+        found = replicate(calibration.assembly_on(frame), vectors, random, members)
+        return found + (some["output"] - frame["output"])
 
     on = _going_on(calibration, readings)
     if on is None:
@@ -170,11 +171,11 @@ def _predicted(
     vectors = calibration.draws(draws)
     if not as_fitted or vectors.rows.shape[1] != len(readings):
         vectors = vectors.on(len(readings))
-    found = moments(calibration.assembly_on(readings, frame), vectors)
+    found = moments(calibration.assembly_on(frame), vectors)
     model_variance = found.variance + found.beside
     total = np.sqrt(model_variance + found.noise)
-    residual = readings["output"] - found.mean
-    made = Prediction(found.mean, np.sqrt(model_variance), total, residual)
+    residual = np.asarray(frame["output"]) - found.mean
+    made = Prediction(readings["output"] - residual, np.sqrt(model_variance), total, residual)
     if not same_record or calibration.model.noise.independent:
         return made
     past = np.arange(len(calibration.readings))
@@ -190,15 +191,15 @@ def _continued(
     """Readings of which some go on with the fitted record: these behind it, with its past, the others alone."""
     past, rows, others, later, whole = on
     vectors = calibration.draws(draws).on(len(whole))
-    assembly, noise = calibration.assembly_on(whole, calibration.frame_of(whole)), None
+    frame, noise = calibration.frame_of(whole), None
     tail, spread = slice(len(past), None), 0.0
     if not calibration.model.noise.independent:
         noise = _CarriedOn.of(calibration, past, later, beyond=True)
         spread = noise.variance
-    found = moments(assembly, vectors, noise)
+    found = moments(calibration.assembly_on(frame), vectors, noise)
     model = found.variance[tail] + found.beside[tail]
     made = {
-        "mean": found.mean[tail],
+        "mean": (whole["output"] - frame["output"] + found.mean)[tail],
         "model_sd": np.sqrt(model),
         "sd": np.sqrt(model + found.noise[tail] + spread),
     }
@@ -221,7 +222,7 @@ class _CarriedOn(NamedTuple):
         law, values: the noise law and its parameters.
         parts: of each run, which of the fitted readings are its own, their times, the variance of their own noise,
             of the others which, and their times; and what the law follows, at both.
-        output: of the fitted readings (n,).
+        output: of the fitted readings, counted from the fit's origin (n,).
         count: of the others.
     """
 
@@ -254,7 +255,7 @@ class _CarriedOn(NamedTuple):
             if before is not None and after is not None:
                 both = np.asarray(before)[rows], np.asarray(after)[others]
             parts.append((rows, time[rows], white[rows], others, at[others], both))
-        return cls(law, values, parts, fitted["output"], len(readings))
+        return cls(law, values, parts, np.asarray(frames[0]["output"]), len(readings))
 
     def found(self, left: Float[np.ndarray, "n b"]) -> tuple[np.ndarray, np.ndarray]:
         """Mean (m, b) and variance (m,); NaN where nothing is said."""

@@ -10,6 +10,7 @@ import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ from bayescal._inference.assembly import Point
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
 from bayescal._model.effect import Effect
-from bayescal._model.frame import reference_of
+from bayescal._model.frame import origins, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, bind
@@ -153,11 +154,12 @@ def _fields(
 ) -> dict[str, Any]:
     """The fields of a calibration, each of the size that its model and readings ask for."""
     model.require(readings)
-    bound, levels = bind(model, readings)
+    bound, levels = bind(model, readings, reference=described["reference"])
     _same("group sizes", described["counts"], dict(bound.counts))
     _same("group members", described["levels"], {k: list(v) for k, v in levels.items()})
-    _same("constants", sorted(described["reference"]), sorted(reference_of(readings)))
-    layout = Layout(model, bound.counts, tuple(described["promoted"]))
+    constants = sorted(described["reference"].keys() - origins(described["reference"]))
+    _same("constants", constants, sorted(reference_of(readings)))
+    layout = replace(bound, promoted=tuple(described["promoted"]))
     if unknown := set(layout.promoted) - {b.name for b in layout.blocks}:
         raise ValueError(f"{', '.join(sorted(unknown))} is no coefficient of its model")
     verdict = Verdict.read(described["verdict"])

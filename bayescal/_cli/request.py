@@ -70,7 +70,7 @@ def open_channels(
     general, choice = instrument_named(asked.instrument), asked.choice
     if found is None or holds != FileColumns.of(general):
         found = _read(asked.files, general, asked, names)
-    if not choice.typed:  # what is typed may need the readings
+    if not choice.typed and general.tailor is None:  # what is typed may need the readings
         compose(general, choice, user_effects(choice.effects_file))
     asked.columns.keep()
     if asked.average is None:

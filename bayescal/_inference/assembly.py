@@ -189,7 +189,12 @@ class Assembly:
 
     @property
     def start(self) -> Point:
-        return Point(self.mean_of_x.copy(), np.zeros((self.record.size, len(self.row_sd))))
+        """At the priors' means; a constant that outputs are counted from stands at its origin, near which they are."""
+        x = self.mean_of_x.copy()
+        for b in self.layout.x_blocks:
+            if b.origin:
+                x[b.start : b.start + b.size] = 0.0
+        return Point(x, np.zeros((self.record.size, len(self.row_sd))))
 
     def point_of(self, other: Assembly, point: Point) -> Point:
         """Another structure's point in this one's terms; what that one has not stands at its prior mean."""

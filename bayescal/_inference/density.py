@@ -228,7 +228,7 @@ class Density:
         self, v: np.ndarray, hyper: Values, prior: Prior, found: Conditional
     ) -> np.ndarray:
         """What moves the products moves the density by, x's posterior held (see `Products.slopes`)."""
-        assembly, made, p = self.assembly, np.zeros(len(v)), len(found.u)
+        assembly, made, p = self.assembly, np.zeros(len(v)), len(found.z)
         line, move = self._line(v, hyper)[0], found.mean - self.point.x
         moved = [(i, assembly.along(self.point, v, i)) for i in assembly.moving]
         # Beside J and the residuals at the mean: the slopes of J, and of what it leaves, by each coordinate.

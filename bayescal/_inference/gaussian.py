@@ -42,6 +42,23 @@ class Prior(NamedTuple):
     sd: Float[np.ndarray, "*b p"]
     weight: Float[np.ndarray, "p"]
 
+    def from_point(self, at: Any, told: Any) -> tuple[Any, Any]:
+        """Where the prior's mean is from a point: by a step to take first, and in its own standard deviations.
+
+        The step, where the prior tells a coefficient better than the readings: one of no width stands at its mean
+        exactly. In standard deviations, where the readings do: the difference of a far prior mean and as far a way
+        back has no digits left.
+
+        Args:
+            at: the point (p,).
+            told: the diagonal of JᵀΣ⁻¹J there.
+        """
+        off = self.weight * (self.mean - at)
+        inside = self.sd**2 * told > 1
+        return np.where(inside, 0.0, off), np.where(
+            inside, off / np.where(inside, self.sd, 1.0), 0.0
+        )
+
     @property
     def flat_volume(self) -> Any:
         """What flat priors, of density one, add to the log evidence: log s + ½·log 2π each."""
@@ -52,40 +69,36 @@ class Prior(NamedTuple):
 
 
 class Conditional:
-    """x given φ and the readings, x = shift + sd·L⁻ᵀ(u + ε), and the log density of the readings given φ.
+    """x given φ and the readings, x = mean + sd·L⁻ᵀ·ε, and the log density of the readings given φ.
 
     Attributes:
         log_marginal: of the readings, x integrated out.
-        shift: where z is zero (p,).
+        mean: of x (p,).
         sd: of the prior (p,).
         chol: L, the lower factor of the precision of z (p, p).
-        u: L⁻¹ times the pull on z (p,).
+        z: the mean, in standard deviations from that of the prior (p,).
         rest: sum of squares at the mean, the prior's share included.
         squares: of the whitened residuals at the mean alone.
     """
 
-    def __init__(self, log_marginal, shift, sd, chol, u, z, rest, squares) -> None:
-        self.log_marginal, self.shift, self.sd = float(log_marginal), shift, sd
-        self.chol, self.u, self.z = chol, u, z
+    def __init__(self, log_marginal, mean, sd, chol, z, rest, squares) -> None:
+        self.log_marginal, self.mean, self.sd = float(log_marginal), mean, sd
+        self.chol, self.z = chol, z
         self.rest, self.squares = float(rest), float(squares)
-
-    @property
-    def mean(self) -> Float[np.ndarray, "p"]:
-        return self.shift + self.sd * self.z
 
     def first(self, p: int) -> Conditional:
         """The same of the first p coefficients, where those after them have a prior of no width."""
-        if p == len(self.u):
+        if p == len(self.z):
             return self
         # The leading block of L is that of the leading block of A, and coefficients whose prior has no width leave no
         # trace in it: their rows of A are those of the unit matrix.
-        args = self.shift[:p], self.sd[:p], self.chol[:p, :p], self.u[:p], self.z[:p]
+        args = self.mean[:p], self.sd[:p], self.chol[:p, :p], self.z[:p]
         return Conditional(self.log_marginal, *args, self.rest, self.squares)
 
     @cached_property
     def root_of_z(self) -> Float[np.ndarray, "p p"]:
         """L⁻ᵀ, a square root of the covariance of z."""
-        return dtrtri(self.chol, lower=1)[0].T if len(self.u) else self.chol
+        return dtrtri(self.chol, lower=1)[0].T if len(self.z) else self.chol
 
     @property
     def root(self) -> Float[np.ndarray, "p p"]:
@@ -113,27 +126,26 @@ def condition(
         at: x̂, where r was taken.
     """
     sd, weight = prior.sd, prior.weight
-    # With x = x̂ + offset + S·z, S = diag(s), what is left is (r − J·offset) − J·S·z. So z has the precision A =
-    # S·JᵀΣ⁻¹J·S + W (W: 1 proper, 0 flat) and the pull S·(JᵀΣ⁻¹r − JᵀΣ⁻¹J·offset). A flat prior is centred at x̂
-    # itself: its offset is zero.
-    offset = weight * (prior.mean - at)
+    # With x = x̂ + offset + S·t, S = diag(s), what is left is (r − J·offset) − J·S·t, and the prior is t ~ N(far, W⁻¹)
+    # (W: 1 proper, 0 flat). So t has the precision A = S·JᵀΣ⁻¹J·S + W and the pull S·(JᵀΣ⁻¹r − JᵀΣ⁻¹J·offset) + W·far.
+    # A flat prior is centred at x̂ itself.
     p = len(sd)
     if not p:
         log_marginal = -0.5 * (size * LOG_2PI + gram.logdet + gram.rtr)
         nothing = np.zeros((0, 0))
-        return Conditional(log_marginal, at, sd, nothing, sd, sd, gram.rtr, gram.rtr)
-    pulled = sd * (gram.jtr - gram.jtj @ offset)
+        return Conditional(log_marginal, at, sd, nothing, sd, gram.rtr, gram.rtr)
+    offset, far = prior.from_point(at, gram.jtj.diagonal())
+    pulled = sd * (gram.jtr - gram.jtj @ offset) + far
     precision = sd[:, None] * gram.jtj * sd
     precision.flat[:: p + 1] += weight
     # LAPACK takes columns first: handed the transpose of a symmetric matrix it copies nothing.
     chol, failed = dpotrf(precision.T, lower=1, clean=1, overwrite_a=1)
     if failed:
         return None
-    u = dtrtrs(chol, pulled, lower=1)[0]
-    z = dtrtrs(chol, u, lower=1, trans=1)[0]
+    t = dtrtrs(chol, dtrtrs(chol, pulled, lower=1)[0], lower=1, trans=1)[0]
     # Completed square: at the posterior mean rᵀΣ⁻¹r has become the square of r − J·move, and zᵀWz is the prior's
     # share.
-    move = offset + sd * z
+    move, z = offset + sd * t, t - far
     squares = gram.rtr - move @ (2 * gram.jtr - gram.jtj @ move)
     rest = squares + weight @ (z * z)
     if not rest > 0:  # no digits left: noise far below any residual
@@ -144,7 +156,7 @@ def condition(
     log_marginal = flat - 0.5 * (size * LOG_2PI + volume + rest)
     if not math.isfinite(log_marginal):
         return None
-    return Conditional(log_marginal, at + offset, sd, chol, u, z, rest, squares)
+    return Conditional(log_marginal, at + move, sd, chol, z, rest, squares)
 
 
 class Drawn(NamedTuple):
@@ -181,26 +193,26 @@ def draw(
         normal: (b, p).
     """
     sd, weight = prior.sd, prior.weight
-    offset = weight * (prior.mean - at)
-    pulled = sd * (grams.jtr - grams.jtj @ offset)
+    offset, far = prior.from_point(at, np.diagonal(grams.jtj, axis1=1, axis2=2))
+    pulled = sd * (grams.jtr - np.einsum("bij,bj->bi", grams.jtj, offset)) + far
     precision = sd[:, :, None] * grams.jtj * sd[:, None, :]
     diagonal = np.arange(len(at))
     precision[:, diagonal, diagonal] += weight
     chol = _factors(precision)
     mean = _solve(chol, _solve(chol, pulled), upper=True)
-    move = offset + sd * mean
+    move, from_prior = offset + sd * mean, mean - far
     across = np.einsum("bij,bj->bi", grams.jtj, move)
-    rest = grams.rtr - np.sum(move * (2 * grams.jtr - across), axis=1) + mean**2 @ weight
+    rest = grams.rtr - np.sum(move * (2 * grams.jtr - across), axis=1) + from_prior**2 @ weight
     # Half of log|A|; L⁻ᵀε below has the covariance A⁻¹ = (L·Lᵀ)⁻¹.
     halves = np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)), axis=1)
     flat = np.broadcast_to(prior.flat_volume, len(sd))
     log_marginal = flat - 0.5 * (size * LOG_2PI + grams.logdet + 2 * halves + rest)
-    z = mean + _solve(chol, normal, upper=True)
+    away = _solve(chol, normal, upper=True)
     log_sd = np.sum(np.log(np.where(weight > 0, 1.0, sd)), axis=1)
     return Drawn(
         np.where(np.isfinite(log_marginal) & (rest > 0), log_marginal, -np.inf),
-        at + offset + sd * z,
-        z**2 @ weight,
+        at + move + sd * away,
+        (from_prior + away) ** 2 @ weight,
         log_sd - halves,
     )
 

@@ -190,7 +190,7 @@ def refine(assembly: Assembly, mode: Mode, full_hessian: bool) -> Solution:
     fit = _Refinement(assembly, mode)
     # Where JᵀJ has no Cholesky factor the mode is nowhere; from the prior's centre, QR may find it.
     found = np.all(np.isfinite(mode.point.x)) and math.isfinite(mode.log_evidence)
-    x = mode.point.x if found else assembly.mean_of_x
+    x = mode.point.x if found else assembly.start.x
     v = np.where(np.isfinite(mode.v), mode.v, 0.0)
     theta, converged = np.concatenate([x, v[fit.places]]), False
     for round_ in range(ROUNDS):
@@ -308,7 +308,7 @@ class _Refinement:
         if not noise.gaussian:
             return theta, False
         prior, rows = self.prior(v), jnp.asarray(mode.point.rows)
-        begin = np.append(assembly.mean_of_x, np.zeros(len(self.places)))
+        begin = np.append(assembly.start.x, np.zeros(len(self.places)))
         blocks = [b for b in layout.x_blocks if b.coefficient.flat]
         scale = np.array(prior.sd)
         for b in blocks:
@@ -351,13 +351,14 @@ class _Refinement:
             else:
                 white = self.whiten(v, extra, table[:, -1])
                 made, logdet = white.both(upper)
-            offset = prior.weight * (prior.mean - theta)
+            offset, far = prior.from_point(theta, np.sum(made[:, :-1] ** 2, axis=0))
             own = np.column_stack([made[:, :-1] * prior.sd, made[:, -1] - made[:, :-1] @ offset])
-            rows = np.column_stack([np.diag(prior.weight), 0 * offset])
+            rows = np.column_stack([np.diag(prior.weight), far])
             found = qr(np.concatenate([own, rows]))
             if not found.determined:
                 return nowhere
-            z = found.solution
+            step = found.solution
+            z = step - far
             inverse = dtrtri(found.root)[0] if z.size else found.root
             of_z = inverse @ inverse.T
             root = prior.sd[:, None] * inverse
@@ -368,7 +369,7 @@ class _Refinement:
             volume = logdet + 2 * float(np.sum(np.log(np.abs(np.diag(found.root)))))
             rest = found.outside**2
             total = float(flat) - 0.5 * (size * LOG_2PI + volume + rest)
-            mean = theta + offset + prior.sd * z
+            mean = theta + offset + prior.sd * step
             squares = rest - float(prior.weight @ z**2)
             # Degrees of freedom: the trace of the hat matrix, q − tr W·var z; all q where priors say nothing.
             spent, slopes = z.size - float(np.diag(of_z) @ prior.weight), np.zeros(0)

@@ -14,6 +14,7 @@ from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
 from bayescal._inference.assembly import Assembly, Line, Point
 from bayescal._inference.density import Density
+from bayescal._inference.gaussian import column_scale
 from bayescal._inference.laplace import Mode
 from bayescal._inference.noise_on_record import (
     Independent,
@@ -286,7 +287,7 @@ def sized(model: Model, readings: Measurements, frame: Frame) -> Model:
 
 def amplitudes(model: Model, readings: Measurements, frame: Frame) -> tuple[float, float]:
     """Plausible amplitudes of what a model lacks, output unit: see `sized`."""
-    layout, y = bind(model, readings)[0], np.asarray(readings["output"])
+    layout, y = bind(model, readings)[0], np.asarray(frame["output"])
     left = _left(Assembly(layout, Record(model.instrument, frame, y, model.effects)))
     # Neighbours differ by √2 of white noise's standard deviation, which is 1.4826 times its median absolute value;
     # what the model lacks hardly changes from one reading to the next.
@@ -309,12 +310,14 @@ def _left(assembly: Assembly) -> Float[np.ndarray, "n"]:
     hyper = assembly.hyper(np.zeros(len(assembly.hypers)))
     point, y = assembly.start, assembly.record.y
     plain = [t.at.start for t in assembly.in_x if t.known.per is None and t.group_sd_name is None]
-    sd = assembly.prior(hyper, np.ones(assembly.size)).sd[plain]
     left = y - np.mean(y)
     for _ in range(GAUSS_NEWTON):
         line = assembly.linearise(point, hyper)
         if not np.all(np.isfinite(line.mean)):
             break
         left = y - line.mean
-        point.x[plain] += sd * np.linalg.lstsq(line.jacobian[:, plain] * sd, left, rcond=RANK)[0]
+        columns = line.jacobian[:, plain]
+        # Columns of unit size: `RANK` is then of directions, not of units or of how wide a prior is.
+        size = column_scale(columns)
+        point.x[plain] += size * np.linalg.lstsq(columns * size, left, rcond=RANK)[0]
     return left

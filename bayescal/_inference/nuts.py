@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import jax
@@ -52,7 +53,7 @@ class NUTS(Method):
     name: ClassVar[str] = "nuts"
 
     def run(self, layout, frame, y, seed, start=NOTHING_KNOWN):
-        layout = Layout(layout.model, layout.counts)
+        layout = replace(layout, promoted=())
         assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
         mode = find_mode(assembly, start=start)
         deadline.offer(lambda why: Marginal().about_the_mode(assembly, mode, seed, (), why))
@@ -138,7 +139,7 @@ def program(layout: Layout, frame: Frame) -> Callable:
                     f"{b.name}.standard", dist.Normal(0.0, 1.0).expand([b.size]).to_event(1)
                 )
                 spread = values[b.group_sd_name] if c.group_sd is not None else c.size
-                site = c.mean + spread * z
+                site = b.mean + spread * z
             x.append(site)
         x = jnp.concatenate(x) if x else jnp.zeros(0)
         rows = jnp.zeros((frame.size, len(layout.row_blocks)))

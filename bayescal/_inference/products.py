@@ -303,7 +303,7 @@ class Products:
         """
         made = np.zeros(len(v))
         # tr E·G: squares of the residuals at the mean, and the degrees of freedom that x took
-        taken = found.squares + len(found.u) - float(prior.weight @ found.variance_of_z)
+        taken = found.squares + len(found.z) - float(prior.weight @ found.variance_of_z)
         for i, kind in enumerate(self.assembly.kinds):
             if kind == "noise":
                 made[i] = 0.5 * (taken - self.size) * self.assembly.log_variance_slope(v, i)

@@ -113,7 +113,7 @@ def _bends(assembly: Assembly) -> bool:
     # size.
     one, two = sd * random.standard_normal((2, assembly.size))
     moves = ((0 * one, 0.0), (one, 1.0), (two, 0.0), (one + two, 1.0))
-    points = (Point(assembly.mean_of_x + x, share * rows) for x, share in moves)
+    points = (Point(assembly.start.x + x, share * rows) for x, share in moves)
     base, a, b, both = (assembly.linearise(point, hyper).mean for point in points)
     scale = np.max(np.abs(a - base)) + np.max(np.abs(b - base)) + 1e-300
     return bool(np.max(np.abs((both - base) - (a - base) - (b - base))) > AFFINE * scale)

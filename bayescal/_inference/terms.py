@@ -96,7 +96,7 @@ class CoefficientTerms(NamedTuple):
         columns = ColumnsOf.of(effect).on(corrections)
         names = (*map(effect.shape_name, effect.column_shapes),)
         names += tuple(name for by in corrections for name in by.shape_names)
-        own = c.per, c.mean, c.size, c.flat, learned
+        own = c.per, block.mean, c.size, c.flat, learned
         return cls(effect, effect.name, *own, columns, names, columns.key)
 
 

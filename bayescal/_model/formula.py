@@ -34,7 +34,9 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {
     **{"min": jnp.minimum, "max": jnp.maximum, "step": lambda x: jnp.where(x > 0, 1.0, 0.0)},
 }
 _OF_TWO = ("min", "max")
-_OF_COLUMNS = ("rate", "lag")  # of a column's past
+_OF_A_BODY = ("body", "lag_difference")  # T̃ and T̃ − T, with τ·dT̃/dt = T − T̃
+_OF_COLUMNS = ("rate", *_OF_A_BODY)  # of a column's past
+_LAG = "lag was T̃ − T, and read as T̃: write lag_difference(T, tau) for T̃ − T, or body(T, tau) for T̃"
 _ALIASES = {"T": "temperature", "t": "time"}
 _UNITS = {"time": "s", "elapsed": "s", "temperature": "degC"}  # known without readings
 _TOKEN = re.compile(
@@ -184,13 +186,15 @@ class _Parser(_Text):
     def _call(self, name: str, at: int) -> FormulaNode:
         known = (*_FUNCTIONS, *_OF_COLUMNS)
         if name not in known:
+            if name == "lag":
+                raise self.refusal(at, _LAG)
             raise self.refusal(at, f"there is no function {name!r}; there are {', '.join(known)}")
         self._next()
         arguments = [self._sum()]
         while self._taken(","):
             arguments.append(self._sum())
         self._close()
-        count = 2 if name in (*_OF_TWO, "lag") else 1
+        count = 2 if name in (*_OF_TWO, *_OF_A_BODY) else 1
         if len(arguments) != count:
             raise self.refusal(at, f"{name} takes {count} argument{'s' * (count > 1)}")
         return FormulaNode("call", (name, *arguments), at)
@@ -250,10 +254,12 @@ class Formula:
         if node.kind == "name":
             return values[node.parts[0]]
         if node.kind == "call" and node.parts[0] in _OF_COLUMNS:
-            column = next(c for n, c, _ in self.columns if n == node.parts[1].parts[0])
-            if node.parts[0] == "rate":
+            what, of, *rest = node.parts
+            column, factor = next((c, f) for n, c, f in self.columns if n == of.parts[0])
+            if what == "rate":
                 return r.rate(column)
-            return r.lag(self._value(node.parts[2], r, values), column)
+            behind = factor * r.lag(self._value(rest[0], r, values), column)
+            return behind if what == "lag_difference" else values[of.parts[0]] + behind
         own = [self._value(part, r, values) for part in node.parts if isinstance(part, FormulaNode)]
         if node.kind == "call":
             return _FUNCTIONS[node.parts[0]](*own)
@@ -374,7 +380,7 @@ class _CheckedFormula(_Text):
         of = self.units.get(tau) if time.kind == "name" and tau in self.shapes else None
         if of is None or of.powers != (("s", 1.0),):
             raise self.refusal(
-                time.at, "the second argument of lag is a time constant, such as tau"
+                time.at, f"the second argument of {name} is a time constant, such as tau"
             )
         return unit
 
@@ -413,7 +419,9 @@ def effect(
     Names are columns of the readings, in their fixed units; a name that is none is an unknown. An unknown that the
     formula is linear in is a coefficient, and its prior is zero ± its size; another is a shape with a plausible range.
     Numbers that are added to a column are in its unit. There are + - * / ^, brackets, exp, log, sqrt, abs, sign, sin,
-    cos, tan, tanh, min, max, step (1 above zero), rate(column), lag(column, tau); `elapsed` is the time in the run.
+    cos, tan, tanh, min, max, step (1 above zero); `elapsed` is the time in the run. Of a column's past there are
+    rate(T) = dT/dt, body(T, tau) = T̃, the temperature of a body that follows T with τ·dT̃/dt = T − T̃, from T at a
+    run's first reading, and lag_difference(T, tau) = T̃ − T.
 
     Args:
         name: of the effect, `slot.cause`, or its cause alone: the slot is then the first that the units fit. The
@@ -671,6 +679,11 @@ class _TypedLine(_Text):
                 called = n if n.isidentifier() else f"`{n}`"
                 pieces.append(f"{called} = {c}" + (f" [{u}]" if u else ""))
         return "; ".join(pieces)
+
+
+def line_of_today(line: str) -> str:
+    """A line that was saved when `lag` was a word of formulas, of which it meant `lag_difference`."""
+    return re.sub(r"\blag(?=\s*\()", "lag_difference", line)
 
 
 def _near(name: str, known: Iterable[str]) -> str:

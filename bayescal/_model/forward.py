@@ -46,7 +46,7 @@ def hyper_log_prior(layout: Layout, v: Float[Array, "d"]) -> Float[Array, ""]:
 
 
 def prior_mean(layout: Layout) -> Float[Array, "p"]:
-    return _fill(layout, [jnp.full(b.size, b.coefficient.mean) for b in layout.x_blocks])
+    return _fill(layout, [jnp.full(b.size, b.mean) for b in layout.x_blocks])
 
 
 def prior_sd(
@@ -102,7 +102,7 @@ def coefficients(
         else:
             value = jnp.stack([hyper[name] for name in b.member_names()])
             if b.coefficient.group_sd is not None:
-                value = b.coefficient.mean + hyper[b.group_sd_name] * value
+                value = b.mean + hyper[b.group_sd_name] * value
             values[b.name] = value
     return values
 

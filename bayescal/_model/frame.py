@@ -20,6 +20,7 @@ from bayescal._core.errors import ModelError
 from bayescal._core.jax_setup import configure_jax
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
+from bayescal._data.pose_rows import ACROSS
 from bayescal._data.time_in_runs import (
     causal_slope,
     first_times,
@@ -42,7 +43,7 @@ class Frame(eqx.Module):
     Its arrays are JAX's in a program and NumPy's on the host.
 
     Attributes:
-        columns: measured columns, (n,) each.
+        columns: measured columns, (n,) each; outputs are counted from their origin.
         labels: for each label of a column of text that is no group of its own ("group=outer"), 1 where a reading
             has it and 0 elsewhere, (n,) each.
         rates: causal slope of each column that has one, unit per second, (n,) each.
@@ -283,6 +284,7 @@ def build_frame(
     """
     unit = {name: readings.unit(name) for name in readings.columns if name != "temperature_point"}
     columns = {name: np.asarray(readings[name]) for name in unit if unit[name] is not None}
+    columns, scalars = _from_origin(columns, reference)
     labels = {
         f"{name}={label}": np.asarray(readings[name] == label, dtype=float)
         for name in label_groups(readings)
@@ -308,12 +310,38 @@ def build_frame(
             group: _member_codes(readings, group, levels)
             for group in dict.fromkeys((*GROUPS, *label_groups(readings), *(levels or ())))
         },
-        reference={k: np.asarray(v) for k, v in reference.items() if not isinstance(v, dict)},
+        reference={k: np.asarray(v) for k, v in scalars.items()},
         order=np.asarray(order, dtype=np.int32),
         step=np.asarray(step),
         record=dict(columns),
         silence=np.asarray(silence(step)),
     )
+
+
+def origins(reference: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """What outputs are counted from, output unit: by the constant of the reference, and the coefficient that takes it
+    back."""
+    return {n: v for n, v in reference.items() if isinstance(v, dict) and n != "run_starts"}
+
+
+def _from_origin(
+    columns: Mapping[str, np.ndarray], reference: Reference
+) -> tuple[dict[str, np.ndarray], Mapping[str, float]]:
+    """Columns, and constants that are numbers, with outputs counted from their origin; what is made of three of them is
+    made of these."""
+    names = {reference_name(n): n for n in columns}
+    taken = {names[n]: sum(own.values()) for n, own in origins(reference).items()}
+    found = {n: columns[n] - origin for n, origin in taken.items()}
+    scalars = {n: v for n, v in reference.items() if not isinstance(v, dict)}
+    for name, origin in taken.items():
+        ends = (n for n in (f"{name}_low", f"{name}_high") if n in scalars)
+        scalars |= {n: scalars[n] - origin for n in ends}
+    if found and "output" not in found:
+        length = np.linalg.norm(np.array([*found.values()]), axis=0)
+        across = np.array([columns.get(n, 0 * length) for n in ACROSS])
+        along = columns["output"] - np.array([*taken.values()]) @ across
+        found["output"] = np.where(np.any(across != 0, axis=0), along, length)
+    return {**columns, **found}, scalars
 
 
 def label_groups(readings: Measurements) -> list[str]:

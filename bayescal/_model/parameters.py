@@ -9,16 +9,19 @@ unknown matters. Each entry of φ has a coordinate v on the whole line.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from types import MappingProxyType
+from typing import Any, Literal
 
 import jax
+import numpy as np
+from jaxtyping import Float
 
 from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import Coefficient, Effect
-from bayescal._model.frame import GROUPS
+from bayescal._model.frame import GROUPS, origins
 from bayescal._model.instrument import factor_of
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, FlatLine, Normal, Positive
@@ -27,6 +30,7 @@ Place = Literal["x", "row", "phi", "fixed"]
 HyperKind = Literal["noise", "group_sd", "shape", "promoted"]
 MOVING: tuple[HyperKind, ...] = ("shape", "promoted")  # the output's Jacobian depends on them
 Levels = Mapping[str, Sequence[str]]  # the members of each group
+NO_REFERENCE: Mapping[str, Any] = MappingProxyType({})
 
 
 def member_name(name: str, member: object) -> str:
@@ -47,6 +51,12 @@ class CoefficientBlock:
     place: Place
     start: int
     value: float
+    origin: float = 0.0  # what its values are counted from in x and φ, in its unit
+
+    @property
+    def mean(self) -> float:
+        """Of its prior, counted from its origin."""
+        return self.coefficient.mean - self.origin
 
     @property
     def coefficient(self) -> Coefficient:
@@ -57,11 +67,11 @@ class CoefficientBlock:
         return f"{self.name}.group_sd"
 
     def member_names(self, levels: Levels | None = None) -> list[str]:
-        """Names of its entries, each after its member; by their number, as in φ, where no levels are given."""
+        """Names of its entries, each after its member; by their number, as in φ, where members have no names."""
         per = self.coefficient.per
         if per is None:
             return [self.name]
-        members = range(self.size) if levels is None else levels[per]
+        members = (levels or {}).get(per, range(self.size))  # readings have none
         return [member_name(self.name, member) for member in members]
 
 
@@ -84,15 +94,17 @@ class Layout:
         model: the model.
         counts: (group, number of members).
         promoted: names of coefficients that stand in φ.
+        origin: (coefficient, what outputs are counted from in the frame, output unit): it takes that back.
     """
 
     model: Model
     counts: tuple[tuple[str, int], ...]
     promoted: tuple[str, ...] = ()
+    origin: tuple[tuple[str, float], ...] = ()
 
     @cached_property
     def blocks(self) -> tuple[CoefficientBlock, ...]:
-        counts, fixed = dict(self.counts), dict(self.model.fixed)
+        counts, fixed, above = dict(self.counts), dict(self.model.fixed), dict(self.origin)
         blocks, start = [], 0
         for effect in self.model.effects:
             for index, coefficient in enumerate(effect.coefficients):
@@ -108,6 +120,7 @@ class Layout:
                     place = "phi"
                 factor = factor_of(self.model.instrument, effect, coefficient)
                 known: float = coefficient.mean
+                origin = above.pop(name, 0.0) / factor
                 blocks.append(
                     CoefficientBlock(
                         effect=effect,
@@ -118,10 +131,16 @@ class Layout:
                         factor=factor,
                         place=place,
                         start=start,
-                        value=fixed.get(name, known),
+                        value=fixed.get(name, known) - origin,
+                        origin=origin,
                     )
                 )
                 start += size if place == "x" else 0
+        if above:
+            raise ModelError(
+                f"outputs are counted from what {', '.join(above)} takes back, which is not in the model: "
+                f"{', '.join(self.model.names)}"
+            )
         return tuple(blocks)
 
     @property
@@ -131,6 +150,11 @@ class Layout:
     @property
     def row_blocks(self) -> tuple[CoefficientBlock, ...]:
         return tuple(b for b in self.blocks if b.place == "row")
+
+    @property
+    def origin_of_x(self) -> Float[np.ndarray, "p"]:
+        """What the entries of x are counted from, in their units."""
+        return np.repeat([b.origin for b in self.x_blocks], [b.size for b in self.x_blocks])
 
     @property
     def size(self) -> int:
@@ -154,7 +178,7 @@ class Layout:
                 found.append(Hyper(effect.shape_name(shape), shape.unit, shape.prior, kind))
         for block in self.blocks:
             if block.place == "phi":
-                own = block.coefficient.unit, _promoted_prior(block.coefficient), "promoted"
+                own = block.coefficient.unit, _promoted_prior(block), "promoted"
                 found += [Hyper(name, *own) for name in block.member_names()]
         return tuple(h for h in found if h.name not in fixed)
 
@@ -168,7 +192,7 @@ class Layout:
         return self.positions(*MOVING)
 
     def promote(self, *names: str) -> Layout:
-        return Layout(self.model, self.counts, (*self.promoted, *names))
+        return replace(self, promoted=(*self.promoted, *names))
 
     @property
     def improper(self) -> bool:
@@ -178,14 +202,18 @@ class Layout:
         )
 
 
-def _promoted_prior(coefficient: Coefficient) -> Normal | FlatLine:
-    if coefficient.group_sd is not None:
+def _promoted_prior(block: CoefficientBlock) -> Normal | FlatLine:
+    c = block.coefficient
+    if c.group_sd is not None:
         return Normal(0.0, 1.0)  # in units of its learned spread
-    return FlatLine(coefficient.size) if coefficient.flat else coefficient.prior  # pyright: ignore
+    return FlatLine(c.size) if c.flat else Normal(block.mean, c.size)
 
 
 def bind(
-    model: Model, readings: Measurements, more: Iterable[Effect] = ()
+    model: Model,
+    readings: Measurements,
+    more: Iterable[Effect] = (),
+    reference: Mapping[str, Any] = NO_REFERENCE,
 ) -> tuple[Layout, dict[str, tuple[str, ...]]]:
     """The model's layout for these readings, and the members of each group.
 
@@ -193,6 +221,7 @@ def bind(
         model: the model.
         readings: that it is fitted to.
         more: effects that may be added to it, whose groups are counted too.
+        reference: of the frame, in which outputs may be counted from an origin.
 
     Raises:
         ModelError: fewer readings than flat coefficients, or a group effect without its group.
@@ -204,7 +233,8 @@ def bind(
     there = {group for group in groups if group in GROUPS or readings.has(group)}
     levels = {group: readings.groups(group)[0] if group in there else () for group in groups}
     counts = {**{g: len(names) for g, names in levels.items()}, "reading": len(readings)}
-    layout = Layout(model, tuple(counts.items()))
+    origin = {name: o for own in origins(reference).values() for name, o in own.items()}
+    layout = Layout(model, tuple(counts.items()), origin=tuple(origin.items()))
     flat = sum(b.size for b in layout.x_blocks if b.coefficient.flat)
     if len(readings) <= flat:
         raise ModelError(

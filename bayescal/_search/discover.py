@@ -234,8 +234,15 @@ def structures_over(
     known = {e.name: e for e in with_forms((*listed, *effects))}
     known |= {e.name: e for e in placeholders(model, readings) if e.name not in known}
     own = {e.name for e in effects}  # who gives an effect says what it depends on
+    slots = {s.name for s in instrument.slots}
 
     def untestable(effect: Effect) -> str | None:
+        if any(
+            (c.slot or effect.slot) not in slots or c.per == "reading" for c in effect.coefficients
+        ):
+            return (
+                "corrects a column or single readings, which no search weighs: add it to the model"
+            )
         gone = sorted(readings.no_causes.intersection(effect.columns))
         if gone and effect.name not in own:
             return f"the column {', '.join(gone)} is left out"
@@ -251,9 +258,10 @@ def structures_over(
         plausible = amplitudes(model, readings, frame)
         open_ = {n: e.sized(*plausible) for n, e in open_.items()}
     library = instrument.shown_by(frame, (*open_.values(), *model.effects))
-    record = Record(instrument, frame, np.asarray(readings["output"]), library)
+    record = Record(instrument, frame, np.asarray(frame["output"]), library)
     laws = laws_over(model, frame) if widen_noise else {}
-    return Structures(model, bind(model, readings, open_.values())[0], record, open_, laws), shut
+    layout = bind(model, readings, open_.values(), reference)[0]
+    return Structures(model, layout, record, open_, laws), shut
 
 
 def with_causes(

@@ -84,6 +84,7 @@ def false_reports(
         chosen = random.integers(len(x), size=campaigns)
         draws = Vectors(x[chosen], rows[chosen], v[chosen])
         outputs = replicate(calibration.assembly, draws, random)
+        outputs += readings["output"] - calibration.frame["output"]
     end, searched = deadline.current(), 0
     for output in outputs:
         if end.over:

@@ -192,7 +192,7 @@ def expected_readings(
     # deviations come back as covariance between readings of one member.
     codes = {group: np.asarray(own) for group, own in frame.codes.items()}
     unseen = replace(frame, codes={group: np.full_like(own, -1) for group, own in codes.items()})
-    assembly = calibration.assembly_on(readings, unseen)
+    assembly = calibration.assembly_on(unseen)
     record, (x, rows, v) = assembly.record, calibration.draws(draws)
     rows = np.zeros((len(x), record.size, rows.shape[2]))
     parts = np.array_split(np.arange(len(x)), -(-len(x) // TOGETHER))

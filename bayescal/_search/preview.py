@@ -123,8 +123,8 @@ class Previews:
         library = model.instrument.shown_by(
             calibration.frame, (*self.effects.values(), *model.effects)
         )
-        y = np.asarray(readings["output"])
-        self.record = Record(model.instrument, calibration.frame, y, library)
+        frame = calibration.frame
+        self.record = Record(model.instrument, frame, np.asarray(frame["output"]), library)
         self._made: dict[str, tuple[Effect, Preview]] = {}
 
     def of(self, effect: Effect | str) -> Preview:
@@ -188,7 +188,9 @@ class Previews:
         """A model fitted by least squares to the calibration's readings: about its mode, covariance, log evidence."""
         before = self.calibration
         model = sized(model, before.readings, before.frame)
-        assembly = Assembly(bind(model, before.readings)[0], self.record)
+        assembly = Assembly(
+            bind(model, before.readings, reference=before.reference)[0], self.record
+        )
         if not refined:
             mode = find_mode(assembly)
             return linear_model(assembly, mode), np.zeros((0, 0)), mode.log_evidence

@@ -89,11 +89,14 @@ class View:
         """What is left where some of its effects are dropped; φ held."""
         line, gone = self.line, {*names}
         kept = np.array([owner not in gone for owner in line.owners], dtype=bool)
-        # r₀: all coefficients at their prior's mean. Without its coefficients a dropped effect's shapes move nothing.
-        z = np.where(kept | (np.arange(kept.size) < line.line.jacobian.shape[1]), line.z, 0.0)
-        # At the mode Aᵀr = W·z. So r₀ = r + A·z has Aᵀr₀ = AᵀA·z + W·z, and |r₀|² = |r|² + zᵀWz + zᵀAᵀr₀.
-        of_start = self.inner @ z + line.weight * line.z
-        squares = line.rest - float(line.weight @ (line.z**2 - z**2)) + float(of_start @ z)
+        # z: of what is dropped. Without its coefficients its shapes move nothing. With these at their prior's mean, all
+        # else where it is, r becomes r₀ = r + A·z; at the mode Aᵀr = W·z, so that |r₀|² = |r|² + 2·zᵀWz + zᵀAᵀA·z, and
+        # what is kept is pulled by AᵀA·z alone.
+        of_x = np.arange(kept.size) < line.line.jacobian.shape[1]
+        z = np.where(kept | ~of_x, 0.0, line.z)
+        own, of_start = float(line.weight @ z**2), self.inner @ z
+        shapes = float(line.weight[~kept & ~of_x] @ line.z[~kept & ~of_x] ** 2)
+        squares = line.rest + own + float(z @ of_start) - shapes
         inner = self.inner[np.ix_(kept, kept)] + np.diag(line.weight[kept])
         chol = np.linalg.cholesky(inner + 1e-12 * np.diag(np.diag(inner)))
         # Nuisances fitted anew, those that are kept: L·Lᵀ = AᵀA + W, what they take of r₀ and of each column by

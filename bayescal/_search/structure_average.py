@@ -141,7 +141,8 @@ def _together(
     # Groups of labels that the last model knows nothing of, but another structure.
     further = {g: last.readings.groups(g)[0] for g in model.groups if g not in last.levels}
     members = tuple((group, len(names)) for group, names in further.items())
-    layout, n = Layout(model, (*last.layout.counts, *members)), len(last.readings)
+    layout = replace(last.layout, model=model, counts=(*last.layout.counts, *members), promoted=())
+    n = len(last.readings)
     counts = [len(next(iter(part.values()))) for part in parts]
     total = sum(counts)
     # Zeros are the point: an effect that a structure lacks has the coefficient zero in its draws, not its prior's
@@ -152,7 +153,7 @@ def _together(
         at = slice(end - count, end)
         for b in layout.x_blocks:
             if b.name in part:
-                x[at, b.start : b.start + b.size] = part[b.name].reshape(count, -1)
+                x[at, b.start : b.start + b.size] = part[b.name].reshape(count, -1) - b.origin
             elif b.index in b.effect.held and b.effect.name in own.names:
                 x[at, b.start] = b.coefficient.mean
         for k, b in enumerate(layout.row_blocks):

@@ -267,7 +267,7 @@ class Structures:
         known = near.assembly.size_factors if near is not None else None
         # A refit at the sizes of its neighbour begins nearly at its mode; `averaged` then tries the others.
         sizes = {n: factor for n, factor in (known or {}).items() if n in structure.effects}
-        layout = Layout(self.model(structure), self.layout.counts)
+        layout = replace(self.layout, model=self.model(structure))
         return Assembly(layout, self.record, sizes)
 
     def matters(self, weighed: Weighed) -> frozenset[str]:

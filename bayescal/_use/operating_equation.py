@@ -256,7 +256,7 @@ class OperatingEquation(eqx.Module):
         """Slots and corrected readings; corrections of columns that do not exist in use are left out."""
         fixed = {name: jnp.asarray(value) for name, value in self.layout.model.fixed}
         held = {b.name: jnp.asarray(b.value) for b in self.blocks if b.place == "fixed"}
-        known = {**fixed, **held, **theta}
+        known = {**held, **fixed, **theta}
         own = [s.name for s in self.layout.model.instrument.slots]
         acting = [b for b in self.blocks if b.slot in own or b.slot in frame.columns]
         values = {b.name: jnp.reshape(known[b.name], (1,)) for b in acting}
@@ -294,7 +294,7 @@ def equation_in_use(
     known = tuple(sorted(n for n in frame.columns if n not in not_inputs))
     one_each = tuple((group, 1) for group, _ in calibration.layout.counts)
     found = OperatingEquation(
-        layout=replace(calibration.layout, counts=one_each),
+        layout=replace(calibration.layout, counts=one_each, origin=()),
         members=tuple(sorted(members.items())),
         known=known,
     )

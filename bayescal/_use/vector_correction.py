@@ -618,11 +618,11 @@ def _taylor(
         like = like.with_column(name, 1.0 * (np.arange(len(grid)) // each == 1 + i))
     x, rows, v = calibration.draws(draws)
     rows = np.zeros((len(x), len(grid), rows.shape[2]))
-    assembly = calibration.assembly_on(like, calibration.frame_of(like))
+    assembly = calibration.assembly_on(calibration.frame_of(like))
+    x = x + assembly.layout.origin_of_x
     hyper = {k: np.broadcast_to(value, len(x)) for k, value in assembly.hyper(v.T).items()}
     for t in assembly.in_x:  # a new run: its deviation is not known
         if t.known.per is not None:
-            x = x.copy()
             x[:, t.at] = 0.0
     slots = slots_of(assembly, x, rows, hyper, {})
     random = np.random.default_rng(seed)

@@ -157,7 +157,7 @@ def fit_nonlinear(
         columns: dict[str, Any] = {f"x{i}": values for i, values in enumerate(predictors)}
         readings = bc.Measurements.from_arrays(instrument, output=y, **columns)
         found = bc.fit(instrument.baseline(), readings, bc.LeastSquares(draws=512), strict=False)
-        moved = found.draws()[0]
+        moved = found.draws()[0] + found.layout.origin_of_x
         estimates.append(
             Estimate(
                 parameters=start + np.mean(moved, axis=0),

@@ -167,7 +167,7 @@ def test_correlated_noise_comes_back(tmp_path) -> None:
 def under(noise: bc.Noise, c: bc.Calibration) -> bc.Calibration:
     """The same calibration as if its noise were of another law."""
     model = c.model.with_noise(noise)
-    layout, _ = bind(model, c.readings)
+    layout, _ = bind(model, c.readings, reference=c.reference)
     v = np.zeros((*c.joint.v.shape[:2], len(layout.hypers)))
     mode = c.mode._replace(v=v[0, 0], covariance=np.eye(v.shape[-1]))
     given = {"model": model, "layout": layout, "joint": replace(c.joint, v=v), "mode": mode}

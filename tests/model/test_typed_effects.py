@@ -18,6 +18,8 @@ from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
+from tests.support.export_check import needs_compiler, run_header
+from tests.support.resealed import described, resealed
 
 GYROSCOPE: Instrument = mems_gyro.INSTRUMENT
 N = 40
@@ -81,8 +83,22 @@ RIGHT = {
         lambda r, e: np.column_stack([1 + 0 * e, r["temperature"]]), {},
     ),
     "slope: k * rate(temperature); k = 0.1 deg/s/(degC/min)": (lambda r, e: None, {}),
-    "body: k * lag(temperature, tau); k = 0.1 deg/s/degC; tau = 300 s": (lambda r, e: None, {"tau": 300.0}),
+    "behind: k * lag_difference(temperature, tau); k = 0.1 deg/s/degC; tau = 300 s": (
+        lambda r, e: behind(r, "temperature"), {"tau": 300.0},
+    ),
+    "body: k * (body(temperature, tau) - 25)^2; k = 0.1 deg/s/degC^2; tau = 300 s": (
+        lambda r, e: (r["temperature"] + behind(r, "temperature") - 25) ** 2, {"tau": 300.0},
+    ),
+    "input: k * body(rate_input, tau); k = 0.5 %; tau = 300 s": (  # base units are rad/s
+        lambda r, e: np.pi / 180 * (r["rate_input"] + behind(r, "rate_input")), {"tau": 300.0},
+    ),
 }  # fmt: skip
+
+
+def behind(readings: bc.Measurements, column: str, tau: float = 300.0) -> np.ndarray:
+    """T̃ − T of a body that follows with τ."""
+    frame = build_frame(readings, reference_of(readings))
+    return np.asarray(frame.lag(jnp.array(tau), column))
 
 
 @pytest.mark.parametrize("line", RIGHT)
@@ -93,12 +109,10 @@ def test_a_formula_is_what_it_says(readings, line) -> None:
     found = np.asarray(made.evaluate(frame, shapes))
     elapsed = np.asarray(frame.elapsed)
     expected = by_hand(readings, elapsed)
-    if line.startswith("input"):
+    if line.startswith("input: k * (rate"):
         expected = np.pi / 180 * (readings["rate_input"] - 50)  # base units are rad/s
     if line.startswith("slope"):
         expected = np.asarray(frame.rate("temperature"))
-    if line.startswith("body"):
-        expected = np.asarray(frame.lag(jnp.array(300.0), "temperature"))
     np.testing.assert_allclose(found, np.reshape(expected, (N, -1)), rtol=1e-9, atol=1e-12)
     assert pickle.loads(pickle.dumps(made)) == made
     assert isinstance(made.basis, Formula)
@@ -139,7 +153,11 @@ REFUSED = {
     "supply: s * k * T": ("'s * k * T'", "k and s multiply each other"),
     "supply: T - 25": ("'T - 25'", "multiplied by no coefficient"),
     "supply: s * T ^ humidity": ("'humidity'", "only a power such as 2"),
-    "supply: s * lag(T)": ("'lag(T)'", "lag takes 2 arguments"),
+    "supply: s * body(T)": ("'body(T)'", "body takes 2 arguments"),
+    "supply: s * lag(T, tau)": (
+        "'lag(T, tau)'", "write lag_difference(T, tau) for T̃ − T, or body(T, tau) for T̃",
+    ),
+    "supply: s * body(T, 300)": ("'300)'", "the second argument of body is a time constant"),
     "supply: s * rate(T * 2)": ("'T * 2)'", "takes the name of a column"),
     "supply: s * exp(-elapsed / tau); s = 1 deg/s": ("'tau)'", "tau = 100 to 2000 s"),
     "supply: s * 1e999": ("'1e999'", "too large"),
@@ -177,6 +195,54 @@ def test_a_formula_that_is_none_is_refused_with_the_place_marked(readings, line)
 def test_what_is_given_beside_it_is_checked(readings, line, words) -> None:
     with pytest.raises(InputError, match=words):
         bc.effect(line, readings=readings, instrument=GYROSCOPE)
+
+
+DIE = "die: b * body(T, tau) + c * (body(T, tau) - 25)^2 + d * lag_difference(T, tau)"
+SIZES = "b = 0.1 deg/s/degC; c = 1e-3 deg/s/degC^2; d = 0.1 deg/s/degC; tau = 60 to 1200 s"
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_a_body_is_one_state_wherever_it_is_used(tmp_path: Path) -> None:
+    """The output is a function of the body's temperature alone: the fit says so, and exports hold one state."""
+    time, random = np.arange(200) * 30.0, np.random.default_rng(3)
+    temperature = 25 + 20 * np.sin(time / 900)
+    readings = bc.Measurements.from_arrays(
+        GYROSCOPE, time=time, temperature=temperature, output=0 * time
+    )
+    warm = temperature + behind(readings, "temperature")
+    noise = 0.02 * random.normal(size=time.size)
+    output = 20 + 0.05 * warm + 2e-3 * (warm - 25) ** 2 + noise
+    readings = readings.with_column("output", output)
+    model = GYROSCOPE.baseline() - "bias.temperature"
+    fit = bc.fit(
+        model + bc.effect(f"{DIE}; {SIZES}", readings=readings), readings, bc.LeastSquares()
+    )
+    for name, true in (("[b]", 0.05), ("[c]", 2e-3), ("[d]", 0.0), (".tau", 300.0)):
+        found = fit.samples(f"bias.die{name}")
+        assert abs(found.mean() - true) < 4 * found.std(), name
+    used = bc.compensator(fit)
+    assert [i.name for i in used.inputs if i.kind == "lag"] == ["temperature_lag"]
+    by_fit = used(readings, method="first order", noise=False)
+    again = bc.load_compensator(used.export(tmp_path / "die.json"))
+    np.testing.assert_allclose(again(readings, noise=False).value, by_fit.value, atol=1e-9)
+    lag = behind(readings, "temperature", float(fit.samples("bias.die.tau").mean()))
+    given = {"temperature": temperature, "temperature_lag": lag}
+    rows = np.column_stack([output, *(given.get(i.name, 0 * lag) for i in used.inputs)])
+    np.testing.assert_allclose(run_header(used, rows, tmp_path)[:, 0], by_fit.value, atol=1e-9)
+    for suffix in ("py", "html"):
+        text = used.export(tmp_path / f"die.{suffix}").read_text("utf-8")
+        assert "temperature_lag" in text and "temperature_lag_2" not in text
+
+
+def test_a_calibration_of_the_old_word_means_what_it_meant(readings, tmp_path: Path) -> None:
+    line = "behind: k * lag_difference(T, tau); k = 0.1 deg/s/degC; tau = 300 s"
+    made = bc.effect(line, readings=readings, instrument=GYROSCOPE)
+    fit = bc.fit(GYROSCOPE.baseline() + made, readings, bc.LeastSquares(draws=40), strict=False)
+    file = fit.save(tmp_path / "new.nc")
+    typed = {"bias.behind": made.basis.text.replace("lag_difference(", "lag(")}
+    old = resealed(file, tmp_path / "old.nc", described(typed=typed))
+    assert bc.load(old).model == fit.model
 
 
 def test_a_formula_in_python_meets_its_readings_later(readings) -> None:
@@ -238,5 +304,4 @@ def test_it_is_found_saved_loaded_compensated_and_exported(tmp_path: Path) -> No
         "fit", tmp_path / "lab.csv", *GYRO, *QUICK, "--effect", "supply: s * exp(supply_voltage)"
     )
     assert refused.status == 2 and "▸ 'supply_voltage)'" in refused.err
-    described = json.dumps(found.data)
-    assert "bias.supply" in described
+    assert "bias.supply" in json.dumps(found.data)
