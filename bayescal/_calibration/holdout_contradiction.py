@@ -122,7 +122,7 @@ class HoldoutTest:
         if not self.unseen:
             return found
         calibration = with_columns(self.calibration, self.readings.columns)
-        assembly = calibration.assembly_on(self.readings, calibration.frame_of(self.readings))
+        assembly = calibration.assembly_on(calibration.frame_of(self.readings))
         mode = calibration.mode
         rows = np.zeros((len(self.readings), mode.point.rows.shape[1]))
         slopes = assembly.slopes(mode.point._replace(rows=rows), assembly.hyper(mode.v))

@@ -237,9 +237,8 @@ def structures_over(
     slots = {s.name for s in instrument.slots}
 
     def untestable(effect: Effect) -> str | None:
-        if any(
-            (c.slot or effect.slot) not in slots or c.per == "reading" for c in effect.coefficients
-        ):
+        unknown = (c for c in effect.coefficients if not c.known)
+        if any((c.slot or effect.slot) not in slots or c.per == "reading" for c in unknown):
             return (
                 "corrects a column or single readings, which no search weighs: add it to the model"
             )
