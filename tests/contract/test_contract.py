@@ -75,6 +75,7 @@ def test_data_name_their_source(case: Case) -> None:
         assert not {f for f in files if f not in said}
 
 
+@pytest.mark.parametrize("case", SMALL_FIRST, indirect=True)
 def test_every_candidate_can_be_hidden(case: Case) -> None:
     plain = {}
     for effect in case.instrument.candidates:

@@ -133,6 +133,7 @@ def test_noise_that_follows_a_column_is_averaged_over_the_readings_of_the_calibr
     assert found.noise == pytest.approx(np.sqrt(np.mean(spread**2)), rel=0.15)
 
 
+@pytest.mark.slow
 def test_not_to_know_the_structure_is_a_source() -> None:
     """The average's variance is what the compensator states; what structures add is most of it, and is named."""
     average = split_search.trail().calibration

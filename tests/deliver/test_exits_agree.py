@@ -73,7 +73,7 @@ MADE: dict[str, Callable[[], tuple[bc.Compensator, bc.Measurements]]] = {
 }
 
 
-FAST = ("gyro", "inclinometer", "bent sensor", "averaged over structures")
+FAST = ("gyro", "inclinometer", "bent sensor")
 
 
 @pytest.fixture(scope="module", params=slow_but(FAST, MADE))

@@ -66,6 +66,7 @@ def reported(folder: Path) -> str:
         return f"refused: {error}"
 
 
+@pytest.mark.slow
 def test_every_text_of_a_result_is_text_in_its_report(saved, tmp_path) -> None:
     def nasty(data: dict[str, Any]) -> None:
         for place in list(leaves(data)):

@@ -36,7 +36,6 @@ from bayescal._use.code_writer import as_text, load_program
 from bayescal._use.compensation_program import from_data
 from bayescal_models import mems_gyro
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler
-from tests.support.tiers import slow_but
 
 # Pieces that mean something to C, Python, HTML, XML, spreadsheets, and to the programs that write these.
 PIECES = (
@@ -254,12 +253,7 @@ def check_page(name: str) -> None:
     assert scripts.findall(hostile) == scripts.findall(plain)
 
 
-# Of the C header, a name out of a file is among the fast tests.
-EXPORTS = [
-    pytest.param(check_c, marks=[needs_compiler, pytest.mark.slow]),
-    check_python,
-    check_page,
-]
+EXPORTS = [pytest.param(check_c, marks=needs_compiler), check_python, check_page]
 
 
 @pytest.mark.parametrize("check", EXPORTS)
@@ -428,8 +422,9 @@ IN_A_FILE = [BY_HAND[0], BY_HAND[4], BY_HAND[5]]
 IN_A_FILE += ["board\x1b[2J", "a\udcffb", "$\\frac{$ $$\\href{javascript:x}{y}$$"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unpainted")
-@pytest.mark.parametrize("name", slow_but(IN_A_FILE[:1], IN_A_FILE))
+@pytest.mark.parametrize("name", IN_A_FILE)
 def test_a_hostile_name_in_a_file_reaches_no_deliverable_as_code(name, tmp_path) -> None:
     """From the file to exports, report, certificate, tables and drafts."""
     gyro = mems_gyro.INSTRUMENT

@@ -57,6 +57,7 @@ def test_means_give_the_coefficients_of_all_readings() -> None:
     assert np.mean(short["noise.white"]) == pytest.approx(NOISE / np.sqrt(10), rel=0.15)
 
 
+@pytest.mark.slow
 def test_correlated_noise_survives_averaging() -> None:
     data = uneven_log(2, correlated=30.0)
     law = bc.OrnsteinUhlenbeck(1.0, 300.0, bc.HalfCauchy(30.0), bc.HalfCauchy(30.0))

@@ -147,6 +147,7 @@ def test_a_finished_run_is_not_run_again(data, whole, finished, monkeypatch) -> 
     assert (again.verdict, again.log_evidence) == (whole.verdict, whole.log_evidence)
 
 
+@pytest.mark.slow
 def test_the_checkpoint_of_another_run_is_refused(data, finished, monkeypatch) -> None:
     before = finished.read_bytes()
     other = data[1].with_column("output", data[1]["output"] + 1e-12)

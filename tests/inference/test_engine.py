@@ -33,6 +33,7 @@ from bayescal_models import (
     quartz_beam_accelerometer,
     still_sensor,
 )
+from tests.support.tiers import slow_but
 
 GYRO = mems_gyro.INSTRUMENT
 WANDER = over_record(bc.HalfCauchy(0.1), 10.0, 3000.0)
@@ -92,6 +93,8 @@ CASES: dict[str, tuple[Any, Any]] = {
     ),
 }
 
+FAST = ("gyro", "gyro, wandering", "gyro, scatter", "gyro, thermometer", "inclinometer")
+
 
 def assembled(case: str, *promoted: str) -> Assembly:
     model, simulate = CASES[case]
@@ -122,7 +125,7 @@ def composed(a: Assembly, point: Point, hyper: forward.Values) -> forward.Linear
     return compiled(a.layout, a.record.frame, x, rows, hyper)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", slow_but(FAST, CASES))
 def test_outputs_and_jacobians_are_those_of_the_composition(case: str) -> None:
     a = assembled(case)
     point, v = somewhere(a)
@@ -154,7 +157,9 @@ def dense_log_density(a: Assembly, v: np.ndarray, flat: np.ndarray) -> float:
     return float(density + forward.hyper_log_prior(a.layout, jnp.asarray(v)))
 
 
-@pytest.mark.parametrize("case", sorted(CASES.keys() - {"gyro, tails", "gyro, rounded"}))
+@pytest.mark.parametrize(
+    "case", slow_but(FAST, sorted(CASES.keys() - {"gyro, tails", "gyro, rounded"}))
+)
 def test_densities_are_those_of_the_dense_covariance(case: str) -> None:
     a = assembled(case)
     _, v = somewhere(a)
@@ -179,8 +184,8 @@ def test_a_structure_as_data_and_one_computed_anew_are_the_same(monkeypatch) -> 
 @pytest.mark.parametrize(
     ("case", "promoted"),
     [
-        ("still, wandering", ()),
-        ("gyro, scatter", ()),
+        pytest.param("still, wandering", (), marks=pytest.mark.slow),
+        pytest.param("gyro, scatter", (), marks=pytest.mark.slow),
         ("gyro, thermometer", ("bias.temperature",)),
     ],
 )

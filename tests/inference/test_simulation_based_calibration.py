@@ -145,6 +145,7 @@ def test_ranks_are_uniform_for_sums_of_noise_terms() -> None:
     check(BASELINE.with_noise(law), 200, uneven=0.1, rounds=12)
 
 
+@pytest.mark.slow
 def test_a_wrong_noise_law_would_be_noticed() -> None:
     # The noise that made the data is ten times as large as the priors of the fit allow.
     rough = BASELINE.with_noise(bc.White(bc.HalfNormal(1.0)))

@@ -55,13 +55,14 @@ def test_the_effect_is_a_few_lines() -> None:
     assert len(lines) <= 5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_check_names_the_column_that_no_effect_uses(followed: dict[str, Ran]) -> None:
     printed = _one(followed, "check").out
     assert_as_shown(printed, blocks(PAGE, "text")[0])
     assert printed.splitlines()[3].startswith("humidity ")
 
 
+@pytest.mark.nightly
 def test_discovery_finds_the_effect(followed: dict[str, Ran]) -> None:
     printed = _one(followed, "discover line/calibration.nc --effects").out
     assert_as_shown("\n".join(printed.splitlines()[:2]), blocks(PAGE, "text")[1])
@@ -71,6 +72,7 @@ def test_discovery_finds_the_effect(followed: dict[str, Ran]) -> None:
     assert "unexplained" not in printed
 
 
+@pytest.mark.nightly
 def test_readings_kept_apart_are_predicted_to_the_noise(followed: dict[str, Ran]) -> None:
     printed = [
         ran.out for command, ran in followed.items() if command.startswith("bayescal predict")
@@ -78,6 +80,7 @@ def test_readings_kept_apart_are_predicted_to_the_noise(followed: dict[str, Ran]
     assert_as_shown("".join(printed), blocks(PAGE, "text")[2])
 
 
+@pytest.mark.nightly
 def test_the_coefficient_is_what_was_simulated(followed: dict[str, Ran]) -> None:
     printed = _one(followed, "fit damp.csv --instrument mems_gyro --effects").out
     row = next(line for line in printed.splitlines() if line.startswith("bias.humidity"))
@@ -85,6 +88,7 @@ def test_the_coefficient_is_what_was_simulated(followed: dict[str, Ran]) -> None
     assert float(mean) == pytest.approx(0.02, abs=3 * float(sd))
 
 
+@pytest.mark.nightly
 def test_a_saved_calibration_asks_for_the_file_with_its_effect(followed: dict[str, Ran]) -> None:
     refused = followed[REFUSED]
     assert refused.status == 2
@@ -92,6 +96,7 @@ def test_a_saved_calibration_asks_for_the_file_with_its_effect(followed: dict[st
     assert "--effects my_effects.py" in refused.said[0]
 
 
+@pytest.mark.nightly
 def test_a_report_looks_for_it_too(followed: dict[str, Ran], folder: Path) -> None:
     assert followed[REPORT].status == 0
     assert "bias.humidity was found missing." in (folder / "report.html").read_text("utf-8")
