@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
+import time
+import urllib.request
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
-from bayescal_models import accelerometer_triad, differential_pair, gyro_triad
+import bayescal as bc
+from bayescal_models import accelerometer_triad, differential_pair, gyro_triad, mems_gyro
 from tests.commands.test_help_and_tables import COMMANDS
 from tests.support.command_line import TABLE, needs_installation
 from tests.support.folder_of_strangers import SETTINGS, ran, strangers_folder
@@ -36,7 +41,7 @@ GIVEN = {
     "compare": "{data}/table.csv --instrument mems_gyro",
     "predict": "{result} {data}/table.csv --out {out}/predicted.csv",
     "noise": "{data}/still.csv --columns output=gyro_x --unit gyro_x=deg/s --out {out}/noise",
-    "plan": "{result} --limit|" + LIMIT + "|--count 2",
+    "plan": "{data}/line.nc --limit|bias.temperature: ±1e-3 deg/s/degC|--count 2",
     "triad": "{data}/triad.csv --poses --baseline --out {out}/triad",
     "imu": "{data}/unit.csv --baseline --out {out}/unit",
     "compensate": "{result} {data}/table.csv --out {out}/done.csv",
@@ -66,9 +71,24 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     units = {"time": "s", "gyro": "deg/s", "accel": "g", "mag": "uT"}
     named = {f"{n} [{units[n.partition('_')[0]]}]": values for n, values in log.items()}
     pd.DataFrame(named).to_csv(folder / "unit.csv", index=False)
+    campaign = mems_gyro.simulate(seed=1)
+    line = bc.fit(mems_gyro.INSTRUMENT.baseline(), campaign, bc.LeastSquares())
+    line.save(folder / "line.nc")
     still = {"time [s]": log["time"][:400], "gyro_x": log["gyro_x"][:400]}
     pd.DataFrame(still).to_csv(folder / "still.csv", index=False)
     return folder
+
+
+def ready(told: str) -> None:
+    """Wait until the workbench's own page stands at the address that it told."""
+    url = re.search(r"http://\S+", told)
+    assert url is not None
+    for _ in range(3000):
+        with contextlib.suppress(OSError), urllib.request.urlopen(url[0], timeout=30) as answer:
+            if b"bokeh" in answer.read():
+                return
+        time.sleep(0.1)
+    raise AssertionError("the workbench did not come up")
 
 
 def at(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -87,6 +107,7 @@ def at(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
         told = ""
         while "Ctrl-C" not in told:
             told += done.stdout.readline()
+        ready(told)
         done.send_signal(signal.SIGINT)
     out, err = done.communicate(timeout=300)
     return subprocess.CompletedProcess(command, done.returncode, out, err)
@@ -145,5 +166,6 @@ def test_no_command_runs_or_obeys_the_current_folder(
     command: str, data: Path, saved: Path, tmp_path: Path
 ) -> None:
     folder = strangers_folder(tmp_path)
+    (tmp_path / "out").mkdir()
     done = at(folder, command, *words(command, data=data, result=saved, out=tmp_path / "out"))
     unharmed(done, folder)
