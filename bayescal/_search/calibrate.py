@@ -294,7 +294,7 @@ class Loop:
             if stopped:
                 raise
             stopped = STOPPED.format(time.monotonic() - self.begun)
-        if first.calibration.verdict.ok:
+        if first.calibration.verdict.ok and self.max_effects > 0:  # else nothing was looked for
             steps = [
                 replace(s, discovery=discovery_at(library, at, shut, stopped))
                 for s, at in zip(steps, way, strict=False)

@@ -477,9 +477,5 @@ def test_refusals_say_what_to_do() -> None:
         bc.Measurements.from_arrays(instrument, **given, direction_x=np.ones(4))
     with pytest.raises(bc.InputError, match="row 3, columns output_x, output_y, output_z"):
         bc.Measurements.from_arrays(instrument, **zero_in_row_3)
-    model = MODEL + "bias.drift"
-    drifting = bc.fit(model, accelerometer_triad.simulate(seed=1), bc.LeastSquares())
-    with pytest.raises(bc.ModelError, match=r"bias\.drift"):
-        bc.vector_correction(drifting)
     with pytest.raises(bc.InputError, match="temperature"):
         bc.vector_correction(thermal())(np.ones(3))
