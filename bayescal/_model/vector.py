@@ -35,11 +35,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayescal._data.pose_rows import ACROSS, DIRECTION, MAGNITUDE
+from bayescal._data.pose_rows import ACROSS, DIRECTION, ellipsoid, magnitude
 from bayescal._model.frame import Frame
 from bayescal._model.static import static
 
-INSIDE = 2.0  # times the magnitude, up to which outputs leave the origin inside their ellipsoid
+NEAR = 1.5  # times the magnitude or a part of it, by which outputs are off in length where a fit needs no ellipsoid
 INVERSIONS = 1  # Newton steps before the one that is differentiated: 1e-7 in the end for a nonlinearity of a tenth
 
 Outputs = Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
@@ -54,6 +54,8 @@ class Vector:
         equation: h of slots and frame: a function of what acts (n, 3), output unit, to the three outputs expected,
             that JAX can differentiate backward too (no loop of unknown length), finite wherever it is evaluated.
         acting: what acts (n, 3), output unit, of a frame, where it is known; None where its magnitude is.
+        common_scale: plausible standard deviation of a factor that the three scale factors share, as a wrong magnitude
+            of what acts would make it; 0 where nothing is said of it.
         rig: slots of the rig's own errors, which do not act in use and which the equation does not hold.
         beside: three columns of what else acts, linearly, in use too: gravity on gyroscopes.
     """
@@ -61,6 +63,7 @@ class Vector:
     outputs: tuple[str, str, str]
     equation: Callable[[Mapping[str, Any], Frame], Outputs]
     acting: Callable[[Frame], Float[Array, "n 3"]] | None = None
+    common_scale: float = 0.0
     rig: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
 
@@ -70,7 +73,7 @@ class Vector:
             across = jnp.stack([frame[name] for name in ACROSS], axis=1)
             return jnp.sum(across * self.equation(slots, frame)(self.acting(frame)), axis=1)
         y = jnp.stack([frame[name] for name in self.outputs], axis=1)
-        size = frame[MAGNITUDE]
+        size = magnitude(frame.columns)
         outputs = self.equation(slots, frame)
         force, inverse = inverted(outputs, y)
         length = _norm(force)
@@ -91,58 +94,38 @@ class Vector:
         """The same readings as projections in known directions, those of an ellipsoid through the outputs.
 
         Their expected outputs are linear in the slots of a linear equation, from wherever a fit begins. The magnitude
-        is not where the origin is outside the ellipsoid (a hard iron larger than the field): a fit that begins with
-        the directions of the outputs themselves ends where a scale factor is zero.
+        is not where outputs are far from it in length (a hard iron, another unit): a fit that begins with the
+        directions of the outputs themselves ends where a scale factor is zero.
 
         Args:
             frame: of the readings, on the host.
             y: outputs, of which those of projections are kept.
 
         Returns:
-            Frame and outputs; None where the origin is inside, what acts is known, or no ellipsoid is found.
+            Frame and outputs; None where outputs are near the magnitude, what acts is known, or no ellipsoid is found.
         """
         if self.acting is not None:
             return None
         outputs = np.stack([frame[name] for name in self.outputs], axis=1)
-        if not np.max(np.linalg.norm(outputs, axis=1) / frame[MAGNITUDE]) > INSIDE:
+        ratio = np.linalg.norm(outputs, axis=1) / magnitude(frame.columns)
+        if np.all((ratio < NEAR) & (ratio > 1 / NEAR)) or (found := ellipsoid(outputs)) is None:
             return None
-        found = _on_ellipsoid(outputs)
-        if found is None:
-            return None
+        # The triad's matrix is upper triangular, as the convention of three misalignments has it.
+        off, form = outputs - found[0], found[1]
+        each = (
+            off @ np.linalg.cholesky(form),
+            off @ form,
+        )  # of what acts, and the ellipsoid's normal
+        direction, normal = (v / np.linalg.norm(v, axis=1)[:, None] for v in each)
         names, columns = (*DIRECTION, *ACROSS), dict(frame.columns)
         given = [name in columns for name in names]
         projected = np.zeros(len(y), bool)
         if all(given):
             projected = np.any(np.stack([columns[name] for name in ACROSS]) != 0, axis=0)
-        for name, values in zip(names, np.concatenate(found, axis=1).T, strict=True):
+        for name, values in zip(names, np.concatenate([direction, normal], axis=1).T, strict=True):
             columns[name] = np.where(projected, columns[name], values) if all(given) else values
-        along = np.sum(found[1] * outputs, axis=1)
+        along = np.sum(normal * outputs, axis=1)
         return replace(frame, columns=columns), np.where(projected, y, along)
-
-
-def _on_ellipsoid(
-    outputs: Float[np.ndarray, "n 3"],
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]] | None:
-    """Of each reading the direction of what acts and the ellipsoid's normal there; None if there is no ellipsoid.
-
-    By least squares on the quadric's coefficients (Q. Li and J. G. Griffiths, Proc. GMP 2004). The triad's matrix is
-    upper triangular, as the convention of three misalignments has it.
-    """
-    scale = np.max(np.std(outputs, axis=0))
-    if not scale > 0:
-        return None
-    a = (outputs - outputs.mean(axis=0)) / scale
-    i, j = np.triu_indices(3)
-    table = np.concatenate([a[:, i] * a[:, j], a], axis=1)
-    q, _, rank, _ = np.linalg.lstsq(table, np.ones(len(a)), rcond=1e-10)
-    form = np.zeros((3, 3))
-    form[i, j] = q[:6]
-    form = 0.5 * (form + form.T)
-    if rank < len(q) or not np.min(np.linalg.eigvalsh(form)) > 0:
-        return None
-    off = a + 0.5 * np.linalg.solve(form, q[6:])
-    direction, normal = off @ np.linalg.cholesky(form), off @ form
-    return tuple(v / np.linalg.norm(v, axis=1)[:, None] for v in (direction, normal))  # pyright: ignore[reportReturnType]
 
 
 def inverted(

@@ -45,8 +45,9 @@ from bayescal._calibration.mixture import usual_columns, with_columns
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
 from bayescal._data.measurements import Measurements
-from bayescal._data.pose_rows import ACROSS, TURNED
+from bayescal._data.pose_rows import ACROSS, MAGNITUDE, TURNED, magnitude
 from bayescal._data.still_stretches import LoggedRun, in_common, logged_runs, per_sample
+from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.assembly import Assembly
 
 EXACT = 1e-9  # of the largest term, up to which a polynomial of the temperature is the model's own
@@ -62,6 +63,7 @@ PAIRS = (
     (1, 2),
 )  # of inputs, that terms of second order multiply
 TEMPERATURE = "temperature"  # known in use, as is what acts beside
+SHARED = 3.0  # plausible sizes of a factor that three scale factors share, beyond which what acts is in question
 MENTIONED = 0.1  # of a standard uncertainty: what of the test is larger is said
 OfTest = dict[str, dict[str, float]]  # of effects, the standard deviation of what they add to slots
 STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
@@ -455,18 +457,55 @@ def vector_correction(
         if not np.any(terms[:, :, 12:30]):
             terms = np.delete(terms, slice(12, 30), axis=2)
     spread = terms.reshape(len(terms), -1)
+    covariance, mean = np.atleast_2d(np.cov(spread.T)), np.mean(terms, axis=0)
+    relative, said = _common_scale(calibration, mean[0, 3:12].reshape(3, 3))
+    size = mean.shape[1] - 9 * bool(beside)
+    powers = np.zeros(mean.shape[1])  # of what acts, in each term
+    powers[:size] = np.repeat(range(4), [3, 9, 18, 3])[:size]
+    moved = relative * (mean * powers).ravel()
     return VectorCorrection(
         outputs=vector.outputs,
         unit=instrument.unit,
         reference=reference,
         low=low,
         high=high,
-        terms=np.mean(terms, axis=0),
-        covariance=np.atleast_2d(np.cov(spread.T)),
+        terms=mean,
+        covariance=covariance + np.outer(moved, moved),
         noise=float(np.sqrt(np.min(calibration.linear.variance))),
-        notes=_notes(calibration, order, low, high, of_test),
+        notes=(*said, *_notes(calibration, order, low, high, of_test)),
         source=identity(calibration),
         beside=beside,
+    )
+
+
+def _common_scale(
+    calibration: Calibration, matrix: Float[np.ndarray, "3 3"]
+) -> tuple[float, tuple[str, ...]]:
+    """Relative uncertainty of what all three scale factors share, beyond that of each, and what is to be said of it.
+
+    It is that of data sheets where the magnitude of what acts is not known, and none where it is.
+    """
+    instrument, readings = calibration.model.instrument, calibration.readings
+    vector, unit = instrument.vector, unit_label(instrument.unit)
+    assert vector is not None
+    plausible, common = vector.common_scale, float(np.mean(np.diag(matrix)))
+    what, stated = "the rates", ""
+    if vector.acting is None:
+        size = float(np.mean(magnitude(readings)))
+        what = f"the magnitude {instrument.column(MAGNITUDE).meaning}"
+        if not readings.has(MAGNITUDE):
+            return plausible, (
+                f"{what.capitalize()} is not known and taken as the outputs read it, {size:.4g} {unit}: scale factors "
+                f"are ratios to their mean. The absolute scale is unknown, plausibly by {100 * plausible:.2g} %, which "
+                "is in the uncertainty of magnitudes and in that of no direction.",
+            )
+        stated = f" ({size:.4g} {unit}; {size * common:.3g} {unit} would fit)"
+    if not plausible or abs(common - 1) <= SHARED * plausible:
+        return 0.0, ()
+    three = ", ".join(f"{a} {s:.3g}" for a, s in zip("xyz", np.diag(matrix), strict=True))
+    return 0.0, (
+        f"All three scale factors differ from nominal by one factor, {common:.3g} ({three}), more than is plausible: "
+        f"{what}{stated} or the unit of the outputs may be stated wrongly. Their ratios do not depend on it.",
     )
 
 
