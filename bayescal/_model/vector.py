@@ -7,13 +7,14 @@ becomes scalar readings of independent noise, so that everything that takes a sc
 
 * its *magnitude*. With f̂ = h⁻¹(y), û = f̂/|f̂|, H = ∂h/∂f and s = |H⁻ᵀû|, the residual is
 
-      3·F·((|f̂|/F)^⅓ − 1)/s  ~  N(0, σ²)
+      F·g(|f̂|/F)/s  ~  N(0, σ²),     g(1 + x) = x/2 + x/(2 + 4x/3)
 
   which is (|f̂| − F)/s with its curvature. That s·σ is the standard deviation of |f̂| follows from Cov f̂ = σ²·H⁻¹H⁻ᵀ.
-  The power one third is what makes the estimating equation unbiased: by the curvature of the sphere |f̂| is
-  too long by σ²/F on average, and noise in û and |f̂| moves the residual's own slope with it; for the power p these add
-  up to (1 − 3·p)/2 times σ²·ûᵀ(∂H)û. With p = 1 poses held by hand (σ of 30 mg) are biased by half a standard
-  uncertainty.
+  The curvature g″(1) = −2/3 is what makes the estimating equation unbiased: by the curvature of the sphere |f̂| is
+  too long by σ²/F on average, and noise in û and |f̂| moves the residual's own slope with it; these add up to
+  −(3·g″ + 2)/2 times σ²·ûᵀ(∂H)û. With g″ = 0 poses held by hand (σ of 30 mg) are biased by half a standard
+  uncertainty. Far away g rises in proportion: with a power of |f̂| below one a matrix near zero, f̂ without bound,
+  would leave nothing over.
 * where its direction u is known to τ radians, two projections qᵀy on directions q ⊥ u, expected qᵀh(F·u), with the
   known standard uncertainty τ·F beside their noise. They share nothing with the magnitude, which no small angle moves.
 
@@ -78,7 +79,7 @@ class Vector:
         force, inverse = inverted(outputs, y)
         length = _norm(force)
         slope = _norm(jnp.sum(inverse * (force / length[:, None])[:, :, None], axis=1))
-        radial = 3 * size * (jnp.cbrt(length / size) - 1) / slope
+        radial = size * excess(length / size) / slope
         expected = _norm(y) - radial
         if ACROSS[0] not in frame.columns:
             return expected
@@ -126,6 +127,12 @@ class Vector:
             columns[name] = np.where(projected, columns[name], values) if all(given) else values
         along = np.sum(normal * outputs, axis=1)
         return replace(frame, columns=columns), np.where(projected, y, along)
+
+
+def excess(ratio: Any) -> Any:
+    """g of a length over the magnitude that it should have: 0, slope 1 and curvature −2/3 at one."""
+    x = ratio - 1
+    return x / 2 + x / (2 + 4 * x / 3)
 
 
 def inverted(
