@@ -67,7 +67,7 @@ from bayescal._use.vector_correction import VectorCorrection
 SWEEPS = 60  # of integrating anew; four suffice for a matrix that is off by a tenth
 HALVINGS = 10  # of a step that leaves more over than was
 FARTHEST = 0.5  # of an entry of the matrix from nominal: a wrong unit or axis, no gyroscope
-SETTLED = 1e-3  # of a standard uncertainty, by which the last sweep may move an estimate
+SETTLED = 0.01  # of a standard uncertainty, by which a further sweep may move an estimate
 DISAGREES = 0.01  # probability that of moves and poses that agree any is set aside
 MOST = 0.2  # of the moves that may be
 # Prior standard deviations of bias (rad/s), matrix, sensitivity to specific force (rad/s/g) and to the rate squared
@@ -256,42 +256,42 @@ def _readings(
     moved = _between(log, windows, pull, _forces(pull, correction))
     most = max(1, int(MOST * len(moved.rate)))
     here, aside = session.nominal[:OWN], _Aside((), ())
-    at, size = _closure(moved, felt, here), np.inf
+    at = _closure(moved, felt, here)
     for _ in range(SWEEPS):
         line = _Line.of(session, at, here, aside)
         found = line.spread()
         change = found.mean[:OWN] - here
         size = float(np.max(np.abs(change) / found.sd[:OWN]))
-        if size < SETTLED:
-            if not np.max(np.abs(here - session.nominal[:OWN])[3:]) < FARTHEST:
-                raise InputError(_astray(moved, felt, session.nominal))
-            further = line.odd(found, aside)
-            if further == aside:
-                return line.rows(found), line.words(found, aside)
-            aside = further
-            if len(aside.moves) > most:
-                raise InputError(
-                    f"more than {most} of {len(moved.rate)} moves disagree with each other by more than they scatter. "
-                    "Were samples lost, is a rate beyond the gyroscopes' range, or did accelerometers and gyroscopes "
-                    "not turn together?"
-                )
-            continue
-        before = line.left_over(at, here, found)
-        for _ in range(HALVINGS):
-            there = _closure(moved, felt, here + change)
-            if line.left_over(there, here + change, found) < before:
+        before, there = line.left_over(at, here, found), None
+        for _ in range(HALVINGS if size >= SETTLED else 0):
+            tried = _closure(moved, felt, here + change)
+            if line.left_over(tried, here + change, found) < before:
+                there = tried
                 break
             change = 0.5 * change
-        else:
+        if there is not None:
+            here, at = here + change, there
+            continue
+        # Settled; or what one move leaves over is too large for a linear form.
+        further = line.odd(found, aside)
+        if further == aside:
             break
-        here, at = here + change, there
+        aside = further
+        if len(aside.moves) > most:
+            raise InputError(
+                f"more than {most} of {len(moved.rate)} moves disagree with each other by more than they scatter. Were "
+                "samples lost, is a rate beyond the gyroscopes' range, or did accelerometers and gyroscopes not turn "
+                "together?"
+            )
     if not np.max(np.abs(here - session.nominal[:OWN])[3:]) < FARTHEST:
         raise InputError(_astray(moved, felt, session.nominal))
-    raise InputError(
-        f"the integration over the moves did not settle: after {SWEEPS} sweeps the next would move an estimate by "
-        f"{size:.2g} standard uncertainties. Turn the unit less between two poses, about all three axes, and hold it "
-        "still for longer; see that no rate is beyond the gyroscopes' range"
-    )
+    if size >= SETTLED:
+        raise InputError(
+            f"the integration over the moves did not settle: a further sweep would move an estimate by {size:.2g} "
+            "standard uncertainties. Turn the unit less between two poses, about all three axes, and hold it still for "
+            "longer; see that no rate is beyond the gyroscopes' range"
+        )
+    return line.rows(found), line.words(found, aside)
 
 
 class _Session(NamedTuple):
@@ -387,14 +387,14 @@ class _Line(NamedTuple):
     def spread(self) -> _Found:
         """The estimate with both variances at their means: half-normal in the deviations, one after the other."""
         known = np.median(self.at_rest), np.median(np.diag(self.moving) * self.duration**2)
-        found = [float(one) for one in known]
-        for _ in range(2):
-            for i, one in enumerate(known):
-                tried = one * SPREADS**2
-                density = [self.estimate(*found[:i], v, *found[i + 1 :]).log_density for v in tried]
-                density += 0.5 * np.log(tried) - 0.5 * tried / PLAUSIBLE**2
-                found[i] = float(tried @ np.exp(density - logsumexp(density)))
-        return self.estimate(*found)
+        found = list(map(float, known))
+        for i in (0, 1, 0, 1):
+            tried = known[i] * SPREADS**2
+            each = [self.estimate(*((v, found[1]) if i == 0 else (found[0], v))) for v in tried]
+            density = np.array([one.log_density for one in each])
+            density += 0.5 * np.log(tried) - 0.5 * tried / PLAUSIBLE**2
+            found[i] = float(tried @ np.exp(density - logsumexp(density)))
+        return self.estimate(found[0], found[1])
 
     def left_over(self, at: _Closure, own: Float[np.ndarray, "12"], found: _Found) -> float:
         """Squares of what an integration with these leaves over, weighted, all else as found."""

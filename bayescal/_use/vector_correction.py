@@ -305,7 +305,7 @@ class VectorCorrection:
 
         Returns:
             f̂; what it falls by where a term rises, so that slopes·covariance·slopesᵀ is what poses share; and its
-            covariance by their noise.
+            covariance by what each has of its own.
 
         Raises:
             InputError: no temperature was logged, and the correction depends on it.
@@ -315,7 +315,10 @@ class VectorCorrection:
             warm = np.array([np.mean(run.temperature[run.inside(*w)]) for w in windows])
         force, inverse, slope, warm = self._solved(run.means(windows), warm, None)
         shared = np.einsum("nk,nip->nikp", self._powers(warm), slope)
+        # What poses of the calibration scatter by beyond their means' noise (creep, hysteresis, a model not exact) each
+        # pose of a log has too.
         noise = run.still.of_second**2 / (windows[:, 1] - windows[:, 0])
+        noise = noise + max(0.0, self.noise**2 - float(np.min(noise)))
         own = noise[:, None, None] * inverse @ inverse.transpose(0, 2, 1)
         return force, shared.reshape(3 * len(force), -1), np.asarray(block_diag(*own))
 
