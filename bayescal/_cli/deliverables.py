@@ -160,13 +160,19 @@ def imu(
     from bayescal._use.vector_export import data, names_in_unit
 
     sensor_name(asked.name, "")
-    how = columns.for_read()
+    how, field = columns.for_read(), columns.local_field
+    if field is not None and not magnetometers:
+        raise InputError(
+            f"--local-field {field!r}: it is of magnetometers; say which they are (--magnetometers mx,my,mz)"
+        )
     given = dict(zip(SENSORS, (accelerometers, gyroscopes), strict=False))
     given |= {"magnetometer_triad": magnetometers} if magnetometers else {}
     instruments = {name: instrument_named(name) for name in given}
     logs, problems = {}, Problems()
     for name, three in given.items():
         named = {**how, "columns": _three(three) | how["columns"]}
+        if SENSORS[name] != "magnetometers":
+            named.pop("local_field", None)
         try:
             logs[name] = bc.read(list(files), instruments[name], **named)
         except InputError as error:

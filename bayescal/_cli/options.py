@@ -196,6 +196,7 @@ HELP = {
     "k": "Coverage factor of the expanded uncertainty.",
     "keep_spikes": "Keep single readings far from both neighbours, and those of a wrong thermometer.",
     "limit": "Also decide whether it conforms, as `bayescal decide`; of one result.",
+    "local_field": "Local magnetic field, '48.2 uT', that magnetometers are turned in; ratios of scales without it.",
     "local_gravity": "Local gravity, m/s², for files in m/s²; 9.80665 if not given.",
     "mapping": "TOML file that --save-mapping wrote; options on the command line take precedence.",
     "magnetometers": "Their three columns, as mx,my,mz, where there are any.",
@@ -284,6 +285,7 @@ MORE: dict[str, dict[str, Any]] = {
     "ignore": {"metavar": "HEADER"},
     "instrument_file": {"names": ["--instrument"]},
     "k": {"names": ["-k"]},
+    "local_field": {"metavar": "'48.2 uT'"},
     "local_gravity": {"min": 1.0},
     "max_effects": {"min": 1},
     "method": {"callback": _refuse_unknown_method},
@@ -312,6 +314,7 @@ class ColumnOptions:
     columns: list[str] | None = None
     unit: list[str] | None = None
     local_gravity: float | None = None
+    local_field: str | None = None
     missing: str | None = None
     decimal: str | None = None
     date_order: str | None = None
@@ -330,7 +333,14 @@ class ColumnOptions:
         from bayescal._data.unit_conversion import STANDARD_GRAVITY  # loads NumPy
 
         saved = {} if self.mapping is None else load_mapping(self.mapping)
-        names = ("local_gravity", "missing", "decimal", "date_order", "nominal_scale")
+        names = (
+            "local_gravity",
+            "local_field",
+            "missing",
+            "decimal",
+            "date_order",
+            "nominal_scale",
+        )
         single = {name: getattr(self, name) for name in (*names, "nominal_zero", "ignore")}
         usual = {"local_gravity": STANDARD_GRAVITY, "missing": "refuse", "decimal": ""}
         given = {name: value for name, value in single.items() if value is not None}

@@ -28,6 +28,7 @@ from bayescal._data.header_matching import (
     unit_in,
     unit_of,
 )
+from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.unit_conversion import (
     ANY,
     convert,
@@ -109,9 +110,17 @@ def _converted(
         if name in found:
             reader(name).read(cells[positions[name]])
             converted.unread |= {name} - set(converted.values)
-        if name not in converted.values and column.default is not None:
+        default = column.default
+        if name == MAGNITUDE and options.local_field is not None:
+            if name in found:
+                raise InputError(
+                    f"{table.file} has the local field in its column {file.header(name).raw!r}, and --local-field says "
+                    "it too: leave one out (the column by --ignore)"
+                )
+            default = options.local_field
+        if name not in converted.values and default is not None:
             kind = object if column.unit is None else np.float64
-            converted.values[name] = np.full(table.rows, column.default, dtype=kind)
+            converted.values[name] = np.full(table.rows, default, dtype=kind)
             converted.units[name] = column.unit
             converted.filled.add(name)
     for name in (n for n in extra if n in found):

@@ -24,6 +24,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import TAKEN, UNCERTAINTY, Column, NominalScale
+from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.unit_conversion import (
     ANY,
     BASE,
@@ -80,6 +81,8 @@ class ReadOptions:
         columns: our name → the file's.
         units: the file's name, or ours → unit.
         local_gravity: m/s².
+        local_field: magnitude of the magnetic field, in the unit of the instrument's column `magnitude`; None where
+            it is not known.
         nominal_scale: in place of the instrument's.
         missing: "refuse" rows with a missing reading, or "drop" them.
         decimal: between the whole and its parts in text files; empty where the file shows it.
@@ -93,6 +96,7 @@ class ReadOptions:
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     local_gravity: float = STANDARD_GRAVITY
+    local_field: float | None = None
     nominal_scale: NominalScale | None = None
     missing: str = "refuse"
     decimal: str = ""
@@ -124,15 +128,18 @@ class ReadOptions:
         *,
         nominal_scale: NominalScale | str | None = None,
         nominal_zero: str | None = None,
+        local_field: str | None = None,
         ignore: Sequence[str] = (),
         **given: Any,
     ) -> ReadOptions:
-        """As a user gives them: the nominal scale and zero as text, what is not said left out.
+        """As a user gives them: nominal scale and zero and the local field as text, what is not said left out.
 
         Raises:
-            InputError: `nominal_scale` or `nominal_zero` is not of its form, or not in a unit of this instrument.
+            InputError: `nominal_scale`, `nominal_zero` or `local_field` is not of its form, or not in a unit of this
+                instrument.
         """
-        made = cls(**given, ignore=tuple(ignore))
+        field = None if local_field is None else _field_in_words(instrument, local_field)
+        made = cls(**given, local_field=field, ignore=tuple(ignore))
         scale = _scale_in_words(instrument, nominal_scale, nominal_zero, made.local_gravity)
         return replace(made, nominal_scale=scale)
 
@@ -185,6 +192,22 @@ def _scale_from(instrument: InstrumentLike, text: str, local_gravity: float) -> 
     raise InputError(
         f"nominal_scale={text!r} (--nominal-scale) is not a raw unit per {unit}: give what one unit of output is of "
         f"the raw output, such as {example!r}"
+    )
+
+
+def _field_in_words(instrument: InstrumentLike, text: str) -> float:
+    """The magnitude of the local field that is said as "48.2 uT", in the unit of the instrument's column."""
+    value, unit = _number_and_unit(text, "local_field", "--local-field", "48.2 uT")
+    for column in instrument.columns:
+        if (
+            column.name == MAGNITUDE
+            and same_dimension(unit, "uT")
+            and same_dimension("uT", str(column.unit))
+        ):
+            return float(convert(value, unit, str(column.unit)))
+    raise InputError(
+        f"local_field={text!r} (--local-field) is nothing that {instrument.name!r} can take: it is the magnitude of a "
+        "magnetic field, such as '48.2 uT', and of magnetometers"
     )
 
 

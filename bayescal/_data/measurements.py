@@ -31,7 +31,7 @@ from bayescal._data.dataset_checks import (
     repeated_rows,
 )
 from bayescal._data.header_matching import InstrumentLike, ReadOptions, output_name, unused_options
-from bayescal._data.pose_rows import scalar_readings
+from bayescal._data.pose_rows import MAGNITUDE, MAGNITUDE_READ, scalar_readings
 from bayescal._data.unit_conversion import ANY, STANDARD_GRAVITY, parse
 from bayescal._tables.cells import date_text, equally_long
 from bayescal._tables.raw_table import ROW, Problems, Table
@@ -358,7 +358,14 @@ def assemble(
     if "time" in values and len(repeated):
         values = {n: np.delete(v, repeated) for n, v in values.items()}
     if outputs := getattr(instrument, "outputs", ()):
-        values, units = scalar_readings(outputs, values, units, names)
+        sized = [c.meaning for c in instrument.columns if c.name == MAGNITUDE]
+        values, units = scalar_readings(outputs, values, units, names, bool(sized))
+        if MAGNITUDE_READ in values.keys() - converted.values.keys():
+            read = f"{values[MAGNITUDE_READ][0]:.4g} {units[MAGNITUDE_READ]}"
+            flags.append(
+                f"{names}: the magnitude {sized[0]} is not given (--local-field, or a column {MAGNITUDE!r}): it is "
+                f"taken as the outputs read it, {read}, and ratios of scale factors are measured"
+            )
     variables = {n: _variable(v, units[n]) for n, v in values.items()}
     if since is not None:
         variables["time"].attrs[SINCE] = since

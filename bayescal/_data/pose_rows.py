@@ -7,6 +7,7 @@ projections. What acts is known, or nothing (a rate table): each output is a rea
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +20,9 @@ ACROSS = tuple(f"across_{a}" for a in AXES)  # the direction that a reading is t
 DIRECTION = tuple(f"direction_{a}" for a in AXES)  # of what acts, in the body's axes
 POSE_UNCERTAINTY = "pose_uncertainty"  # of that direction, rad
 MAGNITUDE = "magnitude"  # of what acts, output unit, where it is all that is known
+MAGNITUDE_READ = (
+    "magnitude_read"  # where it is not known: what the outputs make of it, by convention
+)
 RATE = "rate"  # of what acts about the direction, output unit
 MOUNTING = "mounting"  # readings that share an error of the direction
 OF = "axis"  # which of the readings of one moment
@@ -35,25 +39,31 @@ def scalar_readings(
     values: Mapping[str, np.ndarray],
     units: Mapping[str, str | None],
     file: str,
+    of_magnitude: bool = True,
 ) -> tuple[dict[str, np.ndarray], dict[str, str | None]]:
     """Poses as scalar readings: of each its magnitude and, where its direction is known, two projections.
 
-    Without a column `magnitude` what acts is known: see `component_readings`.
+    Where neither the magnitude of what acts is given nor what the outputs make of it, the latter is added: the mean
+    radius of their ellipsoid, which makes the scale factors ratios.
 
     Args:
         names: of the three outputs.
         values: columns of a file, one entry a pose.
         units: of these.
         file: for messages.
+        of_magnitude: whether what acts has one magnitude in all poses; else it is known: see `component_readings`.
 
     Raises:
         InputError: a direction without its uncertainty or of no length, or a pose that measures nothing.
     """
     if "output" in values:  # they are so already
         return dict(values), dict(units)
-    if MAGNITUDE not in values:
+    if not of_magnitude:
         return component_readings(names, values, units, file)
     y = np.stack([values[name] for name in names], axis=1)
+    if MAGNITUDE not in values and MAGNITUDE_READ not in values:
+        values = {**values, MAGNITUDE_READ: np.full(len(y), _mean_radius(y))}
+        units = {**units, MAGNITUDE_READ: units[names[0]]}
     size = _lengths(
         y, file, names, "all three read zero, so nothing acts on them: take the row out"
     )
@@ -72,7 +82,7 @@ def scalar_readings(
     direction = direction / _lengths(direction, file, DIRECTION, none)[:, None]
     across = np.stack([np.zeros_like(y), *tangents(direction)], axis=1)  # (n, 3 readings, 3)
     outputs = np.column_stack([size, np.einsum("nkj,nj->nk", across[:, 1:], y)])
-    angle = values[POSE_UNCERTAINTY] * values[MAGNITUDE]
+    angle = values[POSE_UNCERTAINTY] * magnitude(values)
     beside = values.get(UNCERTAINTY, np.zeros(len(y)))
     uncertainty = np.stack([beside, *2 * [np.hypot(beside, angle)]], axis=1)
     made = {name: np.repeat(v, 3) for name, v in values.items()}
@@ -82,6 +92,43 @@ def scalar_readings(
     made |= {OF: np.tile(("magnitude", "across", "across too"), len(y))}
     made_units |= {**dict.fromkeys(ACROSS, "1"), UNCERTAINTY: made_units["output"], OF: None}
     return made, made_units
+
+
+def magnitude(columns: Mapping[str, Any]) -> Any:
+    """Of what acts, as it is given or else as the outputs have it, of the columns of readings."""
+    return columns[MAGNITUDE] if MAGNITUDE in columns else columns[MAGNITUDE_READ]
+
+
+def ellipsoid(
+    outputs: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None:
+    """Centre c and form Q of the ellipsoid (y − c)ᵀQ(y − c) = 1 through outputs; None where they determine none.
+
+    By least squares on the quadric's coefficients (Q. Li and J. G. Griffiths, Proc. GMP 2004).
+    """
+    scale, middle = np.max(np.std(outputs, axis=0)), outputs.mean(axis=0)
+    if not scale > 0:
+        return None
+    a = (outputs - middle) / scale
+    i, j = np.triu_indices(3)
+    table = np.concatenate([a[:, i] * a[:, j], a], axis=1)
+    q, _, rank, _ = np.linalg.lstsq(table, np.ones(len(a)), rcond=1e-10)
+    form = np.zeros((3, 3))
+    form[i, j] = q[:6]
+    form = 0.5 * (form + form.T)
+    if rank < len(q) or not np.min(np.linalg.eigvalsh(form)) > 0:
+        return None
+    centre = -0.5 * np.linalg.solve(form, q[6:])
+    return middle + scale * centre, form / (1 + centre @ form @ centre) / scale**2
+
+
+def _mean_radius(outputs: Float[np.ndarray, "n 3"]) -> float:
+    """Of the ellipsoid through outputs, the geometric mean; where there is none, of a sphere about their midrange."""
+    found = ellipsoid(outputs)
+    if found is None:
+        middle = 0.5 * (outputs.min(axis=0) + outputs.max(axis=0))
+        return float(np.median(np.linalg.norm(outputs - middle, axis=1)))
+    return float(np.linalg.det(found[1]) ** (-1 / 6))
 
 
 def _lengths(

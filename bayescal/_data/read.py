@@ -54,6 +54,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     local_gravity: float = STANDARD_GRAVITY,
+    local_field: str | None = None,
     nominal_scale: NominalScale | str | None = None,
     nominal_zero: str | None = None,
     allow_one_temperature: bool = False,
@@ -79,6 +80,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         columns: our name → the file's, where they differ: {"output": "gyro_x"}.
         units: the file's name (or ours) → unit, where the header has none or a wrong one.
         local_gravity: m/s², for columns in m/s²; internal accelerations are in local g.
+        local_field: magnitude of the magnetic field that magnetometers are turned in, such as "48.2 uT".
         nominal_scale: how a raw output (V, Hz) becomes the instrument's, in place of its own: "250 V/g".
         nominal_zero: the raw output at zero, such as "1.21 V".
         allow_one_temperature: accept one temperature, as for a prediction.
@@ -105,6 +107,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         columns=columns or {},
         units=units or {},
         local_gravity=local_gravity,
+        local_field=local_field,
         nominal_scale=nominal_scale,
         nominal_zero=nominal_zero,
         missing=missing,

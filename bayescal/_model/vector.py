@@ -7,13 +7,14 @@ becomes scalar readings of independent noise, so that everything that takes a sc
 
 * its *magnitude*. With f̂ = h⁻¹(y), û = f̂/|f̂|, H = ∂h/∂f and s = |H⁻ᵀû|, the residual is
 
-      3·F·((|f̂|/F)^⅓ − 1)/s  ~  N(0, σ²)
+      F·g(|f̂|/F)/s  ~  N(0, σ²),     g(1 + x) = x/2 + x/(2 + 4x/3)
 
   which is (|f̂| − F)/s with its curvature. That s·σ is the standard deviation of |f̂| follows from Cov f̂ = σ²·H⁻¹H⁻ᵀ.
-  The power one third is what makes the estimating equation unbiased: by the curvature of the sphere |f̂| is
-  too long by σ²/F on average, and noise in û and |f̂| moves the residual's own slope with it; for the power p these add
-  up to (1 − 3·p)/2 times σ²·ûᵀ(∂H)û. With p = 1 poses held by hand (σ of 30 mg) are biased by half a standard
-  uncertainty.
+  The curvature g″(1) = −2/3 is what makes the estimating equation unbiased: by the curvature of the sphere |f̂| is
+  too long by σ²/F on average, and noise in û and |f̂| moves the residual's own slope with it; these add up to
+  −(3·g″ + 2)/2 times σ²·ûᵀ(∂H)û. With g″ = 0 poses held by hand (σ of 30 mg) are biased by half a standard
+  uncertainty. Far away g rises in proportion: with a power of |f̂| below one a matrix near zero, f̂ without bound,
+  would leave nothing over.
 * where its direction u is known to τ radians, two projections qᵀy on directions q ⊥ u, expected qᵀh(F·u), with the
   known standard uncertainty τ·F beside their noise. They share nothing with the magnitude, which no small angle moves.
 
@@ -35,11 +36,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from bayescal._data.pose_rows import ACROSS, DIRECTION, MAGNITUDE
+from bayescal._data.pose_rows import ACROSS, DIRECTION, ellipsoid, magnitude
 from bayescal._model.frame import Frame
 from bayescal._model.static import static
 
-INSIDE = 2.0  # times the magnitude, up to which outputs leave the origin inside their ellipsoid
+NEAR = 1.5  # times the magnitude or a part of it, by which outputs are off in length where a fit needs no ellipsoid
 INVERSIONS = 1  # Newton steps before the one that is differentiated: 1e-7 in the end for a nonlinearity of a tenth
 
 Outputs = Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
@@ -54,6 +55,8 @@ class Vector:
         equation: h of slots and frame: a function of what acts (n, 3), output unit, to the three outputs expected,
             that JAX can differentiate backward too (no loop of unknown length), finite wherever it is evaluated.
         acting: what acts (n, 3), output unit, of a frame, where it is known; None where its magnitude is.
+        common_scale: plausible standard deviation of a factor that the three scale factors share, as a wrong magnitude
+            of what acts would make it; 0 where nothing is said of it.
         rig: slots of the rig's own errors, which do not act in use and which the equation does not hold.
         beside: three columns of what else acts, linearly, in use too: gravity on gyroscopes.
     """
@@ -61,6 +64,7 @@ class Vector:
     outputs: tuple[str, str, str]
     equation: Callable[[Mapping[str, Any], Frame], Outputs]
     acting: Callable[[Frame], Float[Array, "n 3"]] | None = None
+    common_scale: float = 0.0
     rig: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
 
@@ -70,12 +74,12 @@ class Vector:
             across = jnp.stack([frame[name] for name in ACROSS], axis=1)
             return jnp.sum(across * self.equation(slots, frame)(self.acting(frame)), axis=1)
         y = jnp.stack([frame[name] for name in self.outputs], axis=1)
-        size = frame[MAGNITUDE]
+        size = magnitude(frame.columns)
         outputs = self.equation(slots, frame)
         force, inverse = inverted(outputs, y)
         length = _norm(force)
         slope = _norm(jnp.sum(inverse * (force / length[:, None])[:, :, None], axis=1))
-        radial = 3 * size * (jnp.cbrt(length / size) - 1) / slope
+        radial = size * excess(length / size) / slope
         expected = _norm(y) - radial
         if ACROSS[0] not in frame.columns:
             return expected
@@ -91,58 +95,44 @@ class Vector:
         """The same readings as projections in known directions, those of an ellipsoid through the outputs.
 
         Their expected outputs are linear in the slots of a linear equation, from wherever a fit begins. The magnitude
-        is not where the origin is outside the ellipsoid (a hard iron larger than the field): a fit that begins with
-        the directions of the outputs themselves ends where a scale factor is zero.
+        is not where outputs are far from it in length (a hard iron, another unit): a fit that begins with the
+        directions of the outputs themselves ends where a scale factor is zero.
 
         Args:
             frame: of the readings, on the host.
             y: outputs, of which those of projections are kept.
 
         Returns:
-            Frame and outputs; None where the origin is inside, what acts is known, or no ellipsoid is found.
+            Frame and outputs; None where outputs are near the magnitude, what acts is known, or no ellipsoid is found.
         """
         if self.acting is not None:
             return None
         outputs = np.stack([frame[name] for name in self.outputs], axis=1)
-        if not np.max(np.linalg.norm(outputs, axis=1) / frame[MAGNITUDE]) > INSIDE:
+        ratio = np.linalg.norm(outputs, axis=1) / magnitude(frame.columns)
+        if np.all((ratio < NEAR) & (ratio > 1 / NEAR)) or (found := ellipsoid(outputs)) is None:
             return None
-        found = _on_ellipsoid(outputs)
-        if found is None:
-            return None
+        # The triad's matrix is upper triangular, as the convention of three misalignments has it.
+        off, form = outputs - found[0], found[1]
+        each = (
+            off @ np.linalg.cholesky(form),
+            off @ form,
+        )  # of what acts, and the ellipsoid's normal
+        direction, normal = (v / np.linalg.norm(v, axis=1)[:, None] for v in each)
         names, columns = (*DIRECTION, *ACROSS), dict(frame.columns)
         given = [name in columns for name in names]
         projected = np.zeros(len(y), bool)
         if all(given):
             projected = np.any(np.stack([columns[name] for name in ACROSS]) != 0, axis=0)
-        for name, values in zip(names, np.concatenate(found, axis=1).T, strict=True):
+        for name, values in zip(names, np.concatenate([direction, normal], axis=1).T, strict=True):
             columns[name] = np.where(projected, columns[name], values) if all(given) else values
-        along = np.sum(found[1] * outputs, axis=1)
+        along = np.sum(normal * outputs, axis=1)
         return replace(frame, columns=columns), np.where(projected, y, along)
 
 
-def _on_ellipsoid(
-    outputs: Float[np.ndarray, "n 3"],
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]] | None:
-    """Of each reading the direction of what acts and the ellipsoid's normal there; None if there is no ellipsoid.
-
-    By least squares on the quadric's coefficients (Q. Li and J. G. Griffiths, Proc. GMP 2004). The triad's matrix is
-    upper triangular, as the convention of three misalignments has it.
-    """
-    scale = np.max(np.std(outputs, axis=0))
-    if not scale > 0:
-        return None
-    a = (outputs - outputs.mean(axis=0)) / scale
-    i, j = np.triu_indices(3)
-    table = np.concatenate([a[:, i] * a[:, j], a], axis=1)
-    q, _, rank, _ = np.linalg.lstsq(table, np.ones(len(a)), rcond=1e-10)
-    form = np.zeros((3, 3))
-    form[i, j] = q[:6]
-    form = 0.5 * (form + form.T)
-    if rank < len(q) or not np.min(np.linalg.eigvalsh(form)) > 0:
-        return None
-    off = a + 0.5 * np.linalg.solve(form, q[6:])
-    direction, normal = off @ np.linalg.cholesky(form), off @ form
-    return tuple(v / np.linalg.norm(v, axis=1)[:, None] for v in (direction, normal))  # pyright: ignore[reportReturnType]
+def excess(ratio: Any) -> Any:
+    """g of a length over the magnitude that it should have: 0, slope 1 and curvature −2/3 at one."""
+    x = ratio - 1
+    return x / 2 + x / (2 + 4 * x / 3)
 
 
 def inverted(

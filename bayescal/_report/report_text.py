@@ -611,10 +611,10 @@ def unexplained(chapter: Chapter) -> list[str]:
             said.append(
                 f"The residuals still depend on {e.against} (up to {size}; log Bayes factor {e.log_bayes_factor:.1f})."
             )
-    last = last_discovery(chapter)
-    if last is None:
+    last, why = last_discovery(chapter), (chapter.data.get("search") or {}).get("ending")
+    if last is None and not why:
         said.append("What is missing was not asked: the last fit did not converge.")
-    else:
+    elif last is not None:
         said.append(
             "Probability that the model is complete, that is, that no candidate that these readings can show is "
             f"missing: {last.get('unstated') or probability(last['nothing_missing_probability'])}."
@@ -629,7 +629,7 @@ def unexplained(chapter: Chapter) -> list[str]:
         )
     if chapter.data["other_path"] is not None:
         said.append(chapter.data["other_path"]["in_words"])
-    if why := (chapter.data.get("search") or {}).get("ending"):
+    if why:
         said.append(why)
     if not chapter.data["gate"]["ok"]:
         said.append(chapter.data["gate"]["reason"])

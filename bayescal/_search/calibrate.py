@@ -335,7 +335,7 @@ class Loop:
         elif self.method != QUICK and (len(way) == 1 or twice):
             steps[-1] = self.sampled(steps[-1], structures.weigh(way[-1]).phi)
             self.tell(steps, structures, to)
-        if first.calibration.verdict.ok:
+        if first.calibration.verdict.ok and self.max_effects > 0:  # else nothing was looked for
             steps = [
                 replace(s, discovery=discovery_at(library, at, shut, stopped))
                 for s, at in zip(steps, way, strict=False)

@@ -158,8 +158,11 @@ class SearchPath(Printed):
         if search is None or not (search.complete or search.stopped):
             return ""
         if found is None:
-            nothing = "Nothing was looked for: the result of the fit is not reliable."
-            return search.stopped or nothing
+            reliable = self.steps[0].calibration.verdict.ok
+            why = (
+                "no effect was to be added" if reliable else "the result of the fit is not reliable"
+            )
+            return search.stopped or f"Nothing was looked for: {why}."
         said = [search.stopped] if search.stopped else []
         added, most = sum(s.added is not None for s in self.steps), search.max_effects or 0
         if not said and added >= most > 0:

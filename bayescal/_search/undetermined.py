@@ -19,7 +19,7 @@ from bayescal._calibration.settings import searching
 from bayescal._calibration.summary import null_vectors, untold
 from bayescal._core.formatting import Printed
 from bayescal._data.measurements import Measurements
-from bayescal._data.pose_rows import ACROSS, AXES, DIRECTION, MAGNITUDE, RATE, TURNED
+from bayescal._data.pose_rows import ACROSS, AXES, DIRECTION, RATE, TURNED, magnitude
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import Mode, flat_scales
 from bayescal._inference.linear_model import LinearModel, linear_model
@@ -159,7 +159,7 @@ def _candidates(
         columns |= {RATE: np.full(len(poses), rate)}
         columns |= {name: units[:, i] for i, name in enumerate(DIRECTION)}
     else:
-        size = float(readings[MAGNITUDE][0])
+        size = float(magnitude(readings)[0])
         columns |= {"output": np.full(len(poses), size)}
         columns |= {name: size * units[:, i] for i, name in enumerate(vector.outputs)}
     rows = readings.select(np.tile(first + np.arange(each), len(poses)))

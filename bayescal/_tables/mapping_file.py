@@ -21,7 +21,14 @@ MAPPING = {  # its shape: how `read` is asked, as keywords
     "local_gravity?": float,
     **{
         f"{name}?": str
-        for name in ("missing", "decimal", "date_order", "nominal_scale", "nominal_zero")
+        for name in (
+            "local_field",
+            "missing",
+            "decimal",
+            "date_order",
+            "nominal_scale",
+            "nominal_zero",
+        )
     },
 }
 

@@ -156,7 +156,11 @@ def compensate_file(
             why = f"{path.name!r} can only be written as text: name a file .csv"
         raise InputError(f"{out.name!r}: {why}")
     expected = _expected(compensator)
-    how.pop("ignore", None)  # nothing is left out of the file
+    for name in (
+        "ignore",
+        "local_field",
+    ):  # nothing is left out of the file, and nothing calibrated
+        how.pop(name, None)
     given = {name: value for name, value in how.items() if value is not None}
     options = ReadOptions.of(
         expected, local_gravity=local_gravity, missing=missing, only=True, **given

@@ -10,10 +10,13 @@ So a move gives two readings, each a mean of the outputs along a direction a/T t
 outputs at rest before and after it three more. A rotation about the vertical changes no direction of up: the attitude
 about it need not be known.
 
-M₀ and b₀ are iterated to the least-squares estimate, where the linear form is exact to the square of the uncertainty.
-Each pose ends one move and begins another, and all of them share the errors of the accelerometers' calibration. Their
-covariance is known, and readings are the innovations of the moves one after the other: what each says beside those
-before it, with a known standard uncertainty beside that of the surest.
+M₀ and b₀ are iterated, in damped steps, to the least-squares estimate, where the linear form is exact to the square of
+the uncertainty. Each pose ends one move and begins another, and all of them share the errors of the accelerometers'
+calibration. What is not known beforehand is estimated with the rest, from what is left over, by its marginal
+likelihood: how far the bias wanders from pose to pose, and by which angle a move does not close (a unit that creeps in
+its pose, samples at other times than stated, aliases, a scale that bends). Readings are the innovations of the moves
+one after the other: what each says beside those before it, with a known standard uncertainty beside that of the
+surest. A move or a pose that disagrees with all others is set aside, and named.
 
 The Earth's rotation is three unknowns, along the axes that the body had in the first pose of a run.
 
@@ -24,14 +27,18 @@ rates between samples, coning among them: J. E. Bortz, IEEE Trans. AES 7 (1971) 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.linalg import block_diag, solve_triangular
 from scipy.spatial.transform import Rotation
+from scipy.special import fdtrc, logsumexp
 
 from bayescal._core.errors import InputError, ModelError
+from bayescal._core.formatting import number
+from bayescal._core.parallel import on_one_thread
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import (
@@ -57,14 +64,22 @@ from bayescal._data.unit_conversion import convert, same_dimension
 from bayescal._model.instrument import Instrument
 from bayescal._use.vector_correction import VectorCorrection
 
-SWEEPS = 12  # of integrating anew; four suffice for a matrix that is off by a tenth
+SWEEPS = 60  # of integrating anew; four suffice for a matrix that is off by a tenth
+HALVINGS = 10  # of a step that leaves more over than was
 FARTHEST = 0.5  # of an entry of the matrix from nominal: a wrong unit or axis, no gyroscope
-SETTLED = 1e-3  # of a standard uncertainty, by which the last sweep may move an estimate
-# Prior standard deviations of bias (rad/s), matrix and the Earth's rotation (rad/s) while that estimate is sought: they
-# decide nothing but what moves leave open.
-PRIOR = np.repeat([1.0, 0.1, np.deg2rad(15.04) / 3600], [3, 9, 3])
+SETTLED = 0.01  # of a standard uncertainty, by which a further sweep may move an estimate
+DISAGREES = 0.01  # probability that of moves and poses that agree any is set aside
+MOST = 0.2  # of the moves that may be
+# Prior standard deviations of bias (rad/s), matrix, sensitivity to specific force (rad/s/g) and to the rate squared
+# (s/rad) and the Earth's rotation (rad/s) while that estimate is sought: they decide nothing but what moves leave open.
+PRIOR = np.repeat(
+    [1.0, 0.1, np.deg2rad(0.1), np.rad2deg(1e-5), np.deg2rad(15.04) / 3600], [3, 9, 9, 3, 3]
+)
+OWN = 12  # of these what the outputs are integrated with: bias and matrix
+# Of a bias from pose to pose, rad/s, and of the angle that a move leaves over, rad: consumer parts, by hand.
+PLAUSIBLE = np.deg2rad(0.1)
+SPREADS = np.geomspace(0.1, 1000.0, 17)  # times what is known, at which these are weighed
 AT_ONCE = 20_000  # samples whose forces are corrected
-SOUGHT = np.r_[:12, 24:27]  # the levers of these
 
 
 class _Rows(NamedTuple):
@@ -102,8 +117,8 @@ def moves(
         `squared_x` and `around_1`, ….
 
     Raises:
-        InputError: no column `time`, no still stretches or fewer than two poses in common, or an integration that does
-            not settle.
+        InputError: no column `time`, no still stretches or fewer than two poses in common, outputs that do not lead
+            from one pose to the next, an integration that does not settle, or too many moves that disagree.
         ModelError: an instrument whose outputs are no rates.
     """
     if instrument.vector is None or not same_dimension(instrument.unit, "rad/s"):
@@ -119,7 +134,7 @@ def moves(
             f"{forces.file}: run {lacking[0]!r} of {log.file} is not in it: log gyroscopes and accelerometers together"
         )
     made: dict[str, list[np.ndarray]] = {}
-    poses = 0
+    poses, odd = 0, list[str]()
     for run, own in rates.items():
         own = own._replace(
             outputs=unit * own.outputs,
@@ -132,7 +147,11 @@ def moves(
                 "together, and a move needs two: hold the unit still for some seconds before and after each move"
             )
         poses += len(windows)
-        rows = _readings(own, pulls[run], windows, correction, log.file)
+        try:
+            rows, disagreeing = _readings(own, pulls[run], windows, correction, len(rates))
+        except InputError as error:
+            raise InputError(f"{log.file}, run {run!r}: {error}") from None
+        odd += disagreeing
         labels, codes = log.groups("run")
         samples = log.select(codes == labels.index(run))
         for name, values in _columns(rows, samples, own, instrument.vector.beside, unit).items():
@@ -144,10 +163,13 @@ def moves(
     columns[UNCERTAINTY] = np.sqrt(columns[UNCERTAINTY] ** 2 - surest**2)
     found = as_readings(columns, instrument, log)
     said = (
-        f"{len(found)} readings of {poses} poses and the moves between them, found in {log.file}; by the noise at rest "
-        f"the surest is uncertain by {surest:.2g} {instrument.unit}, which noise.white is of"
+        f"{len(found)} readings of {poses} poses and the moves between them, found in {log.file}; by their scatter the "
+        f"surest is uncertain by {surest:.2g} {instrument.unit}, which noise.white is of"
     )
-    return replace(found, sources=log.sources, flags=(said,))  # of the log, not of what is made
+    aside = [f"{log.file}: set aside, as it disagrees with all others: {one}" for one in odd]
+    return replace(
+        found, sources=log.sources, flags=(said, *aside)
+    )  # of the log, not of what is made
 
 
 class _Moves(NamedTuple):
@@ -206,79 +228,268 @@ def _turned(moved: _Moves, matrix: np.ndarray, bias: np.ndarray) -> tuple[np.nda
     return rate, turned
 
 
+@on_one_thread
 def _readings(
     log: LoggedRun,
     pull: LoggedRun,
     windows: Float[np.ndarray, "k 2"],
     correction: VectorCorrection,
-    file: str,
-) -> _Rows:
-    """Of one run.
+    shared: int,
+) -> tuple[_Rows, list[str]]:
+    """Of one run, and what was set aside of it, in words.
+
+    Args:
+        log: of the gyroscopes.
+        pull: of the accelerometers.
+        windows: of the poses, s.
+        correction: of the accelerometers.
+        shared: by how many runs, in which its errors are the same and do not average out.
 
     Raises:
-        InputError: the integration does not settle.
+        InputError: as of `moves`.
     """
-    length = windows[:, 1] - windows[:, 0]
     felt, slopes, own = correction.in_poses(pull, windows)
-    shared = slopes @ correction.covariance @ slopes.T + own
-    force = _forces(pull, correction)
-    moved, at_rest = _between(log, windows, pull, force), log.means(windows)
-    between = np.stack([windows[:-1, 1], windows[1:, 0]], axis=1)
-    midway = np.einsum("mn,mnj->mj", moved.weight, moved.force) / moved.duration[:, None]
-    matrix, bias = np.eye(3), at_rest.mean(axis=0)
+    forces = shared * slopes @ correction.covariance @ slopes.T + own
+    at_rest, white = log.means(windows), log.still.of_second**2
+    nominal = np.concatenate([at_rest.mean(axis=0), np.eye(3).ravel(), np.zeros(15)])
+    session = _Session(at_rest, windows, felt, forces, white, nominal)
+    moved = _between(log, windows, pull, _forces(pull, correction))
+    most = max(1, int(MOST * len(moved.rate)))
+    here, aside = session.nominal[:OWN], _Aside((), ())
+    at = _closure(moved, felt, here)
     for _ in range(SWEEPS):
-        rate, turned = _turned(moved, matrix, bias)
-        world = [np.eye(3)]  # from the body in each pose to the body in the first
-        for own in turned[:, -1]:
-            world.append(world[-1] @ own)
-        closure = _closure(moved, rate, turned, matrix, felt, np.array(world))
-        here = np.concatenate([bias, matrix.ravel(), np.zeros(15)])
-        covariance = closure.of_forces @ shared @ closure.of_forces.T
-        covariance += log.still.of_second**2 * block_diag(*closure.of_noise)
-        factor = np.linalg.cholesky(covariance)
+        line = _Line.of(session, at, here, aside)
+        found = line.spread()
+        change = found.mean[:OWN] - here
+        size = float(np.max(np.abs(change) / found.sd[:OWN]))
+        before, there = line.left_over(at, here, found), None
+        for _ in range(HALVINGS if size >= SETTLED else 0):
+            tried = _closure(moved, felt, here + change)
+            if line.left_over(tried, here + change, found) < before:
+                there = tried
+                break
+            change = 0.5 * change
+        if there is not None:
+            here, at = here + change, there
+            continue
+        # Settled; or what one move leaves over is too large for a linear form.
+        further = line.odd(found, aside)
+        if further == aside:
+            break
+        aside = further
+        if len(aside.moves) > most:
+            raise InputError(
+                f"more than {most} of {len(moved.rate)} moves disagree with each other by more than they scatter. Were "
+                "samples lost, is a rate beyond the gyroscopes' range, or did accelerometers and gyroscopes not turn "
+                "together?"
+            )
+    if not np.max(np.abs(here - session.nominal[:OWN])[3:]) < FARTHEST:
+        raise InputError(_astray(moved, felt, session.nominal))
+    if size >= SETTLED:
+        raise InputError(
+            f"the integration over the moves did not settle: a further sweep would move an estimate by {size:.2g} "
+            "standard uncertainties. Turn the unit less between two poses, about all three axes, and hold it still for "
+            "longer; see that no rate is beyond the gyroscopes' range"
+        )
+    return line.rows(found), line.words(found, aside)
+
+
+class _Session(NamedTuple):
+    """What is known of a run's poses."""
+
+    at_rest: Float[np.ndarray, "k 3"]  # outputs, rad/s
+    windows: Float[np.ndarray, "k 2"]  # s
+    felt: Float[np.ndarray, "k 3"]  # g
+    of_forces: Float[np.ndarray, "3k 3k"]  # covariance of these, g²
+    white: float  # variance of a mean output over a second, (rad/s)²
+    nominal: Float[
+        np.ndarray, "27"
+    ]  # what has levers, where nothing is known: the bias as at rest, the matrix one
+
+
+class _Aside(NamedTuple):
+    """Poses whose outputs at rest, and moves that disagree with the others, by number."""
+
+    poses: tuple[int, ...]
+    moves: tuple[int, ...]
+
+
+class _Found(NamedTuple):
+    """An estimate of what has levers, given how far the bias wanders (rad/s)² and how far moves do not close, rad²."""
+
+    mean: Float[np.ndarray, "27"]
+    covariance: Float[np.ndarray, "27 27"]
+    wander: float
+    closing: float
+    log_density: float  # of the outputs
+
+    @property
+    def sd(self) -> Float[np.ndarray, "27"]:
+        return np.sqrt(np.diag(self.covariance))
+
+
+class _Line(NamedTuple):
+    """Outputs at rest and over moves of a run, rad/s, linear in what has levers; without those set aside."""
+
+    session: _Session
+    closure: _Closure
+    here: Float[np.ndarray, "12"]
+    output: Float[np.ndarray, "r"]
+    levers: Float[np.ndarray, "r 27"]
+    pose: Int[np.ndarray, "p"]  # of each output at rest, which come first
+    move: Int[np.ndarray, "q"]  # of each over a move
+    at_rest: Float[np.ndarray, "p"]  # known variance
+    moving: Float[np.ndarray, "q q"]  # known covariance
+    duration: Float[np.ndarray, "q"]  # s
+
+    @classmethod
+    def of(cls, session: _Session, closure: _Closure, here: np.ndarray, aside: _Aside) -> _Line:
+        poses, count = len(session.windows), len(closure.duration)
+        pose, move = np.repeat(np.arange(poses), 3), np.repeat(np.arange(count), 2)
+        rest, over = ~np.isin(pose, aside.poses), ~np.isin(move, aside.moves)
+        covariance = closure.of_forces @ session.of_forces @ closure.of_forces.T
+        covariance += session.white * block_diag(*closure.of_noise)
+        output = closure.left + closure.levers[:, :OWN] @ here
+        at_rest = _at_rest(here[3:].reshape(3, 3), session.felt, closure.world)
+        length = session.windows[:, 1] - session.windows[:, 0]
+        return cls(
+            session,
+            closure,
+            here,
+            output=np.concatenate([session.at_rest.ravel()[rest], output[over]]),
+            levers=np.concatenate([at_rest[rest], closure.levers[over]]),
+            pose=pose[rest],
+            move=move[over],
+            at_rest=(session.white / length)[pose[rest]],
+            moving=covariance[np.ix_(over, over)],
+            duration=closure.duration[move[over]],
+        )
+
+    def variances(self, wander: float, closing: float) -> tuple[np.ndarray, np.ndarray]:
+        """Variances at rest (p,), covariance over moves (q, q)."""
+        return self.at_rest + wander, self.moving + np.diag(wander + closing / self.duration**2)
+
+    def estimate(self, wander: float, closing: float) -> _Found:
+        rest, moving = self.variances(wander, closing)
+        root, count = np.linalg.cholesky(moving), len(rest)
+        table = np.column_stack([self.levers, self.output - self.levers @ self.session.nominal])
+        still, over = table[:count] / np.sqrt(rest)[:, None], table[count:]
+        white = np.concatenate([still, solve_triangular(root, over, lower=True)])
+        own, left = white[:, :-1], white[:, -1]
+        precision = own.T @ own + np.diag(PRIOR**-2)
+        covariance, pull = np.linalg.inv(precision), own.T @ left
+        log_density = -0.5 * (left @ left - pull @ covariance @ pull)
+        log_density -= 0.5 * np.sum(np.log(rest)) + np.sum(np.log(np.diag(root)))
+        log_density -= 0.5 * np.linalg.slogdet(precision)[1]
+        mean = self.session.nominal + covariance @ pull
+        return _Found(mean, covariance, wander, closing, float(log_density))
+
+    def spread(self) -> _Found:
+        """The estimate with both variances at their means: half-normal in the deviations, one after the other."""
+        known = np.median(self.at_rest), np.median(np.diag(self.moving) * self.duration**2)
+        found = list(map(float, known))
+        for i in (0, 1, 0, 1):
+            tried = known[i] * SPREADS**2
+            each = [self.estimate(*((v, found[1]) if i == 0 else (found[0], v))) for v in tried]
+            density = np.array([one.log_density for one in each])
+            density += 0.5 * np.log(tried) - 0.5 * tried / PLAUSIBLE**2
+            found[i] = float(tried @ np.exp(density - logsumexp(density)))
+        return self.estimate(found[0], found[1])
+
+    def left_over(self, at: _Closure, own: Float[np.ndarray, "12"], found: _Found) -> float:
+        """Squares of what an integration with these leaves over, weighted, all else as found."""
+        values = np.concatenate([own, found.mean[OWN:]])
+        count = len(self.pose)
+        still = self.output[:count] - self.levers[:count] @ values
+        over = np.isin(np.repeat(np.arange(len(at.duration)), 2), self.move)
+        moving = (at.left - at.levers[:, OWN:] @ found.mean[OWN:])[over]
+        rest, covariance = self.variances(found.wander, found.closing)
+        squares = np.sum(still**2 / rest) + moving @ np.linalg.solve(covariance, moving)
+        return float(squares + np.sum(((values - self.session.nominal) / PRIOR) ** 2))
+
+    def odd(self, found: _Found, aside: _Aside) -> _Aside:
+        """With the pose or the move that disagrees most, if one does."""
+        left, count = self.output - self.levers @ found.mean, len(self.pose)
+        rest, moving = self.variances(found.wander, found.closing)
+        least, worst = DISAGREES / (len({*self.pose}) + len({*self.move})), aside
+        for field, of in (("poses", self.pose), ("moves", self.move)):
+            own, begin = (np.diag(rest), 0) if field == "poses" else (moving, count)
+            free = max(1, len(of) - (3 if field == "poses" else OWN))
+            for k in dict.fromkeys(of.tolist()):
+                at = np.flatnonzero(of == k)
+                levers, gone = self.levers[begin + at], left[begin + at]
+                covariance = own[np.ix_(at, at)] - levers @ found.covariance @ levers.T
+                square = float(gone @ np.linalg.solve(covariance, gone))
+                chance = float(fdtrc(len(at), free, square / len(at)))
+                if chance < least:
+                    least, worst = chance, aside._replace(**{field: (*getattr(aside, field), k)})
+        return worst
+
+    def words(self, found: _Found, aside: _Aside) -> list[str]:
+        """What was set aside, each with what it leaves over."""
+        at, windows = self.closure, self.session.windows
+        left = (at.left - at.levers[:, OWN:] @ found.mean[OWN:]).reshape(-1, 2)
+        angle = np.rad2deg(np.linalg.norm(left, axis=1) * at.duration)
+        usual = float(np.median(np.delete(angle, aside.moves)))
+        rates = self.session.at_rest - found.mean[:3]
+        rate = np.rad2deg(np.linalg.norm(rates - rates.mean(axis=0), axis=1))
+        still = float(np.median(np.delete(rate, aside.poses)))
+        return [
+            *(
+                f"the pose from {number(windows[k, 0], 5)} to {number(windows[k, 1], 5)} s, in which the outputs stand "
+                f"{number(rate[k], 2)} deg/s off (others {number(still, 2)})"
+                for k in sorted(aside.poses)
+            ),
+            *(
+                f"the move from {number(windows[k, 1], 5)} to {number(windows[k + 1, 0], 5)} s, which leaves "
+                f"{number(angle[k], 2)} deg over (others {number(usual, 2)})"
+                for k in sorted(aside.moves)
+            ),
+        ]
+
+    def rows(self, found: _Found) -> _Rows:
+        """Innovations, one after the other."""
+        rest, moving = self.variances(found.wander, found.closing)
+        windows, count = self.session.windows, len(rest)
+        factor = np.linalg.cholesky(moving)
         own = np.diag(factor)
         # Lower with a diagonal of ones: what a move says beside those before it.
-        table = np.column_stack([closure.left + closure.levers @ here, closure.levers])
+        table = np.column_stack([self.output, self.levers])[count:]
         table = solve_triangular(factor / own, table, lower=True, unit_diagonal=True)
-        rows = _Rows(
-            output=np.concatenate([at_rest.ravel(), table[:, 0]]),
-            levers=np.concatenate([_at_rest(matrix, felt, np.array(world)), table[:, 1:]]),
-            uncertainty=np.concatenate([np.repeat(log.still.of_second / np.sqrt(length), 3), own]),
-            windows=np.concatenate([np.repeat(windows, 3, axis=0), np.repeat(between, 2, axis=0)]),
-            force=np.concatenate([np.repeat(felt, 3, axis=0), np.repeat(midway, 2, axis=0)]),
-            kinds=(*AXES * len(windows), *("move", "move too") * len(between)),
+        between = np.stack([windows[:-1, 1], windows[1:, 0]], axis=1)
+        axis = np.arange(3 * len(windows)).reshape(-1, 3)[self.pose[::3]].ravel() % 3
+        return _Rows(
+            output=np.concatenate([self.output[:count], table[:, 0]]),
+            levers=np.concatenate([self.levers[:count], table[:, 1:]]),
+            uncertainty=np.concatenate([np.sqrt(rest), own]),
+            windows=np.concatenate([windows[self.pose], between[self.move]]),
+            force=np.concatenate([self.session.felt[self.pose], self.closure.force[self.move]]),
+            kinds=(*(AXES[i] for i in axis), *("move", "move too") * (len(self.move) // 2)),
         )
-        found, sd = _estimate(rows, at_rest.mean(axis=0))
-        settled = np.max(np.abs(found - here[:12]) / sd) < SETTLED
-        bias, matrix = found[:3], found[3:].reshape(3, 3)
-        if not np.max(np.abs(matrix - np.eye(3))) < FARTHEST:
-            break
-        if settled:
-            return rows
-    raise InputError(
-        f"{file}: the outputs integrated over a move do not lead from one pose to the next. Check the unit of the "
-        "gyroscopes, that their axes are those of the accelerometers, and that no rate is beyond their range"
-    )
 
 
 class _Closure(NamedTuple):
-    """What moves leave over, two readings each, as mean rates."""
+    """What moves leave over, two readings each, as mean rates; what acts on the way."""
 
     left: Float[np.ndarray, "2m"]  # rad/s
     levers: Float[np.ndarray, "2m 27"]
     of_forces: Float[np.ndarray, "2m 3k"]  # slopes by the specific forces in the poses
     of_noise: Float[np.ndarray, "m 2 2"]  # covariance by white noise of one rad/s over a second
+    duration: Float[np.ndarray, "m"]  # s
+    force: Float[np.ndarray, "m 3"]  # mean, g
+    world: Float[np.ndarray, "k 3 3"]  # from the body in each pose to the body in the first
 
 
 def _closure(
-    moved: _Moves,
-    rate: Float[np.ndarray, "m n 3"],
-    turned: Float[np.ndarray, "m n 3 3"],
-    matrix: Float[np.ndarray, "3 3"],
-    felt: Float[np.ndarray, "k 3"],
-    world: Float[np.ndarray, "k 3 3"],
+    moved: _Moves, felt: Float[np.ndarray, "k 3"], own: Float[np.ndarray, "12"]
 ) -> _Closure:
+    """Of the outputs integrated with a bias and a matrix."""
+    bias, matrix = own[:3], own[3:].reshape(3, 3)
+    rate, turned = _turned(moved, matrix, bias)
     size, m, back = np.linalg.norm(felt, axis=1), len(rate), turned[:, -1]
+    world = [np.eye(3)]
+    for one in back:
+        world.append(world[-1] @ one)
     up = felt / size[:, None]
     q = np.stack(tangents(up[1:]), axis=1)  # (m, 2, 3)
     before = np.einsum("mij,mkj->mki", back, q)  # q in the axes of the pose before
@@ -293,7 +504,7 @@ def _closure(
         np.einsum("mkna,mnj->mkaj", summed, rate).reshape(m, 2, 9),
         np.einsum("mkna,mnj->mkaj", summed, moved.force).reshape(m, 2, 9),
         np.einsum("mkna,mna->mka", summed, rate**2),
-        -np.einsum("mij,mkj->mki", world[1:], normal),
+        -np.einsum("mij,mkj->mki", np.array(world[1:]), normal),
     ]
     slopes = np.zeros((m, 2, len(felt), 3))
     each = np.arange(m)
@@ -304,6 +515,40 @@ def _closure(
         np.concatenate(levers, axis=2).reshape(2 * m, -1),
         slopes.reshape(2 * m, -1),
         np.einsum("mkna,mlna->mkl", summed, a),
+        moved.duration,
+        np.einsum("mn,mnj->mj", moved.weight, moved.force) / moved.duration[:, None],
+        np.array(world),
+    )
+
+
+def _astray(moved: _Moves, felt: Float[np.ndarray, "k 3"], nominal: Float[np.ndarray, "27"]) -> str:
+    """Why the matrix cannot be near one: outputs of other axes or in another unit, if these lead to the poses."""
+
+    def over(matrix: Float[np.ndarray, "3 3"]) -> float:
+        """Root mean square of the angles left over, rad."""
+        at = _closure(moved, felt, np.concatenate([nominal[:3], matrix.ravel()]))
+        return float(np.sqrt(np.mean((at.left * np.repeat(at.duration, 2)) ** 2)))
+
+    units = {
+        "": 1.0,
+        "in rad/s, taken as deg/s": np.pi / 180,
+        "in deg/s, taken as rad/s": 180 / np.pi,
+    }
+    found, at = "", 0.5 * over(np.eye(3))
+    for order, signs, (unit, factor) in product(
+        permutations(range(3)), product((1, -1), repeat=3), units.items()
+    ):
+        matrix = factor * np.array(signs)[:, None] * np.eye(3)[list(order)]
+        if (left := over(matrix)) < at:
+            axes = ", ".join(f"{'−' * (s < 0)}{AXES[i]}" for i, s in zip(order, signs, strict=True))
+            turned = f"with their axes as {axes} of the accelerometers" * (axes != "x, y, z")
+            found, at = " and ".join(part for part in (unit, turned) if part), left
+    said = "the outputs integrated over a move do not lead from one pose to the next"
+    if found:
+        return f"{said}; {found} they nearly do: correct that (--unit, --columns)"
+    return (
+        f"{said}. Check the unit of the gyroscopes, that their axes are those of the accelerometers, and that no rate "
+        "is beyond their range"
     )
 
 
@@ -319,18 +564,6 @@ def _at_rest(
     none = np.zeros((k, 3, 9))
     levers = [np.broadcast_to(each, (k, 3, 3)), none, pulled, none[..., :3], around]
     return np.concatenate(levers, axis=2).reshape(3 * k, -1)
-
-
-def _estimate(
-    rows: _Rows, bias: Float[np.ndarray, "3"]
-) -> tuple[Float[np.ndarray, "12"], Float[np.ndarray, "12"]]:
-    """Bias and matrix by weighted least squares, and their standard uncertainties."""
-    nominal = np.concatenate([bias, np.eye(3).ravel(), np.zeros(3)])
-    levers = rows.levers[:, SOUGHT]
-    white = levers / rows.uncertainty[:, None]
-    covariance = np.linalg.inv(white.T @ white + np.diag(PRIOR**-2))
-    off = white.T @ ((rows.output - levers @ nominal) / rows.uncertainty)
-    return (nominal + covariance @ off)[:12], np.sqrt(np.diag(covariance))[:12]
 
 
 def _columns(

@@ -6,6 +6,10 @@ polynomials of both.
 
     f̂ = h⁻¹(y),    Cov f̂ = H⁻¹·(B·C·Bᵀ + S)·H⁻ᵀ,    B = ∂h/∂p,  C = Cov p,  S = σ²·1
 
+What belongs to the test and is not known in use is integrated out, draw by draw, and widens C: the deviation of a run
+is that of a new one, and what depends on time (a drift, a lag) or on a further column is as at a reading of the test
+taken at random.
+
 What acts beside it (gravity on gyroscopes) adds to the offset, linearly.
 
 Magnetometers come into the axes of accelerometers by the dip of the field, which is the same in every pose at rest.
@@ -40,12 +44,12 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
 from bayescal._calibration.mixture import usual_columns, with_columns
 from bayescal._core.errors import InputError, ModelError
-from bayescal._core.formatting import table, with_error
+from bayescal._core.formatting import number, table, with_error
 from bayescal._data.measurements import Measurements
-from bayescal._data.pose_rows import ACROSS, TURNED
+from bayescal._data.pose_rows import ACROSS, MAGNITUDE, TURNED, magnitude
 from bayescal._data.still_stretches import LoggedRun, in_common, logged_runs, per_sample
 from bayescal._data.unit_conversion import unit_label
-from bayescal._inference.joint import slots_of
+from bayescal._inference.assembly import Assembly
 from bayescal._use.compensation_program import NOT_RELIABLE
 
 EXACT = 1e-9  # of the largest term, up to which a polynomial of the temperature is the model's own
@@ -60,7 +64,10 @@ PAIRS = (
     (0, 2),
     (1, 2),
 )  # of inputs, that terms of second order multiply
-USED = ("temperature", "run")  # columns that an effect may need to act in use
+TEMPERATURE = "temperature"  # known in use, as is what acts beside
+SHARED = 3.0  # plausible sizes of a factor that three scale factors share, beyond which what acts is in question
+MENTIONED = 0.1  # of a standard uncertainty: what of the test is larger is said
+OfTest = dict[str, dict[str, float]]  # of effects, the standard deviation of what they add to slots
 STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
 NEWTON = 4  # steps of the inverse: each squares the error
 
@@ -340,7 +347,7 @@ class VectorCorrection:
 
         Returns:
             f̂; what it falls by where a term rises, so that slopes·covariance·slopesᵀ is what poses share; and its
-            covariance by their noise.
+            covariance by what each has of its own.
 
         Raises:
             InputError: no temperature was logged, and the correction depends on it.
@@ -350,7 +357,10 @@ class VectorCorrection:
             warm = np.array([np.mean(run.temperature[run.inside(*w)]) for w in windows])
         force, inverse, slope, warm = self._solved(run.means(windows), warm, None)
         shared = np.einsum("nk,nip->nikp", self.powers(warm), slope)
+        # What poses of the calibration scatter by beyond their means' noise (creep, hysteresis, a model not exact) each
+        # pose of a log has too.
         noise = run.still.of_second**2 / (windows[:, 1] - windows[:, 0])
+        noise = noise + max(0.0, self.noise**2 - float(np.min(noise)))
         own = noise[:, None, None] * inverse @ inverse.transpose(0, 2, 1)
         return force, shared.reshape(3 * len(force), -1), np.asarray(block_diag(*own))
 
@@ -494,40 +504,35 @@ def vector_correction(
 ) -> VectorCorrection:
     """The correction of a calibrated instrument of three axes.
 
-    A deviation of each run is drawn anew from its estimated standard deviation: what leaves is for a run to come.
+    What leaves is for a run to come: the deviation of a run, a drift and what else belongs to the test are in the
+    uncertainty, and the notes say so.
 
     Args:
         calibration: of an instrument with `vector`, or an average over structures: over those that need no further
             input than the likely ones.
         draws: of the posterior, at most, that mean and covariance are of; all if not given, as in every table.
-        seed: of the deviations of a new run.
+        seed: of what is drawn of a new run and of a moment of the test.
 
     Raises:
-        ModelError: an instrument of one output; an effect that needs more than the temperature, or that is no
-            polynomial of it up to the third order.
+        ModelError: an instrument of one output, or an effect that is no polynomial of the temperature up to the third
+            order.
     """
     instrument = calibration.model.instrument
     if (vector := instrument.vector) is None:
         raise ModelError(
             f"instrument {instrument.name!r} has one output: bayescal.compensator corrects it"
         )
-    calibration = with_columns(calibration, usual_columns(calibration))
+    effects = calibration.model.effects
+    further = {TEMPERATURE, *vector.beside} - usual_columns(calibration)
+    calibration = with_columns(calibration, set().union(*(e.columns for e in effects)) - further)
     model, readings = calibration.model, calibration.readings
-    for effect in model.effects:
-        if all((c.slot or effect.slot) in vector.rig for c in effect.coefficients):
-            continue
-        if other := sorted(set(effect.columns) - {*USED, *vector.beside}):
-            raise ModelError(
-                f"effect {effect.name!r} needs {', '.join(other)}, which a correction by the temperature alone has "
-                f"not: fit the model without it, model - {effect.name!r}, and its part is noise"
-            )
     beside = vector.beside if any(set(e.columns) & {*vector.beside} for e in model.effects) else ()
     recorded = readings.has("temperature")
     warm = readings["temperature"] if recorded else np.zeros(1)
     low, high, reference = float(np.min(warm)), float(np.max(warm)), float(np.round(np.mean(warm)))
     reference = float(calibration.reference.get("T0", reference))  # pyright: ignore[reportArgumentType]
     grid = np.linspace(low, high, 2 * ORDERS + 1) if high > low else np.array([low])
-    taylor = _taylor(calibration, grid, beside, draws, seed)  # (draws, grid, p)
+    taylor, of_test = _taylor(calibration, grid, beside, draws, seed)  # (draws, grid, p)
     powers = (grid - reference)[:, None] ** np.arange(ORDERS + 1)
     for order in range(min(ORDERS, len(grid) - 1) + 1):
         own = powers[:, : order + 1]
@@ -550,20 +555,27 @@ def vector_correction(
         if not np.any(terms[:, :, 12:30]):
             terms = np.delete(terms, slice(12, 30), axis=2)
     spread = terms.reshape(len(terms), -1)
+    covariance, mean = np.atleast_2d(np.cov(spread.T)), np.mean(terms, axis=0)
+    relative, said = _common_scale(calibration, mean[0, 3:12].reshape(3, 3))
+    size = mean.shape[1] - 9 * bool(beside)
+    powers = np.zeros(mean.shape[1])  # of what acts, in each term
+    powers[:size] = np.repeat(range(4), [3, 9, 18, 3])[:size]
+    moved = relative * (mean * powers).ravel()
     made = VectorCorrection(
         outputs=vector.outputs,
         unit=instrument.unit,
         reference=reference,
         low=low if recorded else None,
         high=high if recorded else None,
-        terms=np.mean(terms, axis=0),
-        covariance=np.atleast_2d(np.cov(spread.T)),
+        terms=mean,
+        covariance=covariance + np.outer(moved, moved),
         noise=float(np.sqrt(np.min(calibration.linear.variance))),
         source=identity(calibration),
         beside=beside,
         instrument=instrument.name,
     )
-    return replace(made, reach=_reach(made, readings), notes=_notes(calibration, made))
+    notes = (*said, *_notes(calibration, made, of_test))
+    return replace(made, reach=_reach(made, readings), notes=notes)
 
 
 def _reach(correction: VectorCorrection, readings: Measurements) -> float:
@@ -575,7 +587,38 @@ def _reach(correction: VectorCorrection, readings: Measurements) -> float:
     return float(np.max(np.linalg.norm(acted, axis=1)))
 
 
-def _notes(calibration: Calibration, made: VectorCorrection) -> tuple[str, ...]:
+def _common_scale(
+    calibration: Calibration, matrix: Float[np.ndarray, "3 3"]
+) -> tuple[float, tuple[str, ...]]:
+    """Relative uncertainty of what all three scale factors share, beyond that of each, and what is to be said of it.
+
+    It is that of data sheets where the magnitude of what acts is not known, and none where it is.
+    """
+    instrument, readings = calibration.model.instrument, calibration.readings
+    vector, unit = instrument.vector, unit_label(instrument.unit)
+    assert vector is not None
+    plausible, common = vector.common_scale, float(np.mean(np.diag(matrix)))
+    what, stated = "the rates", ""
+    if vector.acting is None:
+        size = float(np.mean(magnitude(readings)))
+        what = f"the magnitude {instrument.column(MAGNITUDE).meaning}"
+        if not readings.has(MAGNITUDE):
+            return plausible, (
+                f"{what.capitalize()} is not known and taken as the outputs read it, {size:.4g} {unit}: scale factors "
+                f"are ratios to their mean. The absolute scale is unknown, plausibly by {100 * plausible:.2g} %, which "
+                "is in the uncertainty of magnitudes and in that of no direction.",
+            )
+        stated = f" ({size:.4g} {unit}; {size * common:.3g} {unit} would fit)"
+    if not plausible or abs(common - 1) <= SHARED * plausible:
+        return 0.0, ()
+    three = ", ".join(f"{a} {s:.3g}" for a, s in zip("xyz", np.diag(matrix), strict=True))
+    return 0.0, (
+        f"All three scale factors differ from nominal by one factor, {common:.3g} ({three}), more than is plausible: "
+        f"{what}{stated} or the unit of the outputs may be stated wrongly. Their ratios do not depend on it.",
+    )
+
+
+def _notes(calibration: Calibration, made: VectorCorrection, of_test: OfTest) -> tuple[str, ...]:
     notes, at = [], made.calibrated_at
     if why_not := calibration.verdict.why_not:
         notes.append(f"{NOT_RELIABLE}{why_not}")
@@ -592,6 +635,18 @@ def _notes(calibration: Calibration, made: VectorCorrection) -> tuple[str, ...]:
         notes.append(
             f"No dependence on temperature is in the model ({at}): valid where it was calibrated."
         )
+    model = calibration.model
+    for name, moved in of_test.items():
+        each = (f"{s} {number(sd, 2)} {model.instrument.slot(s).unit}" for s, sd in moved.items())
+        of = {c.per for c in model.effect(name).coefficients if c.per}
+        what = (
+            f"a new {' or '.join(of)} has a deviation of its own, which"
+            if of
+            else "it belongs to the test and is not corrected; what it moves from one moment of the test to another"
+        )
+        notes.append(
+            f"{name}: {what} is in the uncertainty (standard deviation of {', '.join(each)})."
+        )
     if len(calibration.readings.groups("run")[0]) < 2:
         notes.append(
             "One session: what changes between sessions (often ten times the stated uncertainty) is not in it. "
@@ -606,8 +661,8 @@ def _taylor(
     beside: tuple[str, ...],
     draws: int | None,
     seed: int,
-) -> Float[np.ndarray, "s g p"]:
-    """Offset, matrix, second order and what acts beside at temperatures, of draws."""
+) -> tuple[Float[np.ndarray, "s g p"], OfTest]:
+    """Offset, matrix, second order and what acts beside at temperatures, of draws; and what of it is of the test."""
     each, grid = len(grid), np.tile(grid, 1 + len(beside))  # at none, then at one of each
     readings, vector = calibration.readings, calibration.model.instrument.vector
     assert vector is not None
@@ -616,24 +671,9 @@ def _taylor(
         like = like.with_column("temperature", grid)
     for i, name in enumerate(beside):
         like = like.with_column(name, 1.0 * (np.arange(len(grid)) // each == 1 + i))
-    x, rows, v = calibration.draws(draws)
-    rows = np.zeros((len(x), len(grid), rows.shape[2]))
     assembly = calibration.assembly_on(calibration.frame_of(like))
-    x = x + assembly.layout.origin_of_x
-    hyper = {k: np.broadcast_to(value, len(x)) for k, value in assembly.hyper(v.T).items()}
-    for t in assembly.in_x:  # a new run: its deviation is not known
-        if t.known.per is not None:
-            x[:, t.at] = 0.0
-    slots = slots_of(assembly, x, rows, hyper, {})
-    random = np.random.default_rng(seed)
-    for t in assembly.in_x:
-        if t.known.per is not None:
-            spread = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name]
-            new = (t.known.mean + spread * random.standard_normal(len(x)))[:, None]
-            slots[t.slot] = (
-                slots[t.slot]
-                + new * t.factor * assembly.record.columns(t.known.columns, ())[:, t.index]
-            )
+    slots, of_test = _slots(calibration, assembly, draws, seed)
+    count = len(next(iter(slots.values())))
 
     def terms(slots: dict[str, Any]) -> Any:
         h = vector.equation(slots, assembly.record.frame)
@@ -654,9 +694,59 @@ def _taylor(
         return jnp.concatenate(parts, axis=1)
 
     found = np.asarray(jax.jit(jax.vmap(terms))({n: jnp.asarray(s) for n, s in slots.items()}))
-    none, others = found[:, :each], found[:, each:, :3].reshape(len(x), len(beside), each, 3)
-    further = np.moveaxis(others - none[:, None, :, :3], 1, 3).reshape(len(x), each, -1)
-    return np.concatenate([none, further], axis=2)
+    none, others = found[:, :each], found[:, each:, :3].reshape(count, len(beside), each, 3)
+    further = np.moveaxis(others - none[:, None, :, :3], 1, 3).reshape(count, each, -1)
+    return np.concatenate([none, further], axis=2), of_test
+
+
+def _slots(
+    calibration: Calibration, at: Assembly, draws: int | None, seed: int
+) -> tuple[dict[str, Float[np.ndarray, "s g"]], OfTest]:
+    """What the effects come to in use, of draws, and what those of the test have in it.
+
+    A member of a group is a new one. An effect of columns that are not known in use acts as at a reading of the test
+    taken at random; where it depends on what is known too (a lag, on the temperature's past), its sign is random:
+    how the known one went in the test says nothing of how it goes in use.
+    """
+    vector = calibration.model.instrument.vector
+    assert vector is not None
+    x, _, v = calibration.draws(draws)
+    x = x + at.layout.origin_of_x
+    count, known = len(x), {TEMPERATURE, *vector.beside}
+    random = np.random.default_rng(seed)
+    # In even shares, so that no mean moves by the chance of a draw.
+    picked = random.permutation(count) * len(calibration.readings) // count
+    sign = np.where(random.permutation(count) % 2, 1.0, -1.0)
+    hyper = {k: np.broadcast_to(value, count) for k, value in at.hyper(v.T).items()}
+    slots = {name: np.zeros((count, at.record.size)) for name in at.record.slots}
+    of_test: dict[str, dict[str, np.ndarray]] = {}
+    for t in at.terms:
+        if t.slot not in slots or t.slot in vector.rig or t.place == "row":
+            continue
+        new = t.known.per is not None and t.place != "fixed"
+        if new:
+            spread = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name]
+            away = spread * random.standard_normal(count)
+            value = (t.known.mean + away - away.mean())[:, None]
+        else:
+            value = at.value(t, x, hyper)
+        shapes = [hyper[name] for name in t.known.shape_names]
+        effect = t.known.effect
+        unknown = {*effect.columns} - known - {c.per for c in effect.coefficients}
+        record = calibration.assembly.record if unknown else at.record
+        column = record.columns_of_draws(t.known.columns, shapes, {})[..., t.index] * t.factor
+        if unknown:
+            column = np.broadcast_to(column, (count, record.size))[np.arange(count), picked]
+            column = (column * (sign if known & {*effect.columns} else 1.0))[:, None]
+        slots[t.slot] += value * column
+        if new or unknown:
+            sums = of_test.setdefault(t.known.of, {})
+            sums[t.slot] = sums.get(t.slot, np.zeros(count)) + (value * column)[:, 0]
+    sds = {name: {s: float(np.std(v)) for s, v in sums.items()} for name, sums in of_test.items()}
+    whole = {name: MENTIONED * np.std(values[:, 0]) for name, values in slots.items()}
+    return slots, {
+        n: each for n, each in sds.items() if any(sd > whole[s] for s, sd in each.items())
+    }
 
 
 SWEEPS = 20  # of Gauss–Newton

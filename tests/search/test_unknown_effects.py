@@ -64,6 +64,9 @@ def test_where_nothing_is_sought_what_has_no_name_stays_too() -> None:
     readings, model = mems_gyro.simulate(seed=33), INSTRUMENT.baseline() + "unknown(time)"
     found = bc.calibrate(model, readings, method=bc.LeastSquares(), max_effects=0)
     assert [s.calibration.model.names for s in found.steps] == [model.names]
+    assert found.final.discovery is None  # no probability that the model is complete
+    assert found.ending == "Nothing was looked for: no effect was to be added."
+    assert found.in_short.startswith("Nothing was looked for beside the first model")
 
 
 def test_its_amplitude_is_the_size_that_is_reported(trail: bc.SearchPath) -> None:

@@ -21,7 +21,7 @@ COLUMNS = (
     bc.Column(
         "magnitude",
         "g",
-        "local gravity, in the unit of the outputs",
+        "of local gravity, in the unit of the outputs",
         default=1.0,
         low=0.9,
         high=1.1,

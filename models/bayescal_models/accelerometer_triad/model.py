@@ -46,7 +46,7 @@ from bayescal_models.simulated import readings_of
 from bayescal_models.triad.equation import equation, higher_order, slots
 from bayescal_models.triad.experiments import experiments
 
-VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation)
+VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation, common_scale=0.03)
 
 
 def _response(slots, r):

@@ -84,6 +84,7 @@ VECTOR = bc.Vector(
     outputs=OUTPUTS,
     equation=_equation,
     acting=_acting,
+    common_scale=0.03,
     rig=(*effects.TURN, *AROUND),
     beside=effects.GRAVITY,
 )

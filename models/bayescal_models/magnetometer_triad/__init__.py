@@ -13,7 +13,13 @@ from bayescal_models.triad.columns import SESSION, made_in_poses, three
 COLUMNS = (
     *SESSION,
     *three("output", "uT", "of axis {axis}, averaged in a pose", ("mag_{axis}", "m{axis}")),
-    bc.Column("magnitude", "uT", "of the local field", default=50.0, low=1.0, high=1000.0),
+    bc.Column("magnitude", "uT", "of the local field", required=False, low=1.0, high=1000.0),
+    bc.Column(
+        "magnitude_read",
+        "uT",
+        "of it as the outputs read it, where it is not known",
+        required=False,
+    ),
     *three("direction", "1", "of the field, along axis {axis}, where known", required=False),
     *made_in_poses("uT"),
 )

@@ -11,7 +11,7 @@ from bayescal_models.triad.families import (
     unknown_directions,
 )
 
-IRON = "ours: hard and soft iron of a small vehicle, and a field known to a third"
+IRON = "ours: hard and soft iron of a small vehicle"
 TEMPCO = "data sheets of RM3100, LIS3MDL and BMM150, change with temperature; size ours"
 
 CONSTANT = family("bias.constant", BIAS, 50.0, "uT", IRON)

@@ -7,8 +7,9 @@ no turning in one field tells apart. The direction of the field in the body is u
 `pose_uncertainty`.
 
 **Gauge.** As of `accelerometer_triad`: three misalignments in place of six where directions are unknown, and z of the
-body that of the sensor z. Where the local field is not given (`magnitude`, 50 µT by default) all three scale factors
-hang together with it, and their ratios alone are measured; headings do not depend on it.
+body that of the sensor z. All three scale factors hang together with the local field's size. Where that is not given
+(column `magnitude`, `--local-field`), it is taken as the magnetometers read it, the mean radius of their ellipsoid: the
+ratios of the scale factors alone are measured, and headings do not depend on it.
 
 | effect | coefficients | plausible size |
 |---|---|---|
@@ -35,7 +36,8 @@ from bayescal_models.simulated import readings_of
 from bayescal_models.triad.equation import equation, slots
 from bayescal_models.triad.experiments import experiments
 
-VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation)
+# Sensitivities by data sheets of RM3100, LIS3MDL and BMM150; what iron adds differs from axis to axis.
+VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation, common_scale=0.05)
 
 
 def _response(slots, r):

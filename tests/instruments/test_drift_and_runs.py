@@ -1,0 +1,80 @@
+"""What belongs to the test, a drift and the deviation of a run, and a correction of three axes: it is wider by them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal_models import accelerometer_triad
+from bayescal_models.accelerometer_triad import Campaign
+from bayescal_models.accelerometer_triad.simulator import BASELINE
+from tests.support.command_line import needs_installation, run
+
+MODEL = accelerometer_triad.INSTRUMENT.baseline()
+QUICK = bc.LeastSquares()
+BIAS = 1e-3 * np.array(BASELINE["bias.constant"])  # g
+DRIFT = (3.0, -2.0, 2.5)  # mg over the test
+
+
+def drifting(campaign: Campaign | None = None) -> bc.Measurements:
+    hidden: Any = {"bias.drift": DRIFT}
+    return accelerometer_triad.simulate(hidden, seed=1, campaign=campaign or Campaign(poses=60))
+
+
+def test_a_drift_widens_the_correction_by_what_it_moves_over_the_test() -> None:
+    readings = drifting()
+    plain = bc.vector_correction(bc.fit(MODEL, readings, QUICK))
+    calibration = bc.fit(MODEL + "bias.drift", readings, QUICK)
+    correct = bc.vector_correction(calibration)
+    own = np.array([calibration.samples(f"bias.constant[{a}]").std() for a in "xyz"])
+    progress = (readings["time"] - readings["time"].mean()) / np.ptp(readings["time"])
+    sizes = [np.sqrt(np.mean(calibration.samples(f"bias.drift[{a}]") ** 2)) for a in "xyz"]
+    expected = 1e-3 * np.hypot(own, np.std(progress) * np.array(sizes))
+    assert np.allclose(correct.uncertainty[0, :3], expected, rtol=0.05)
+    # What the drift was as noise to is surer, what it belongs to is not.
+    assert np.all(correct.uncertainty[0, :3] > 2 * plain.uncertainty[0, :3])
+    assert np.all(correct.uncertainty[0, [3, 7, 11]] < plain.uncertainty[0, [3, 7, 11]])
+    bias = BIAS + 1e-3 * progress[:, None] * DRIFT
+    inside = np.abs(bias - correct.offset) < 2 * correct.uncertainty[0, :3]
+    assert inside.mean() > 0.9
+    assert any("bias.drift" in note and "is in the uncertainty" in note for note in correct.notes)
+
+
+def test_a_lag_counts_about_equilibrium() -> None:
+    """A test that only ever warms up is behind throughout: a unit in equilibrium is not, and stays in the interval."""
+    rising = Campaign(poses=20, temperatures=(-20.0, 0.0, 25.0, 50.0, 70.0), noise=1e-4)
+    readings = accelerometer_triad.simulate({"bias.thermal_lag": 0.5}, seed=2, campaign=rising)
+    correct = bc.vector_correction(bc.fit(MODEL + "bias.thermal_lag", readings, QUICK))
+    assert np.all(correct.uncertainty[0, :3] > 1e-3)
+    assert np.all(np.abs(correct.offset - BIAS) < 0.2 * correct.uncertainty[0, :3])
+
+
+@pytest.mark.parametrize("effect", ["bias.drift", "bias.run"])
+def test_means_are_those_that_are_printed(effect: str) -> None:
+    """The chance of what is drawn of a new run or a moment does not move the correction."""
+    campaign = Campaign(poses=24, runs=4)
+    readings = drifting(campaign)
+    calibration = bc.fit(MODEL + effect, readings, QUICK)
+    correct = bc.vector_correction(calibration)
+    mean = np.array([calibration.samples(f"bias.constant[{a}]").mean() for a in "xyz"])
+    sd = np.array([calibration.samples(f"bias.constant[{a}]").std() for a in "xyz"])
+    assert np.all(np.abs(1e3 * correct.offset - mean) < 0.1 * sd)
+
+
+@needs_installation
+@pytest.mark.usefixtures("unpainted")
+@pytest.mark.slow
+def test_a_log_that_drifts_is_calibrated(tmp_path: Path) -> None:
+    path = drifting().write(tmp_path / "poses.csv")
+    done = run("triad", path, "--poses", "--out", tmp_path / "unit")
+    assert done.status == 0, done.err
+    assert "bias.drift: it belongs to the test" in done.err
+    correct = bc.load_vector_correction(tmp_path / "unit" / "correction.json")
+    assert np.all(correct.uncertainty[0, :3] > 5e-4)
+    done = run("triad", path, "--poses", "--baseline")
+    assert done.status == 0, done.err
+    assert "P(complete)" in done.out and "> 0.99" not in done.out
