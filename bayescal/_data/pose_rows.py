@@ -94,7 +94,7 @@ def scalar_readings(
     return made, made_units
 
 
-def magnitude(columns: Mapping[str, Any]) -> Any:
+def magnitude(columns: Any) -> Any:
     """Of what acts, as it is given or else as the outputs have it, of the columns of readings."""
     return columns[MAGNITUDE] if MAGNITUDE in columns else columns[MAGNITUDE_READ]
 

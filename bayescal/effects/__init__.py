@@ -13,7 +13,6 @@ from bayescal.effects.temperature import cubic as cubic
 from bayescal.effects.temperature import linear as linear
 from bayescal.effects.temperature import quadratic as quadratic
 from bayescal.effects.temperature import quartic as quartic
-from bayescal.effects.thermal import BODIES as BODIES
 from bayescal.effects.thermal import body as body
 from bayescal.effects.thermal import hysteresis as hysteresis
 from bayescal.effects.thermal import rate as rate

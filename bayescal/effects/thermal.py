@@ -94,7 +94,7 @@ def thermal_lag(
     source: str,
     column: str = "temperature",
     name: str = "thermal_lag",
-    bodies: Mapping[str, Modes] = BODIES,
+    bodies: Mapping[str, Modes] | None = None,
     short: Effect | None = None,
 ) -> Effect:
     """A thermal lag: c·(T̃ − T), with T̃ a first-order body that lags T by τ; or all that depends on T acts at T̃.
@@ -109,7 +109,7 @@ def thermal_lag(
         low, high: plausible range of τ, s.
         start: prior standard deviation of the initial state's effect, in `start_unit`.
         name: of the effect, after the slot; another for a second lag.
-        bodies: forms in which all that depends on T lags, by name; none where it does not.
+        bodies: forms in which all that depends on T lags, by name; all three if not given, empty where it does not.
         short: the form that it takes where τ is too short to be seen: a rate.
     """
     return replace(
@@ -138,7 +138,7 @@ def thermal_lag(
                 column=column,
                 name=f"{name}.{form}",
             )
-            for form, modes in bodies.items()
+            for form, modes in (BODIES if bodies is None else bodies).items()
         )
         + (() if short is None else (short,)),
     )

@@ -250,7 +250,7 @@ def temporal(slot: str) -> tuple[bc.Effect, ...]:
             source=OURS,
             column="temperature_head",
             # the body of the head is one for both slots, and a form of the bias's lag
-            bodies=effects.BODIES if slot == "bias" else {},
+            bodies=None if slot == "bias" else {},
         ),
         _effect(
             slot,
