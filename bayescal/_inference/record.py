@@ -136,7 +136,7 @@ class Record:
 
     def _kept_at(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
         """Columns at shapes, of which the latest are kept."""
-        key = (effect.basis, values)
+        key = (effect.key, values)
         if key not in self._shaped:
             self._shaped[key] = self.moved_columns(effect, values, {})[0]
             self._bytes += self._shaped[key].nbytes
@@ -151,7 +151,7 @@ class Record:
             return Basis(self.columns(effect, ())[:, :, None], None)
         if len(effect.shapes) > 1:
             return None
-        key = (effect.basis, effect.priors)
+        key = effect.key
         if key not in self._bases:
             self._bases[key] = self._interpolated(effect)
         return self._bases[key]
@@ -189,7 +189,11 @@ class Record:
         self, effect: ColumnsOf, values: tuple[float, ...], moves: Mapping[str, np.ndarray]
     ) -> tuple[Float[np.ndarray, "n k"], dict[str, Float[np.ndarray, "n k"]]]:
         """Columns where columns of the readings are corrected by `moves`, and their slopes by these moves."""
-        named = {name: np.float64(one) for name, one in zip(effect.shapes, values, strict=True)}
+        by_correction = {
+            n: m[0] for n, m in self._corrected(effect, [np.array([v]) for v in values]).items()
+        }
+        moves = {**moves, **by_correction}
+        named = {name: np.float64(v) for name, v in zip(effect.own, values, strict=False)}
         made = programs.shaped_columns(effect.basis, self.padded, named, self._longer(moves))
         return jax.tree.map(lambda a: np.asarray(a)[: self.size], made)
 
@@ -268,8 +272,20 @@ class Record:
         self, effect: ColumnsOf, values: Sequence[np.ndarray], moves, program=programs.columns_along
     ) -> Any:
         count = max(len(v) for v in (*values, *moves.values()))
-        shapes = dict(zip(effect.shapes, values, strict=True))
+        moves = {**moves, **self._corrected(effect, values)}
+        shapes = dict(zip(effect.own, values, strict=False))
         return self._together(program, effect.basis, count, shapes, moves)
+
+    def _corrected(
+        self, effect: ColumnsOf, values: Sequence[np.ndarray]
+    ) -> dict[str, Float[np.ndarray, "b n"]]:
+        """What the columns are corrected by that an effect depends on, at several values of its shapes."""
+        found, at = dict[str, np.ndarray](), len(effect.own)
+        for c in effect.corrections:
+            own, at = values[at : at + len(c.of.shapes)], at + len(c.of.shapes)
+            shift = c.factor * self.columns_of_draws(c.of, own, {})[..., c.index]
+            found[c.column] = found.get(c.column, 0.0) + shift
+        return found
 
     def moved_columns_of_draws(self, effect: ColumnsOf, values: Sequence[Any], moves) -> Any:
         """Columns as `columns_of_draws`, and their slopes by the moves, (b, n, k) each."""

@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._core.jit import given
 from bayescal._inference.programs import Basis, basis_of
-from bayescal._model.effect import Effect, matrix
+from bayescal._model.effect import Effect
 from bayescal._model.parameters import CoefficientBlock
 from bayescal._model.prior import LogNormal, Normal
 
@@ -20,27 +19,32 @@ class ColumnsOf(NamedTuple):
 
     Attributes:
         basis: its own.
-        shapes: that this takes.
+        shapes: that this takes, then those of the corrections.
         priors: of the shapes.
+        corrections: of columns of the readings, by effects without an unknown but their shapes.
     """
 
     basis: Basis
     shapes: tuple[str, ...]
     priors: tuple[Any, ...]
+    corrections: tuple[Correction, ...] = ()
 
     def on(self, corrections: Sequence[Correction]) -> ColumnsOf:
-        """The same where columns of the readings are corrected by effects without an unknown but their shapes."""
-        basis, shapes, priors = self.basis, self.shapes, self.priors
+        """The same where columns of the readings are corrected."""
+        shapes, priors = self.shapes, self.priors
         for c in corrections:
-            own = tuple(f"{c.column}_{name}" for name in c.of.shapes)
-            basis = (given(_on_corrected, basis, shapes, c, own), *basis[1:])
-            shapes, priors = shapes + own, priors + c.of.priors
-        return self._replace(basis=basis, shapes=shapes, priors=priors)
+            shapes, priors = shapes + c.of.shapes, priors + c.of.priors
+        return self._replace(shapes=shapes, priors=priors, corrections=tuple(corrections))
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """Shapes that the basis takes itself."""
+        return self.shapes[: len(self.shapes) - sum(len(c.of.shapes) for c in self.corrections)]
 
     @property
     def key(self) -> Any:
         """What they depend on, as a value."""
-        return self.basis, self.priors
+        return self.basis, self.priors, self.corrections
 
     @classmethod
     def of(cls, effect: Effect) -> ColumnsOf:
@@ -62,16 +66,6 @@ class Correction(NamedTuple):
         effect = block.effect
         names = tuple(map(effect.shape_name, effect.column_shapes))
         return cls(block.slot, ColumnsOf.of(effect), block.index, block.factor * block.value, names)
-
-
-def _on_corrected(
-    basis: Basis, shapes: tuple[str, ...], c: Correction, names: tuple[str, ...], r: Any, **at: Any
-) -> Any:
-    """A basis on readings of which a column is corrected."""
-    by = dict(zip(c.of.shapes, (at[name] for name in names), strict=True))
-    shift = c.factor * matrix(*c.of.basis, r, by)[:, c.index]
-    moved = r.with_column(c.column, r[c.column] + shift)
-    return matrix(*basis, moved, {name: at[name] for name in shapes})
 
 
 class CoefficientTerms(NamedTuple):
