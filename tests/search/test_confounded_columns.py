@@ -93,6 +93,7 @@ def test_a_calibration_holds_it_to_the_end(tmp_path: Path) -> None:
     readings = humid(2)
     path = bc.calibrate(line(readings), readings)
     used = path.calibration
+    assert "and bias.temperature is humidity's" in path.in_short
     assert off(path.final.calibration) < 2 and off(used) < 2
     again = bc.load(used.save(tmp_path / "c.nc"))
     np.testing.assert_array_equal(
