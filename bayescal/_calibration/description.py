@@ -74,6 +74,7 @@ def description(c: Fitted) -> dict[str, Any]:
         "method": c.method,
         "seed": c.seed,
         **({"start": dict(c.start)} if c.start else {}),
+        **({"confounded": [one._asdict() for one in c.confounders]} if c.confounders else {}),
         "log_evidence": c.log_evidence,
         "verdict": {
             k: v for k, v in asdict(c.verdict).items() if k not in ("against", "checked") or v

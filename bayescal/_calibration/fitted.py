@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 import xarray as xr
 
+from bayescal._calibration.confounding import Confounder, confounders, unexplained, widened
 from bayescal._calibration.on_readings import Vectors, pointwise
 from bayescal._core.errors import InputError
 from bayescal._data.measurements import Measurements
@@ -45,6 +46,7 @@ class Fitted:
     mode: Mode
     log_evidence: tuple[float, float | None] | None
     start: dict[str, float] = field(default_factory=dict)
+    confounded: tuple[Confounder, ...] | None = None  # None: to be asked of the readings
 
     def judged(self, against: Sequence[str]) -> Self:
         """The same, checked, with why it is not to be used though it converged; nothing where it may be."""
@@ -67,9 +69,19 @@ class Fitted:
     def posterior(self) -> xr.Dataset:
         """Draws (chain, draw, …) of each unknown under its name, in its reported unit, as `units` says.
 
-        Group dimensions carry the members' names.
+        Group dimensions carry the members' names. Coefficients are as uncertain as recorded columns that ran with what
+        the model holds leave them; `joint` is of the model alone.
         """
-        return named(self.layout, self.levels, self.joint.x, self.joint.rows, self.joint.v)
+        x = widened(self.joint.x, self.confounders, self.layout, self.seed)
+        return named(self.layout, self.levels, x, self.joint.rows, self.joint.v)
+
+    @cached_property
+    def confounders(self) -> tuple[Confounder, ...]:
+        """Recorded columns that may have acted in the place of coefficients."""
+        if self.confounded is not None:
+            return self.confounded
+        columns = unexplained(self.model, self.readings) if self.verdict.ok else {}
+        return confounders(self.linear, columns) if columns else ()
 
     @cached_property
     def frame(self) -> Frame:

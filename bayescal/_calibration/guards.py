@@ -41,7 +41,10 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
         [row for row in rows if row["name"] not in accepted and row["effect"] not in accepted]
         for rows in (coefficients, hyperparameters)
     )
+    wider = {name for one in calibration.confounders for name in one.coefficients}
     for row in coefficients:  # what is positive may well be larger than thought, and then wider
+        if row["name"].partition("(")[0] in wider:
+            continue
         if row["contraction"] is not None and row["contraction"] < guarding().wider:
             found.append(
                 f"{row['name']} is known worse than before the readings (contraction "

@@ -40,7 +40,7 @@ def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTre
     made = made.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
     groups = {
         "posterior": c.posterior,
-        "log_prior": _log_prior(layout, c.posterior, draws),
+        "log_prior": _log_prior(layout, named(layout, levels, draws.x, draws.rows, draws.v), draws),
         "posterior_predictive": xr.Dataset({"output": (("chain", "draw", "reading"), made, units)}),
         "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),

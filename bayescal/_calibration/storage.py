@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from bayescal._calibration.confounding import Confounder, widened
 from bayescal._calibration.description import (
     SCHEMA,
     description,
@@ -165,7 +166,9 @@ def _fields(
     verdict = Verdict.read(described["verdict"])
     joint = _draws_from(tree, layout, len(readings), finite=verdict.ok)
     mode = _mode_from(tree, layout, len(readings), finite=verdict.ok)
-    _refuse_other_posterior(tree, named(layout, levels, joint.x, joint.rows, joint.v))
+    confounded = tuple(Confounder(**one) for one in described.get("confounded", ()))
+    x = widened(joint.x, confounded, layout, described["seed"])
+    _refuse_other_posterior(tree, named(layout, levels, x, joint.rows, joint.v))
     _arrays(tree, "posterior_predictive", {"output": (joint.x.shape[0], None, len(readings))})
     evidence = described["log_evidence"]
     return {
@@ -173,7 +176,7 @@ def _fields(
         "start": described.get("start", {}),
         "log_evidence": None if evidence is None else (evidence[0], evidence[1]),
         **{"model": model, "readings": readings, "layout": layout, "levels": levels},
-        **{"joint": joint, "verdict": verdict, "mode": mode},
+        **{"joint": joint, "verdict": verdict, "mode": mode, "confounded": confounded},
     }
 
 

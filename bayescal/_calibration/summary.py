@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._calibration.confounding import in_words
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.settings import guarding
 from bayescal._core import null_space
@@ -169,9 +170,9 @@ def null_directions(calibration: Fitted) -> list[dict[str, str]]:
     First the exact ones: combinations that change no reading whatsoever, in the coefficients' own units and with
     as few coefficients in each as can be. Then those whose information, in units of the prior, is below a tenth:
     there the posterior is the prior. What concerns next to nothing but deviations of a group's members, or the
-    coefficients of unknown functions, is counted in one line for all.
+    coefficients of unknown functions, is counted in one line for all. Last, what cannot be told from recorded columns.
     """
-    return untold(calibration.linear, calibration.levels)
+    return [*untold(calibration.linear, calibration.levels), *in_words(calibration.confounders)]
 
 
 def untold(

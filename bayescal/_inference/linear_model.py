@@ -109,10 +109,14 @@ class LinearModel:
         root = vectors * root / size[:, None]
         return root, white @ root
 
+    @property
+    def root(self) -> Float[np.ndarray, "q q"]:
+        """R, with R·Rᵀ the covariance of all unknowns in units of their priors."""
+        return self._eigen[0]
+
     def uncertainty(self, i: int) -> float:
         """Standard uncertainty of the unknown of a column, its prior counted, in the unit of that."""
-        root, _ = self._eigen
-        return float(np.linalg.norm(root[i]) * self.sd[i])
+        return float(np.linalg.norm(self.root[i]) * self.sd[i])
 
     @property
     def directions(self) -> Float[np.ndarray, "n q"]:
@@ -127,15 +131,14 @@ class LinearModel:
     @property
     def taken(self) -> Float[np.ndarray, "n q"]:
         """F, output unit: residuals have the covariance Σ − F·Fᵀ if the model is right; L·G for Σ = L·Lᵀ."""
-        return self.nuisance @ self._eigen[0]
+        return self.nuisance @ self.root
 
     @cached_property
     def settled(self) -> Float[np.ndarray, "n"]:
         """Residual once all of θ is fitted together, shapes too, output unit."""
         # One Gauss–Newton step of all θ from where they stand: (AᵀA + W)⁻¹(Aᵀr − W·z).
-        root, _ = self._eigen
         pull = self.white_nuisance.T @ self.white_residual - self.weight * self.z
-        return self.residual - self.nuisance @ (root @ (root.T @ pull))
+        return self.residual - self.nuisance @ (self.root @ (self.root.T @ pull))
 
     @cached_property
     def white_settled(self) -> Float[np.ndarray, "n"]:

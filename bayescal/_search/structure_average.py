@@ -171,6 +171,7 @@ def _together(
         joint=Draws.of(x[order], rows[order], v[order]),
         verdict=replace(last.verdict, notes=(*last.verdict.notes, said)),
         method=f"{last.method}, averaged",
+        confounded=last.confounders,
         layout=layout,
         levels={**last.levels, **further},
         mode=_mode(last, layout, x, rows, v),

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.confounding import Confounder
 from bayescal._calibration.mixture import inclusion, without
 from bayescal._calibration.prior_influence import (
     not_measured,
@@ -313,6 +314,9 @@ def _by_source(
     if split is not None:
         parts[READINGS, "A"] = split.readings
         parts |= {(f"prior of {name}", "B"): value for name, value in split.priors.items()}
+    for one in chosen._calibration.confounders:
+        moved = _moved_by(chosen, one, gradient)
+        parts[f"{one.column}, not told from the model's own", "B"] = moved**2
     rest = {REST: total - sum(parts.values())}
     if unlikely:
         rest[STRUCTURES] = variance - total
@@ -321,6 +325,17 @@ def _by_source(
         for (name, kind), value in sorted(parts.items(), key=lambda p: -p[1])
     ]
     return (*rows, *(_share(name, "", value, variance) for name, value in rest.items()))
+
+
+def _moved_by(chosen: Compensator, one: Confounder, gradient: np.ndarray) -> float:
+    """What a standard deviation of a column's effect moves the value by."""
+    members, levels = dict(chosen._equation.members), chosen._calibration.levels
+    total = 0.0
+    for slope, unknown in zip(gradient, chosen._equation.unknowns(), strict=True):
+        if unknown.kind == "coefficient" and (own := one.shares.get(unknown.key)):
+            per = next(b.coefficient.per for b in chosen._equation.blocks if b.name == unknown.key)
+            total += float(slope) * own[0 if per is None else levels[per].index(members[per])]
+    return total
 
 
 def _share(name: str, kind: str, value: float, variance: float) -> SourceShare:

@@ -1,0 +1,167 @@
+"""Recorded columns that ran with what a model holds: how much of a coefficient may belong to one of them.
+
+A column that is no known cause acts or does not, and nothing is known of it: even odds, and if it acts a line in it,
+plausibly half as large as all that the model's own terms change the output by. Beside the model, linear about its mode,
+this line's coefficient is Gaussian in closed form, its evidence too, and what it takes the other coefficients give up.
+Of a column that the readings tell apart little is left, and that improbable; of one that ran with the thermometer they
+know the sum alone, and how it is split is the prior's. What coefficients give up, squared and averaged over the column
+acting and not, is a term of their variance. Their values stay those of the model: the sum is what is measured, and what
+compensates a sensor that is used as it was tested.
+Source: J. Hoeting, D. Madigan, A. Raftery and C. Volinsky, Stat. Sci. 14 (1999) 382 (averaging over models).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import expit, ndtri
+
+from bayescal._data.measurements import Measurements
+from bayescal._data.unit_conversion import same_dimension
+from bayescal._inference.linear_model import LinearModel
+from bayescal._model.frame import derived
+from bayescal._model.instrument import Instrument
+from bayescal._model.model import Model
+from bayescal._model.parameters import CoefficientBlock, Layout
+
+A_FIFTH = 0.2  # of a standard uncertainty: a smaller change is lost in the digits printed
+IN_TIME = ("time", "elapsed")
+SIZE = 0.5  # of a column's effect, in parts of what the model's own terms change the output by
+
+
+class Confounder(NamedTuple):
+    """A column that may have acted in the place of coefficients.
+
+    Attributes:
+        column: which.
+        coefficients: names of those that stand for themselves and are less certain for it.
+        told: part of its squares that the model's own columns leave.
+        shares: the standard uncertainty that it adds to each coefficient, by name and member, reported unit; signed, as
+            they move together.
+    """
+
+    column: str
+    coefficients: list[str]
+    told: float
+    shares: dict[str, list[float]]
+
+
+def confounders(
+    linear: LinearModel, columns: Mapping[str, Float[np.ndarray, "n"]]
+) -> tuple[Confounder, ...]:
+    """Of some columns those that add a fifth or more to the standard uncertainty of a coefficient of a model."""
+    layout, line = linear.assembly.layout, linear.line
+    blocks, p = layout.x_blocks, layout.size
+    main = np.repeat([_stands_alone(b, layout) for b in blocks], [b.size for b in blocks])
+    if not main.any():
+        return ()
+    x = linear.mode.point.x - linear.assembly.mean_of_x
+    size = SIZE * float(np.std(line.jacobian[:, main] @ x[main]))
+    root, found = linear.root[:p] * linear.sd[:p, None], list[Confounder]()
+    known = np.linalg.norm(root, axis=1)
+    for name, values in columns.items():
+        standard = (values - values.mean()) / values.std()
+        for slot in _slots(layout.model.instrument):
+            # Its column at the plausible size, whitened; what the model's columns take of it, P, and leave, K.
+            column = linear.whiten((size * standard * linear.slopes[slot])[:, None])[:, 0]
+            taken = linear.projected(column[:, None])[:, 0]
+            whole = float(column @ column)
+            left = max(whole - float(taken @ taken), 0.0)
+            # Of a standard normal coefficient: log Bayes factor ½·u²/(1 + K) − ½·log(1 + K).
+            pull, inner = float(column @ linear.white_settled), 1 + left
+            acts = float(expit(0.5 * (pull**2 / inner - math.log(inner))))
+            second_moment = acts * (1 / inner + (pull / inner) ** 2)
+            added = -math.sqrt(second_moment) * (root @ taken)
+            wider = main & (np.hypot(added, known) > (1 + A_FIFTH) * known)
+            if np.any(wider):
+                parts = {b.name: slice(b.start, b.start + b.size) for b in blocks}
+                shares = {n: added[at].tolist() for n, at in parts.items() if added[at].any()}
+                concerned = [n for n, at in parts.items() if wider[at].any()]
+                found.append(Confounder(name, concerned, left / whole, shares))
+    return tuple(found)
+
+
+def _stands_alone(block: CoefficientBlock, layout: Layout) -> bool:
+    """Whether a coefficient is one of a law: no deviation of a group, no part of a curve, nothing of a rig's own."""
+    vector, c = layout.model.instrument.vector, block.coefficient
+    return (
+        c.group_sd is None
+        and block.effect.weights is None
+        and not (vector and block.slot in vector.rig)
+    )
+
+
+def _slots(instrument: Instrument) -> list[str]:
+    """Those that something unknown would add to: the first in the output's unit, of three axes each axis' own."""
+    fitting = [s.name for s in instrument.slots if s.unit == instrument.unit]
+    vector = instrument.vector
+    return fitting[:1] if vector is None else [n for n in fitting if n not in vector.rig]
+
+
+def unexplained(model: Model, readings: Measurements) -> dict[str, Float[np.ndarray, "n"]]:
+    """Columns that no effect is a function of, time among them; not what the instrument declares, nor what measures
+    the same quantity as that does: another thermometer, a set point."""
+    declared = {c.name for c in model.instrument.columns}
+    known = (declared | model.columns) - {*IN_TIME}
+    if any({*e.columns} == {"time"} for e in model.effects):
+        known |= {*IN_TIME}
+    units = [
+        u for n in declared & {*readings.columns} if (u := readings.unit(n)) not in (None, "1", "s")
+    ]
+
+    def another(name: str) -> bool:
+        column = name.removesuffix(" rate")
+        unit = readings.unit(column) if readings.has(column) else None
+        return column in known or any(unit and same_dimension(unit, str(u)) for u in units)
+
+    return {
+        name: values
+        for name, values in derived(readings).items()
+        if np.ptp(values) > 0 and (name in IN_TIME or not another(name)) and name not in known
+    }
+
+
+def widened(
+    x: Float[np.ndarray, "chains draws p"],
+    found: Sequence[Confounder],
+    layout: Layout,
+    seed: int,
+) -> Float[np.ndarray, "chains draws p"]:
+    """Draws of the coefficients that hold what columns may have done: of the same mean."""
+    for i, one in enumerate(found):
+        # Quantiles of the normal distribution in a random order: its moments, and not those of the draws' luck.
+        count = x.shape[0] * x.shape[1]
+        normal = ndtri((np.arange(count) + 0.5) / count)
+        order = np.random.default_rng([seed, 3, i]).permutation(count)
+        normal = (normal / normal.std())[order].reshape(*x.shape[:2], 1)
+        own = [one.shares.get(b.name, [0.0] * b.size) for b in layout.x_blocks]
+        x = x + normal * np.concatenate([np.zeros(0), *own])
+    return x
+
+
+def in_words(found: Sequence[Confounder]) -> list[dict[str, str]]:
+    """What ran with what: the combination, and a sentence."""
+    return [
+        {
+            "combination": f"{(names := ' and '.join(one.coefficients))} and {one.column}",
+            "in_words": (
+                f"{names} apart from {one.column}: these readings tell {one.told:.1g} of its squares from the model. "
+                "Standard uncertainties hold what it may have done in their place; the sum of both is measured. "
+                f"{_cure(one.column)}"
+            ),
+        }
+        for one in found
+    ]
+
+
+def _cure(column: str) -> str:
+    if column in IN_TIME:
+        return "Take another run that goes otherwise in time"
+    own = column.removesuffix(" rate")
+    return (
+        f"Vary {own} otherwise in another run, or leave it out if it is no cause (--ignore {own})"
+    )
