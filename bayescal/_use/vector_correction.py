@@ -42,6 +42,7 @@ from scipy.spatial.transform import Rotation
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
+from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import usual_columns, with_columns
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number, table, with_error
@@ -620,8 +621,8 @@ def _common_scale(
 
 def _notes(calibration: Calibration, made: VectorCorrection, of_test: OfTest) -> tuple[str, ...]:
     notes, at = [], made.calibrated_at
-    if why_not := calibration.verdict.why_not:
-        notes.append(f"{NOT_RELIABLE}{why_not}")
+    if against := why_not(calibration):
+        notes.append(f"{NOT_RELIABLE}{against}")
     if calibration.readings.has(TURNED[0]):
         notes.append("Axes are those of the accelerometers that the moves were closed by.")
     elif not calibration.readings.has(ACROSS[0]):

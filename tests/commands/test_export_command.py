@@ -109,3 +109,19 @@ def test_a_name_of_a_unit_is_refused_before_anything_is_read(tmp_path: Path) -> 
         done = run(command, log, "--name", "a-b", "--out", tmp_path / "out")
         assert done.status == 2 and "'a-b' is no name in C" in done.err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_triad_that_nobody_checked_is_checked_before_it_leaves(tmp_path: Path) -> None:
+    """A fit of bias, scale and misalignment to readings whose scale follows the temperature."""
+    warm = accelerometer_triad.Campaign(poses=14, temperatures=(-20.0, 25.0, 70.0))
+    readings = accelerometer_triad.simulate(
+        {"scale.temperature": (200.0,) * 3}, seed=3, campaign=warm
+    )
+    model = accelerometer_triad.INSTRUMENT.baseline()
+    fit = bc.fit(model, readings, bc.LeastSquares())
+    assert fit.verdict.ok
+    fit.save(tmp_path / "triad.nc")
+    done = run("export", tmp_path / "triad.nc", "--out", tmp_path / "triad.h")
+    assert done.status == 1
+    assert "depend on temperature" in done.err
+    assert "Note: RESULT NOT RELIABLE: " in text_of(tmp_path / "triad.h")
