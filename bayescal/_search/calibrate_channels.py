@@ -141,6 +141,7 @@ class _Channel:
     ) -> _Channel:
         """After a first search alone."""
         loop, first = loop.begin(model)
+        deadline.allow(loop.finish_takes)
         more = loop.freed(first)
         if first.against and not more:
             return cls(name, loop, first)
