@@ -147,9 +147,10 @@ def _in_jax(frame: FrameType | None) -> bool:
 @contextmanager
 def share(part: float = 1.0, keep: float = 0.0) -> Iterator[Deadline]:
     """An earlier deadline for what is inside: a part of the time left, and not its last `keep` seconds."""
-    outer = current()
-    allowed = max(0.0, min(part * outer.left, outer.left - keep))
-    with _holding(replace(outer, ends_at=min(outer.ends_at, time.monotonic() + allowed))) as made:
+    outer, now = current(), time.monotonic()
+    left = max(0.0, outer.ends_at - now)  # also after Ctrl-C, of which `grace` takes its part
+    allowed = max(0.0, min(part * left, left - keep))
+    with _holding(replace(outer, ends_at=min(outer.ends_at, now + allowed))) as made:
         yield made
 
 

@@ -305,9 +305,12 @@ def _found(chapter: Chapter) -> str:
     first = set(steps[0]["effects"])
     added = [e for e in c.model.effects if e.name not in first]
     if not added:
+        search = chapter.data["search"] or {}
         weighed = "Nothing was found missing from"
+        if search.get("stopped"):
+            weighed = "When the search was ended, nothing had been found missing from"
         if not chapter.data["missing"]:
-            count = (chapter.data["search"] or {}).get("weighed", 0)
+            count = search.get("weighed", 0)
             weighed = "Nothing was looked for beside"
             if count > 1:
                 weighed = f"{count} structures were weighed, and none was fitted but"

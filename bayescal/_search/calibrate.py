@@ -140,7 +140,7 @@ def calibrate(
         loop, structures, shut = loop.open(first, (*effects, *more), widen_noise)
         tell = partial(loop.tell, [first], structures, deadline.door(), follow)
         tell()
-        deadline.allow(loop.finish_takes)
+        deadline.allow(loop.grace)
         try:
             library, stopped = loop.look(Library(structures), seeds, tell)
         except TimeIsUp as early:
@@ -235,6 +235,11 @@ class Loop:
         """How long the fit of a larger model, its checks and its judgement may take, s."""
         return SOONEST + FITTED * self.step_takes
 
+    @property
+    def grace(self) -> float:
+        """What these are allowed after Ctrl-C, s."""
+        return PATIENT + self.finish_takes
+
     def quick(self, model: Model) -> Method | None:
         """How steps on the way are fitted: not sampled, for their errors and evidence need no draws.
 
@@ -293,13 +298,13 @@ class Loop:
             return self.steps_to_best(first, library, shut, why, follow, hurried)
 
         hurried = deadline.current().interrupted
-        with deadline.grace(self.finish_takes) as end:
+        with deadline.grace(self.grace) as end:
             try:
                 return steps(hurried)
             except (TimeIsUp, KeyboardInterrupt) as early:
                 if hurried or (isinstance(early, TimeIsUp) and not end.interrupted):
                     raise
-        with deadline.grace(self.finish_takes):
+        with deadline.grace(self.grace):
             return steps(True, stopped or STOPPED.format(time.monotonic() - self.begun))
 
     def steps_to_best(

@@ -94,7 +94,7 @@ def calibrate_channels(
                     raise
                 continue
             deadline.offer(so_far)
-            deadline.allow(sum(c.loop.finish_takes for c in channels))
+            deadline.allow(sum(c.loop.grace for c in channels))
         with deadline.share(1 / 2):
             shared = _shared(channels)
         for i, channel in enumerate(channels):
@@ -141,6 +141,7 @@ class _Channel:
     ) -> _Channel:
         """After a first search alone."""
         loop, first = loop.begin(model)
+        deadline.allow(loop.grace)
         more = loop.freed(first)
         if first.against and not more:
             return cls(name, loop, first)

@@ -178,6 +178,17 @@ def test_each_channel_of_a_unit_is_left_with_its_best(monkeypatch) -> None:
         assert HIDDEN in trail.final.calibration.model.names
 
 
+def test_ctrl_c_in_the_walk_of_the_first_channel_leaves_what_it_had(monkeypatch) -> None:
+    models = {name: mems_gyro.INSTRUMENT.baseline() for name in ("x", "y")}
+    readings = {n: mems_gyro.simulate({HIDDEN: 0.05}, seed=s) for s, n in enumerate(models, 1)}
+    walk_ending(monkeypatch, pressed)
+    with deadline.until(apart=True):
+        found = bc.calibrate_channels(models, readings)
+    said_truly(found.trails["x"])
+    assert len(found.trails["x"].steps) == 2
+    assert "x: The search was interrupted" in str(found)
+
+
 def test_discover_says_what_was_found_so_far(readings, monkeypatch) -> None:
     walk_ending(monkeypatch, pressed)
     with deadline.until(apart=True):

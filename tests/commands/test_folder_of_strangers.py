@@ -102,14 +102,17 @@ def at(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
         command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={k: v for k, v in os.environ.items() if k not in ("MPLBACKEND", "PYTHONPATH")},
     )  # fmt: skip
-    if arguments[0] == "workbench":
-        assert done.stdout is not None
-        told = ""
-        while "Ctrl-C" not in told:
-            told += done.stdout.readline()
-        ready(told)
-        done.send_signal(signal.SIGINT)
-    out, err = done.communicate(timeout=300)
+    try:
+        if arguments[0] == "workbench":
+            assert done.stdout is not None
+            told = ""
+            while "Ctrl-C" not in told:
+                told += done.stdout.readline()
+            ready(told)
+            done.send_signal(signal.SIGINT)
+        out, err = done.communicate(timeout=300)
+    finally:
+        done.kill()
     return subprocess.CompletedProcess(command, done.returncode, out, err)
 
 
