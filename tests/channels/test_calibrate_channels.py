@@ -41,6 +41,7 @@ def test_what_one_channel_shows_helps_another_and_none_gets_what_it_has_not(unit
     assert shape["strong"].high / shape["strong"].low > shape["weak"].high / shape["weak"].low
 
 
+@pytest.mark.slow
 def test_the_unit_has_one_time_and_it_is_the_true_one(unit) -> None:
     lag = next(s for s in unit.shared if s.effect == LAG)
     _, low, high = lag.posterior
@@ -55,6 +56,7 @@ def test_the_unit_has_one_time_and_it_is_the_true_one(unit) -> None:
         assert spread == pytest.approx(np.log(high / low) / 3.92, rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_unit_is_saved_channel_by_channel_and_each_is_loaded_as_it_was(unit, tmp_path) -> None:
     unit.save(tmp_path)
     data = json.loads((tmp_path / "channels.json").read_text("utf-8"))
@@ -69,6 +71,7 @@ def test_a_unit_is_saved_channel_by_channel_and_each_is_loaded_as_it_was(unit, t
     assert lag["low"] < LAG_TIME < lag["high"]
 
 
+@pytest.mark.slow
 def test_results_of_channels_that_are_no_more_are_removed_but_nothing_of_the_users_own(
     unit, tmp_path
 ) -> None:

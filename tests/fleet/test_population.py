@@ -12,6 +12,7 @@ from bayescal_models import mems_gyro
 from tests.support.made_up.gyro_lot import MODEL, NOISE, SEED, table
 
 
+@pytest.mark.slow
 def test_a_population_is_the_joint_fit_of_one_table() -> None:
     """Against the same posterior in closed form at each pair of spreads, summed over a grid of them."""
     rng = np.random.default_rng(SEED)

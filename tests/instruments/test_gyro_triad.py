@@ -66,6 +66,7 @@ def test_a_hidden_effect_is_found(name: str, size: Any) -> None:
     assert [e.name for e in bc.discover(bc.fit(MODEL, readings)).best] == [name]
 
 
+@pytest.mark.slow
 def test_nothing_is_invented() -> None:
     readings = gyro_triad.simulate(seed=4, campaign=THERMAL)
     assert not bc.discover(bc.fit(MODEL, readings)).best

@@ -144,6 +144,7 @@ def test_a_hidden_sensitivity_to_gravity_is_found_and_corrected() -> None:
     assert "Axes are those of the accelerometers" in turned.notes[0]
 
 
+@pytest.mark.slow
 def test_nothing_is_invented_and_all_is_determined() -> None:
     rows, _, calibration = calibrated()
     assert not bc.discover(calibration).best

@@ -67,6 +67,7 @@ def test_readings_without_the_labels_cannot_test_it() -> None:
     assert reasons["bias.station"] == "needs the column station"
 
 
+@pytest.mark.slow
 def test_the_average_holds_labels_that_only_other_structures_know() -> None:
     """Little is hidden at the stations: the last model has no coefficient for them, some of the average has."""
     with bc.use_settings(bc.SearchSettings(averaged=1e-6)):

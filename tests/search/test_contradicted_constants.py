@@ -81,6 +81,7 @@ def test_a_wrong_constant_is_said_to_be_wrong_and_the_result_is_not_used(tmp_pat
     assert again.model == path.final.calibration.model
 
 
+@pytest.mark.slow
 def test_a_conflict_that_is_accepted_is_none() -> None:
     path = searched(9.6, 0.0)
     readings = path.steps[0].calibration.readings

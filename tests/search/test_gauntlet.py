@@ -48,6 +48,11 @@ SLOW = {
     "time in minutes under a header in seconds",
     "clock running fast, with jitter",
     "constant 1e+04 times the noise",
+    "scatter growing with the input or with time",
+    "a second thermometer like the first",
+    "one label for two runs",
+    "eight readings",
+    "the hold-out of another unit",
 }
 
 

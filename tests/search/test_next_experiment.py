@@ -49,6 +49,7 @@ def test_the_divergence_is_that_of_two_normals() -> None:
     assert next_experiment.divergence(one, one) == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_every_listed_experiment_is_ranked(ranked: bc.NextExperiment) -> None:
     assert ranked.members == RIVALS
     assert {e.name for e in ranked.experiments} == {name for name, _ in INSTRUMENT.experiments}

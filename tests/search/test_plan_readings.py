@@ -54,6 +54,7 @@ def test_readings_that_say_nothing_are_not_worth_it() -> None:
     assert not plan.data()["notes"]
 
 
+@pytest.mark.slow
 def test_beyond_what_was_calibrated_it_says_so() -> None:
     plan = bc.plan_readings(line(4), "bias: ±1 deg/s over temperature -20..20 degC", count=0)
     assert "the model is carried on" in str(plan)
@@ -74,6 +75,7 @@ def test_what_cannot_be_planned_is_refused(limit: str, count: int, words: str) -
         bc.plan_readings(line(1), limit, count=count)
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path) -> None:
     line(5).save(tmp_path / "line.nc")
     ran = run("plan", str(tmp_path / "line.nc"), "--limit", SLOPE, "--count", "2", "--json")

@@ -75,6 +75,7 @@ def test_other_things_are_no_settings() -> None:
         bc.use_settings(0.9).__enter__()  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.slow
 def test_a_search_goes_by_them_and_the_result_says_so() -> None:
     readings = split_search.readings()
     first = split_search.trail().steps[0].discovery

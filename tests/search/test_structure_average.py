@@ -109,6 +109,7 @@ def test_coefficients_are_printed_as_they_leave(trail, average) -> None:
     assert "bias.run.group_sd" in coefficients_text(trail, verbose=True)
 
 
+@pytest.mark.slow
 def test_a_search_of_one_structure_is_not_averaged() -> None:
     readings = mems_gyro.simulate({"bias.thermal_lag": 0.3}, seed=1)
     found = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings)

@@ -10,6 +10,7 @@ import pytest
 import bayescal as bc
 from bayescal._model.frame import build_frame, derived, reference_of
 from bayescal_models import mems_gyro
+from tests.support.tiers import slow_but
 
 INSTRUMENT = mems_gyro.INSTRUMENT
 HUMID = {
@@ -34,7 +35,11 @@ def test_the_column_of_an_effect_outside_the_catalogue_is_named_and_added(
 
 
 @pytest.mark.parametrize(
-    "name", ["unknown(humidity)", "unknown(time)", "bias.temperature_cubic", "bias.rate"]
+    "name",
+    slow_but(
+        ["bias.rate"],
+        ["unknown(humidity)", "unknown(time)", "bias.temperature_cubic", "bias.rate"],
+    ),
 )
 def test_what_the_model_given_has_beside_the_baseline_is_weighed_anew(
     trail: bc.SearchPath, name: str
@@ -48,7 +53,9 @@ def test_what_the_model_given_has_beside_the_baseline_is_weighed_anew(
     assert left_out == (name not in last.model.names)
 
 
-@pytest.mark.parametrize("stated", ["fixed", "of another baseline", "nothing sought"])
+@pytest.mark.parametrize(
+    "stated", slow_but(["fixed"], ["fixed", "of another baseline", "nothing sought"])
+)
 def test_what_a_user_states_of_a_model_stays(stated: str) -> None:
     readings, model = mems_gyro.simulate(seed=33), INSTRUMENT.baseline() + "bias.temperature_cubic"
     most = 0 if stated == "nothing sought" else 1
@@ -60,6 +67,7 @@ def test_what_a_user_states_of_a_model_stays(stated: str) -> None:
     assert "bias.temperature_cubic" in found.steps[0].calibration.model.names
 
 
+@pytest.mark.slow
 def test_where_nothing_is_sought_what_has_no_name_stays_too() -> None:
     readings, model = mems_gyro.simulate(seed=33), INSTRUMENT.baseline() + "unknown(time)"
     found = bc.calibrate(model, readings, method=bc.LeastSquares(), max_effects=0)

@@ -75,6 +75,7 @@ def test_a_cycle_is_found_with_its_period_and_amplitude(cycled: bc.SearchPath) -
     assert wave.mean() == pytest.approx(WAVE, rel=0.2)
 
 
+@pytest.mark.slow
 def test_their_shapes_are_drafted_as_what_they_are(
     jumped: bc.SearchPath, cycled: bc.SearchPath
 ) -> None:

@@ -75,6 +75,7 @@ def channels() -> bc.Channels:
     return bc.calibrate_channels(models, readings, method=QUICK, max_effects=0, widen_noise=False)
 
 
+@pytest.mark.slow
 def test_the_table_of_channels_names_the_error_that_it_prints() -> None:
     found = channels()
     rows = {line[:24].strip(): line[24:].split() for line in str(found).splitlines()}

@@ -6,7 +6,6 @@ import functools
 import os
 import pickle
 from collections.abc import Callable
-from contextlib import suppress
 from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
@@ -27,18 +26,19 @@ def shared(make: Callable[P, T]) -> Callable[P, T]:
     that ask at the same time both make it: either waits for the other as long.
     """
 
-    @functools.cache
+    kept: dict[Path, T] = {}
+
     @functools.wraps(make)
     def of(*args: P.args, **kwargs: P.kwargs) -> T:
         asked = sha256(repr((make.__module__, make.__qualname__, args, kwargs)).encode())
         file = Path(os.environ[FOLDER]) / f"{asked.hexdigest()[:16]}.pickle"
-        with suppress(FileNotFoundError):
-            return pickle.loads(file.read_bytes())
-        content = pickle.dumps(make(*args, **kwargs))
-        whole = file.with_suffix(f".{os.getpid()}")
-        whole.write_bytes(content)
-        whole.replace(file)
-        return pickle.loads(content)
+        if file not in kept:
+            if not file.exists():
+                whole = file.with_suffix(f".{os.getpid()}")
+                whole.write_bytes(pickle.dumps(make(*args, **kwargs)))
+                whole.replace(file)
+            kept[file] = pickle.loads(file.read_bytes())
+        return kept[file]
 
     return of
 
