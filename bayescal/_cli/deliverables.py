@@ -6,7 +6,7 @@ Heavy modules load inside the commands.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,7 +34,7 @@ from bayescal._cli.options import (
     named_values,
 )
 from bayescal._core.as_json import write_json
-from bayescal._core.errors import InputError, ModelError
+from bayescal._core.errors import InputError
 
 if TYPE_CHECKING:
     from bayescal._tables.raw_table import Problem
@@ -269,12 +269,7 @@ def _calibrated(
     trail = bc.calibrate(
         model, readings, seed=asked.seed, max_effects=0 if asked.baseline else MOST
     )
-    try:
-        correction = bc.vector_correction(trail.calibration)  # averaged over the structures
-    except ModelError as error:
-        trail = replace(trail, average=None)
-        correction = bc.vector_correction(trail.calibration)
-        print_notes([f"The correction is of the model shown, not averaged over models: {error}"])
+    correction = bc.vector_correction(trail.calibration)  # averaged over the structures
     correction = turned(correction)
     print_notes(correction.notes)
     if not asked.json_:

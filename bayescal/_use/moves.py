@@ -65,7 +65,8 @@ from bayescal._model.instrument import Instrument
 from bayescal._use.vector_correction import VectorCorrection
 
 SWEEPS = 60  # of integrating anew; four suffice for a matrix that is off by a tenth
-HALVINGS = 10  # of a step that leaves more over than was
+HALVINGS = 10  # of a step that leaves more over than was,
+LARGER = 1.01  # times as much: slopes are exact to the first order in the angles left over
 FARTHEST = 0.5  # of an entry of the matrix from nominal: a wrong unit or axis, no gyroscope
 SETTLED = 0.01  # of a standard uncertainty, by which a further sweep may move an estimate
 DISAGREES = 0.01  # probability that of moves and poses that agree any is set aside
@@ -79,6 +80,7 @@ OWN = 12  # of these what the outputs are integrated with: bias and matrix
 # Of a bias from pose to pose, rad/s, and of the angle that a move leaves over, rad: consumer parts, by hand.
 PLAUSIBLE = np.deg2rad(0.1)
 SPREADS = np.geomspace(0.1, 1000.0, 17)  # times what is known, at which these are weighed
+ASTRAY = "the outputs integrated over a move do not lead from one pose to the next"
 AT_ONCE = 20_000  # samples whose forces are corrected
 
 
@@ -159,8 +161,9 @@ def moves(
     columns = {name: np.concatenate(parts) for name, parts in made.items()}
     # As of means of unequal numbers: the noise law's own is that of the surest reading, others have more beside it. A
     # noise beside known ones that suffice would have its mode at zero.
-    surest = float(np.min(columns[UNCERTAINTY]))
-    columns[UNCERTAINTY] = np.sqrt(columns[UNCERTAINTY] ** 2 - surest**2)
+    squares = columns[UNCERTAINTY] ** 2
+    surest = float(np.sqrt(squares.min()))
+    columns[UNCERTAINTY] = np.sqrt(squares - squares.min())
     found = as_readings(columns, instrument, log)
     said = (
         f"{len(found)} readings of {poses} poses and the moves between them, found in {log.file}; by their scatter the "
@@ -265,7 +268,7 @@ def _readings(
         before, there = line.left_over(at, here, found), None
         for _ in range(HALVINGS if size >= SETTLED else 0):
             tried = _closure(moved, felt, here + change)
-            if line.left_over(tried, here + change, found) < before:
+            if line.left_over(tried, here + change, found) < LARGER * before:
                 there = tried
                 break
             change = 0.5 * change
@@ -278,19 +281,25 @@ def _readings(
             break
         aside = further
         if len(aside.moves) > most:
-            raise InputError(
+            why = (
                 f"more than {most} of {len(moved.rate)} moves disagree with each other by more than they scatter. Were "
                 "samples lost, is a rate beyond the gyroscopes' range, or did accelerometers and gyroscopes not turn "
                 "together?"
             )
+            raise InputError(_other_axes(moved, felt, session.nominal) or why)
     if not np.max(np.abs(here - session.nominal[:OWN])[3:]) < FARTHEST:
-        raise InputError(_astray(moved, felt, session.nominal))
+        why = (
+            f"{ASTRAY}. Check the unit of the gyroscopes, that their axes are those of the accelerometers, and that no "
+            "rate is beyond their range"
+        )
+        raise InputError(_other_axes(moved, felt, session.nominal) or why)
     if size >= SETTLED:
-        raise InputError(
+        why = (
             f"the integration over the moves did not settle: a further sweep would move an estimate by {size:.2g} "
             "standard uncertainties. Turn the unit less between two poses, about all three axes, and hold it still for "
             "longer; see that no rate is beyond the gyroscopes' range"
         )
+        raise InputError(_other_axes(moved, felt, session.nominal) or why)
     return line.rows(found), line.words(found, aside)
 
 
@@ -374,15 +383,16 @@ class _Line(NamedTuple):
         root, count = np.linalg.cholesky(moving), len(rest)
         table = np.column_stack([self.levers, self.output - self.levers @ self.session.nominal])
         still, over = table[:count] / np.sqrt(rest)[:, None], table[count:]
-        white = np.concatenate([still, solve_triangular(root, over, lower=True)])
-        own, left = white[:, :-1], white[:, -1]
-        precision = own.T @ own + np.diag(PRIOR**-2)
-        covariance, pull = np.linalg.inv(precision), own.T @ left
-        log_density = -0.5 * (left @ left - pull @ covariance @ pull)
-        log_density -= 0.5 * np.sum(np.log(rest)) + np.sum(np.log(np.diag(root)))
-        log_density -= 0.5 * np.linalg.slogdet(precision)[1]
-        mean = self.session.nominal + covariance @ pull
-        return _Found(mean, covariance, wander, closing, float(log_density))
+        # With a row for each prior, and no normal equations: outputs may be almost without noise.
+        prior = np.column_stack([np.diag(1 / PRIOR), np.zeros(len(PRIOR))])
+        white = np.concatenate([still, solve_triangular(root, over, lower=True), prior])
+        upper = np.linalg.qr(white, mode="r")
+        own, left = upper[:-1, :-1], upper[-1, -1]
+        inverse = solve_triangular(own, np.eye(len(own)))
+        log_density = -0.5 * left**2 - 0.5 * np.sum(np.log(rest)) - np.sum(np.log(np.diag(root)))
+        log_density -= np.sum(np.log(np.abs(np.diag(own))))
+        mean = self.session.nominal + inverse @ upper[:-1, -1]
+        return _Found(mean, inverse @ inverse.T, wander, closing, float(log_density))
 
     def spread(self) -> _Found:
         """The estimate with both variances at their means: half-normal in the deviations, one after the other."""
@@ -521,35 +531,30 @@ def _closure(
     )
 
 
-def _astray(moved: _Moves, felt: Float[np.ndarray, "k 3"], nominal: Float[np.ndarray, "27"]) -> str:
-    """Why the matrix cannot be near one: outputs of other axes or in another unit, if these lead to the poses."""
+def _other_axes(
+    moved: _Moves, felt: Float[np.ndarray, "k 3"], nominal: Float[np.ndarray, "27"]
+) -> str:
+    """In which unit, or with which axes, the outputs would lead from pose to pose, in words; empty where in none."""
 
     def over(matrix: Float[np.ndarray, "3 3"]) -> float:
-        """Root mean square of the angles left over, rad."""
+        """Median angle left over, rad: of moves that disagree some may be spoilt."""
         at = _closure(moved, felt, np.concatenate([nominal[:3], matrix.ravel()]))
-        return float(np.sqrt(np.mean((at.left * np.repeat(at.duration, 2)) ** 2)))
+        return float(np.median(np.abs(at.left) * np.repeat(at.duration, 2)))
 
     units = {
         "": 1.0,
         "in rad/s, taken as deg/s": np.pi / 180,
         "in deg/s, taken as rad/s": 180 / np.pi,
     }
-    found, at = "", 0.5 * over(np.eye(3))
-    for order, signs, (unit, factor) in product(
-        permutations(range(3)), product((1, -1), repeat=3), units.items()
-    ):
-        matrix = factor * np.array(signs)[:, None] * np.eye(3)[list(order)]
-        if (left := over(matrix)) < at:
-            axes = ", ".join(f"{'−' * (s < 0)}{AXES[i]}" for i, s in zip(order, signs, strict=True))
+    found, least = "", 0.5 * over(np.eye(3))
+    turns = product(permutations(range(3)), product((1, -1), repeat=3), units.items())
+    for order, signs, (unit, factor) in turns:
+        left = over(factor * np.array(signs)[:, None] * np.eye(3)[list(order)])
+        if left < least:
+            axes = ", ".join("−" * (s < 0) + AXES[i] for i, s in zip(order, signs, strict=True))
             turned = f"with their axes as {axes} of the accelerometers" * (axes != "x, y, z")
-            found, at = " and ".join(part for part in (unit, turned) if part), left
-    said = "the outputs integrated over a move do not lead from one pose to the next"
-    if found:
-        return f"{said}; {found} they nearly do: correct that (--unit, --columns)"
-    return (
-        f"{said}. Check the unit of the gyroscopes, that their axes are those of the accelerometers, and that no rate "
-        "is beyond their range"
-    )
+            found, least = " and ".join(part for part in (unit, turned) if part), left
+    return f"{ASTRAY}; {found} they nearly do: correct that (--unit, --columns)" if found else ""
 
 
 def _at_rest(

@@ -2,7 +2,7 @@
 
 The calibrated equation h is taken as its Taylor series in what acts: offset, 3 × 3 matrix and, where the model has
 them, terms of second order and each axis' own cube, each a polynomial of T − T0. That is exact for terms that are
-polynomials of both.
+polynomials of both; what depends on the temperature otherwise is left to the uncertainty.
 
     f̂ = h⁻¹(y),    Cov f̂ = H⁻¹·(B·C·Bᵀ + S)·H⁻ᵀ,    B = ∂h/∂p,  C = Cov p,  S = σ²·1
 
@@ -515,8 +515,7 @@ def vector_correction(
         seed: of what is drawn of a new run and of a moment of the test.
 
     Raises:
-        ModelError: an instrument of one output, or an effect that is no polynomial of the temperature up to the third
-            order.
+        ModelError: an instrument of one output.
     """
     instrument = calibration.model.instrument
     if (vector := instrument.vector) is None:
@@ -535,28 +534,25 @@ def vector_correction(
     grid = np.linspace(low, high, 2 * ORDERS + 1) if high > low else np.array([low])
     taylor, of_test = _taylor(calibration, grid, beside, draws, seed)  # (draws, grid, p)
     powers = (grid - reference)[:, None] ** np.arange(ORDERS + 1)
+    each = np.moveaxis(taylor, 1, 0).reshape(len(grid), -1)
     for order in range(min(ORDERS, len(grid) - 1) + 1):
         own = powers[:, : order + 1]
-        fitted = np.linalg.lstsq(own, np.moveaxis(taylor, 1, 0).reshape(len(grid), -1), rcond=None)[
-            0
-        ]
-        left = own @ fitted - np.moveaxis(taylor, 1, 0).reshape(len(grid), -1)
-        if np.max(np.abs(left)) <= EXACT * np.max(np.abs(taylor)):
+        fitted = np.linalg.lstsq(own, each, rcond=None)[0]
+        beyond = each - own @ fitted  # what no polynomial of this order holds
+        if np.max(np.abs(beyond)) <= EXACT * np.max(np.abs(taylor)):
+            beyond = np.zeros_like(beyond)
             break
-    else:
-        raise ModelError(
-            f"the model of {', '.join(model.names)} is no polynomial of the temperature up to the order {ORDERS}: it "
-            "cannot be written as an offset and a matrix over temperature"
-        )
     terms = np.moveaxis(fitted.reshape(order + 1, len(taylor), -1), 1, 0)  # (draws, k, p)
+    beyond = beyond.reshape(len(grid) * len(taylor), -1)
     reach = np.max(np.abs(powers[:, : order + 1]), axis=0)[:, None]
     terms[:, np.max(np.abs(terms), axis=0) * reach <= ROUNDING * np.max(np.abs(taylor))] = 0.0
     if not np.any(terms[:, :, 30:33]):
-        terms = np.delete(terms, slice(30, 33), axis=2)
+        terms, beyond = (np.delete(a, slice(30, 33), axis=-1) for a in (terms, beyond))
         if not np.any(terms[:, :, 12:30]):
-            terms = np.delete(terms, slice(12, 30), axis=2)
+            terms, beyond = (np.delete(a, slice(12, 30), axis=-1) for a in (terms, beyond))
     spread = terms.reshape(len(terms), -1)
     covariance, mean = np.atleast_2d(np.cov(spread.T)), np.mean(terms, axis=0)
+    covariance[: mean.shape[1], : mean.shape[1]] += beyond.T @ beyond / len(beyond)
     relative, said = _common_scale(calibration, mean[0, 3:12].reshape(3, 3))
     size = mean.shape[1] - 9 * bool(beside)
     powers = np.zeros(mean.shape[1])  # of what acts, in each term
@@ -575,6 +571,13 @@ def vector_correction(
         beside=beside,
         instrument=instrument.name,
     )
+    if np.any(beyond):
+        rms = np.sqrt(np.mean(beyond[:, :3] ** 2, axis=0))
+        said = (
+            *said,
+            f"What depends on the temperature by more than its power {ORDERS} is not corrected, and is in the "
+            f"uncertainty (of offsets, rms, {number(float(rms.max()), 2)} {unit_label(instrument.unit)} at most).",
+        )
     notes = (*said, *_notes(calibration, made, of_test))
     return replace(made, reach=_reach(made, readings), notes=notes)
 

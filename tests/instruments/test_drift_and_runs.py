@@ -53,6 +53,27 @@ def test_a_lag_counts_about_equilibrium() -> None:
     assert np.all(np.abs(correct.offset - BIAS) < 0.2 * correct.uncertainty[0, :3])
 
 
+def test_what_is_no_polynomial_of_the_temperature_is_in_the_uncertainty() -> None:
+    """Of a curve of x, found by a search, the correction holds the cubic part."""
+    plan = Campaign(poses=14, temperatures=(-20.0, -5.0, 10.0, 25.0, 40.0, 55.0, 70.0))
+    readings = accelerometer_triad.simulate(seed=2, campaign=plan)
+    wave = 5e-3 * np.sin(readings["temperature"] / 8)
+    outputs = {f"output_{a}": readings[f"output_{a}"] + wave * (a == "x") for a in "xyz"}
+    given = {n: readings[n] for n in ("time", "temperature", "magnitude")}
+    bent = bc.Measurements.from_arrays(accelerometer_triad.INSTRUMENT, **given, **outputs)
+    correct = bc.vector_correction(bc.fit(MODEL + "unknown(temperature)", bent, QUICK))
+    assert correct.terms.shape == (4, 12)
+    off = (
+        correct.at(plan.temperatures)[0][:, 0]
+        - BIAS[0]
+        - 5e-3 * np.sin(np.array(plan.temperatures) / 8)
+    )
+    assert np.max(np.abs(off)) > 1e-3
+    assert np.sqrt(np.mean(off**2)) < 2 * correct.uncertainty[0, 0]
+    assert correct.uncertainty[0, 1] < 5e-4
+    assert any("not corrected, and is in the uncertainty" in note for note in correct.notes)
+
+
 @pytest.mark.parametrize("effect", ["bias.drift", "bias.run"])
 def test_means_are_those_that_are_printed(effect: str) -> None:
     """The chance of what is drawn of a new run or a moment does not move the correction."""

@@ -237,7 +237,7 @@ def magnetometers(seed: int) -> tuple[bc.Measurements, VectorCorrection, VectorC
     log = simulate_log(seed=seed)
     forces, _ = both(log)
     outputs: dict[str, Any] = {f"output_{a}": log[f"mag_{a}"] for a in "xyz"}
-    drawn = bc.Measurements.from_arrays(FIELD, time=log["time"], **outputs)
+    drawn = bc.Measurements.from_arrays(FIELD, time=log["time"], magnitude=50.0, **outputs)
     own = bc.vector_correction(bc.fit(FIELD.baseline(), bc.poses(drawn, FIELD)))
     return drawn, own, bc.in_frame_of(own, drawn, exact(), forces)
 
@@ -342,9 +342,83 @@ def test_refusals_say_what_to_do() -> None:
     twice = drawn.with_column("output_x", drawn["output_y"])
     with pytest.raises(bc.InputError, match="one field has one dip"):
         bc.in_frame_of(own, twice, exact(), both(simulate_log(seed=71))[0])
-    wrong = log.with_column("output_x", -log["output_x"])
-    with pytest.raises(bc.InputError, match="do not lead from one pose to the next"):
-        bc.moves(wrong, TURNS, forces, exact())
+    for name, outputs, said in (
+        (
+            "output_x",
+            -log["output_x"],
+            "with their axes as −x, y, z of the accelerometers they nearly do",
+        ),
+        ("output_y", log["output_z"], "Check the unit of the gyroscopes"),
+    ):
+        with pytest.raises(bc.InputError, match=f"do not lead from one pose to the next.*{said}"):
+            bc.moves(log.with_column(name, outputs), TURNS, forces, exact())
+    slow = log
+    for name in ("output_x", "output_y", "output_z"):
+        slow = slow.with_column(name, np.deg2rad(log[name]))
+    with pytest.raises(bc.InputError, match="; in rad/s, taken as deg/s they nearly do"):
+        bc.moves(slow, TURNS, forces, exact())
+
+
+def held(log: dict[str, np.ndarray], moves: tuple[int, ...], samples: int) -> dict[str, np.ndarray]:
+    """The log with outputs of the gyroscopes that stand still for so many samples within each of these moves."""
+    log = {name: values.copy() for name, values in log.items()}
+    for k in moves:
+        begin = 100 * (7 * k + 5)  # one second into it, of poses of 4 s and moves of 3 s
+        for a in "xyz":
+            log[f"gyro_{a}"][begin : begin + samples] = log[f"gyro_{a}"][begin]
+    return log
+
+
+@pytest.mark.parametrize(("seed", "moves"), [(3, (1, 3, 4)), (7, (10, 12, 17))])
+def test_moves_that_disagree_are_set_aside_by_name(seed: int, moves: tuple[int, ...]) -> None:
+    """Of 19 moves three, in which outputs stood still for half of the time; the rest measures as well without them."""
+    log = simulate_log(seed=seed, campaign=MovesByHand(poses=20, angle=2.5))
+    forces, turns = both(held(log, moves, 150))
+    rows = bc.moves(turns, TURNS, forces, exact())
+    aside = [re.search(r"the move from ([\d.]+) to", flag) for flag in rows.flags[1:]]
+    assert [round(float(found[1])) for found in aside if found] == [7 * k + 4 for k in moves]
+    assert len(rows) == 3 * 20 + 2 * (19 - len(moves))
+    calibration = bc.fit(gyro_triad.moved(), rows, bc.LeastSquares())
+    for name, true in TRUE.items():
+        draws = calibration.samples(name)
+        assert abs(draws.mean() - true) < 4 * draws.std()
+    assert calibration.samples("scale.constant[x]").std() < 200
+
+
+def test_too_many_moves_that_disagree_are_refused() -> None:
+    log = simulate_log(seed=3, campaign=MovesByHand(poses=20, angle=2.5))
+    forces, turns = both(held(log, (1, 3, 4, 8, 11, 15), 100))
+    with pytest.raises(bc.InputError, match="more than 3 of 19 moves disagree with each other"):
+        bc.moves(turns, TURNS, forces, exact())
+
+
+def test_what_did_not_settle_is_not_called_a_wrong_unit(monkeypatch: pytest.MonkeyPatch) -> None:
+    from bayescal._use import moves
+
+    monkeypatch.setattr(moves, "SWEEPS", 1)
+    forces, log = both(simulate_log(seed=6, campaign=FEW))
+    with pytest.raises(
+        bc.InputError, match=r"run '1': the integration over the moves did not settle"
+    ):
+        bc.moves(log, TURNS, forces, exact())
+
+
+def test_poses_that_err_each_by_itself_make_the_gyroscopes_as_much_less_sure() -> None:
+    """Accelerometers whose outputs creep by 0.4 mg from pose to pose: angles of moves are known no better."""
+    chi = []
+    for seed in range(4):
+        log = simulate_log(seed=90 + seed)
+        random, pose = np.random.default_rng(seed), np.arange(len(log["time"])) // 700
+        for a in "xyz":
+            log[f"accel_{a}"] = log[f"accel_{a}"] + 4e-4 * random.standard_normal(24)[pose]
+        forces, turns = both(log)
+        correct = bc.vector_correction(bc.fit(FORCE.baseline(), bc.poses(forces, FORCE)))
+        calibration = bc.fit(gyro_triad.moved(), bc.moves(turns, TURNS, forces, correct))
+        draws = np.stack([calibration.samples(name) for name in list(TRUE)[3:]])
+        off = draws.mean(axis=1) - list(TRUE.values())[3:]
+        # In axes of the accelerometers, which are off by as much as they are known: scale factors are not.
+        chi.append((off[:3] / draws.std(axis=1)[:3]) ** 2)
+    assert np.mean(chi) < 2.1  # 12 of mean one: 99.5 %
 
 
 @pytest.mark.slow
