@@ -24,7 +24,7 @@ from bayescal._core.formatting import number, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.parameters import CoefficientBlock
-from bayescal._model.prior import coordinate_variance, deviation
+from bayescal._model.prior import Known, coordinate_variance, deviation
 
 
 @dataclass(frozen=True)
@@ -277,8 +277,9 @@ def _with_stated_priors(calibration: Calibration) -> Iterator[tuple[CoefficientB
         slots = {*instrument.use.slots}
     for b in calibration.layout.blocks:
         c = b.coefficient
+        known = isinstance(c.prior, Known)  # a body's temperature has the coefficient of what depends on it
         learned = c.flat or c.group_sd is not None or b.effect.weights is not None
-        if b.place in ("x", "phi") and not learned and c.per != "reading":
+        if not known and b.place in ("x", "phi") and not learned and c.per != "reading":
             yield b, b.slot in slots
 
 

@@ -203,6 +203,8 @@ def loop_text(
         )
     parts.append(f"THE ERROR, STEP BY STEP\n\n{trail}")
     parts.append(f"COEFFICIENTS\n\n{coefficients_text(trail, verbose)}")
+    if averaged := averaged_text(trail, verbose):
+        parts.append(averaged)
     if output_unit is not None:
         rows = rows_in_output_unit(of_trail(trail), output_unit)
         shown = table(["", "value", "unit"], rows, left=1, fold=40)

@@ -331,10 +331,10 @@ def _probability(chapter: Chapter, effect: Effect) -> float | None:
     first = (
         chapter.data["missing"][0] if chapter.data["missing"] else {"candidates": [], "sets": []}
     )
-    if any(effect.name in one["effects"] for one in first["sets"]):
+    if any(effect.family in one["effects"] for one in first["sets"]):
         return 1.0
     known = {c["effect"]: c["probability"] for c in first["candidates"]}
-    return known.get(effect.name)
+    return known.get(effect.family)
 
 
 def _subject(effect: Effect) -> str:
@@ -354,8 +354,11 @@ def _does(c: Calibration, effect: Effect) -> str:
         return (
             f"depends on {covariate} in a form that has no name here, by up to {_extent(c, effect)}"
         )
-    size, group = _size(c, effect), effect.coefficients[0].per
     times = {s.name: _shape(c, effect, s.name) for s in effect.shapes}
+    if effect.held and "tau" in times:
+        column = effect.slot.replace("_", " ")
+        return f"follows the {column} with a lag of {times['tau']}, in all that depends on it"
+    size, group = _size(c, effect), effect.coefficients[0].per
     if cause.startswith("thermal_lag") and "tau" in times:
         return f"follows the temperature with a lag of {times['tau']} ({size})"
     if cause == "warm_up" and "tau" in times:

@@ -28,7 +28,7 @@ HIDDEN = "bias.thermal_lag"
 
 @pytest.fixture(scope="module")
 def readings() -> bc.Measurements:
-    return mems_gyro.simulate({HIDDEN: 0.05}, seed=1)
+    return mems_gyro.simulate({HIDDEN: 0.03}, seed=1)
 
 
 def pressed() -> None:
@@ -159,7 +159,7 @@ def test_a_time_limit_leaves_time_to_fit_the_best(readings, monkeypatch) -> None
 
 def test_each_channel_of_a_unit_is_left_with_its_best(monkeypatch) -> None:
     models = {name: mems_gyro.INSTRUMENT.baseline() for name in ("x", "y")}
-    readings = {n: mems_gyro.simulate({HIDDEN: 0.05}, seed=s) for s, n in enumerate(models, 1)}
+    readings = {n: mems_gyro.simulate({HIDDEN: 0.03}, seed=s) for s, n in enumerate(models, 1)}
     real = loop_module.Loop.steps_to_best
 
     def steps(self, *given, **more):
@@ -180,7 +180,7 @@ def test_each_channel_of_a_unit_is_left_with_its_best(monkeypatch) -> None:
 
 def test_ctrl_c_in_the_walk_of_the_first_channel_leaves_what_it_had(monkeypatch) -> None:
     models = {name: mems_gyro.INSTRUMENT.baseline() for name in ("x", "y")}
-    readings = {n: mems_gyro.simulate({HIDDEN: 0.05}, seed=s) for s, n in enumerate(models, 1)}
+    readings = {n: mems_gyro.simulate({HIDDEN: 0.03}, seed=s) for s, n in enumerate(models, 1)}
     walk_ending(monkeypatch, pressed)
     with deadline.until(apart=True):
         found = bc.calibrate_channels(models, readings)

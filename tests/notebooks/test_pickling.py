@@ -64,7 +64,7 @@ def test_a_tailored_and_a_changed_instrument() -> None:
 
 @pytest.fixture(scope="module")
 def calibration() -> bc.Calibration:
-    readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
+    readings = mems_gyro.simulate({"bias.thermal_lag": 0.03}, seed=1)
     return bc.fit(GYRO.baseline() + "bias.thermal_lag" + "unknown(temperature)", readings, QUICK)
 
 

@@ -22,7 +22,7 @@ QUICK = bc.LeastSquares(draws=400)
 
 @pytest.fixture(scope="module")
 def results() -> dict[str, object]:
-    readings = simulate({"bias.thermal_lag": 0.05}, seed=1)
+    readings = simulate({"bias.thermal_lag": 0.03}, seed=1)
     readings = replace(readings, sources=(Source(f"{SCRIPT}.csv", "0", 330),))
     trail = bc.calibrate(INSTRUMENT.baseline(), readings, method=QUICK, max_effects=1)
     first, last = trail.steps[0].calibration, trail.final.calibration

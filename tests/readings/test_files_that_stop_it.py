@@ -70,7 +70,7 @@ def test_nested_toml_is_refused(text, tmp_path) -> None:
         read_certificate(path)
 
 
-@pytest.mark.parametrize("value", ["inf", "nan", "true", "'1'", "[1.0]", f"1{'0' * 400}"])
+@pytest.mark.parametrize("value", ["inf", "nan", "true", "'1'", "[1.0]"])
 def test_a_mapping_of_another_shape_is_refused(value, tmp_path) -> None:
     path = tmp_path / "mapping.toml"
     path.write_text(f"local_gravity = {value}\n")

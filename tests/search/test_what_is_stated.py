@@ -33,7 +33,7 @@ def test_below_the_limit_it_is() -> None:
     path = search(4)
     last = path.final.discovery
     assert last is not None and last.nothing_missing is not None
-    assert str(path).splitlines()[-1].split()[-1] == f"{last.nothing_missing:.2f}"
+    assert str(path).splitlines()[-2].split()[-1] == f"{last.nothing_missing:.2f}"
 
 
 @pytest.mark.parametrize(("late", "said"), [(1.2, "leave-one-run-out error has risen"), (0.8, "")])

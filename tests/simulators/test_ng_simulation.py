@@ -15,7 +15,7 @@ from bayescal_models.ng_accelerometer.simulator import Simulated, simulate_array
 from bayescal_models.ng_accelerometer.sizes import HOUR, SIZES
 
 PLAN = replace(ng.INSTRUMENT_A, alternate=True, runs=2, positions=4)
-HIDDEN = [effect.name for effect in ng.INSTRUMENT.candidates]
+HIDDEN = [*[effect.name for effect in ng.INSTRUMENT.candidates], "bias.rate"]  # a form of the lag
 PLAIN = simulate_arrays(seed=5, campaign=PLAN)
 
 

@@ -62,5 +62,5 @@ def gyro_search() -> bc.SearchPath:
     """The loop on a simulated gyroscope (seed 1) with a thermal lag hidden in it, least squares."""
     from bayescal_models import mems_gyro
 
-    readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
+    readings = mems_gyro.simulate({"bias.thermal_lag": 0.03}, seed=1)
     return bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings, method=bc.LeastSquares())
