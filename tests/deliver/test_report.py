@@ -151,9 +151,9 @@ def test_intervals_are_not_confused(pages) -> None:
     expanded = float(value.split(" ± ")[1])
     assert expanded == pytest.approx(2 * draws.std(ddof=1), rel=0.05)
     assert float(u) == pytest.approx(draws.std(ddof=1), rel=0.05)
-    low, high = map(float, k2.split(" to "))
+    low, high = map(float, k2.replace("−", "-").split(" to "))
     assert high - low == pytest.approx(4 * draws.std(ddof=1), rel=0.05)
-    ends = list(map(float, credible.split(" to ")))
+    ends = list(map(float, credible.replace("−", "-").split(" to ")))
     assert ends == pytest.approx(np.quantile(draws, [0.025, 0.975]), abs=0.1 * draws.std())
 
 
