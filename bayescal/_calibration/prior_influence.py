@@ -277,7 +277,9 @@ def _with_stated_priors(calibration: Calibration) -> Iterator[tuple[CoefficientB
         slots = {*instrument.use.slots}
     for b in calibration.layout.blocks:
         c = b.coefficient
-        known = isinstance(c.prior, Known)  # a body's temperature has the coefficient of what depends on it
+        known = isinstance(
+            c.prior, Known
+        )  # a body's temperature has the coefficient of what depends on it
         learned = c.flat or c.group_sd is not None or b.effect.weights is not None
         if not known and b.place in ("x", "phi") and not learned and c.per != "reading":
             yield b, b.slot in slots

@@ -67,6 +67,7 @@ def test_an_honest_entry_is_answered(tasks: Path, tmp_path: Path) -> None:
 ALIKE = ("truth", "truth unbuffered", "fork", "maker")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "how",
     [pytest.param(how, marks=[pytest.mark.slow] if how in ALIKE else []) for how in CHEATS],

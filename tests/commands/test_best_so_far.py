@@ -157,6 +157,7 @@ def test_a_time_limit_leaves_time_to_fit_the_best(readings, monkeypatch) -> None
     assert not trail.complete
 
 
+@pytest.mark.slow
 def test_each_channel_of_a_unit_is_left_with_its_best(monkeypatch) -> None:
     models = {name: mems_gyro.INSTRUMENT.baseline() for name in ("x", "y")}
     readings = {n: mems_gyro.simulate({HIDDEN: 0.03}, seed=s) for s, n in enumerate(models, 1)}

@@ -53,6 +53,7 @@ def test_ctrl_c_that_python_cannot_raise_is_not_lost() -> None:
         assert deadline.within(asked_until_over) == "what there is (interrupted)"
 
 
+@pytest.mark.slow
 def test_ctrl_c_waits_until_jax_is_loaded(tmp_path, monkeypatch) -> None:
     code = "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(0.2)\nWHOLE = True\n"
     (tmp_path / "jax_slowly.py").write_text(code, "utf-8")
@@ -71,6 +72,7 @@ def _loaded_and_worked() -> None:
     time.sleep(5.0)
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_a_call_that_cannot_be_asked_is_waited_for() -> None:
     def deaf() -> str:
         deadline.offer(lambda why: f"what there is ({why})")

@@ -42,6 +42,7 @@ def test_a_name_is_that_of_everything_in_c(saved: Path, tmp_path: Path) -> None:
     assert "accelerometer_triad_correct(" in run("export", saved / "triad.nc", "--format", "c").out
 
 
+@pytest.mark.slow
 def test_without_uncertainty(saved: Path) -> None:
     for file in ("gyro.nc", "triad.nc"):
         for format in ("c", "python"):

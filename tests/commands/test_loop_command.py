@@ -55,7 +55,9 @@ def test_the_last_model_of_the_loop_can_be_checked(loop: Ran, folder: Path) -> N
 
 def test_the_printed_line_leaves_every_residual_positive() -> None:
     done = run("calibrate", TABLE, *GYRO, *QUICK, *PRINTED_LINE)
-    assert re.search(r"18 of 18 residuals are positive, mean 0\.51 \(0\.19 to 0\.9\d\) °/s", done.out)
+    assert re.search(
+        r"18 of 18 residuals are positive, mean 0\.51 \(0\.19 to 0\.9\d\) °/s", done.out
+    )
     assert "fixed: bias.constant = 19.8, bias.temperature = 0.041" in done.out
     assert done.status == 1, "a calibration on trial failed, and nothing is added to save it"
     assert "The fixed coefficients leave residuals of" in done.said[-1]

@@ -39,6 +39,7 @@ def said(instrument: str) -> tuple[str, ...]:
     return ("--nominal-scale", scale, *(("--nominal-zero", zero) if zero else ()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("instrument", SENSORS)
 def test_the_raw_file_gives_the_answers_of_the_file_in_its_unit(instrument, tmp_path) -> None:
     own, raw = raw_file(tmp_path, instrument)

@@ -60,6 +60,7 @@ def expected(compensator: bc.Compensator, rows: np.ndarray) -> np.ndarray:
     return np.column_stack([plain.value, plain.uncertainty, noisy.uncertainty])
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_the_header_in_double_precision_agrees_to_twelve_digits(
     compensator, rows, tmp_path

@@ -253,7 +253,11 @@ def check_page(name: str) -> None:
     assert scripts.findall(hostile) == scripts.findall(plain)
 
 
-EXPORTS = [pytest.param(check_c, marks=needs_compiler), check_python, check_page]
+EXPORTS = [
+    pytest.param(check_c, marks=[needs_compiler, pytest.mark.slow]),
+    check_python,
+    check_page,
+]
 
 
 @pytest.mark.parametrize("check", EXPORTS)

@@ -178,6 +178,7 @@ def plain_certificate() -> ET.Element:
     return certificate_of("plain")
 
 
+@pytest.mark.slow
 @of_any_name
 def test_a_name_on_a_certificate_is_no_markup(name: str) -> None:
     """The same elements whatever the texts say, and none of them lost."""

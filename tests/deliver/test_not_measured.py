@@ -163,6 +163,7 @@ def test_a_budget_says_which_part_is_a_prior(unturned) -> None:
     assert not any("Most of it is prior" in n for n in at_rest.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unpainted")
 def test_a_certificate_and_a_report_mark_it(unturned, tmp_path) -> None:
     stated = tmp_path / "stated.toml"

@@ -126,6 +126,7 @@ def test_of_one_output(made: Trail) -> None:
     assert np.array_equal(said["covariance"], program.covariance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made", THREE_AXES)
 def test_of_three_axes(made: Trail, tmp_path: Path) -> None:
     from bayescal._cli.deliverables import triad_text

@@ -191,6 +191,7 @@ def test_readings_of_two_tests_make_two_chapters() -> None:
     assert made[1].calibration is other
 
 
+@pytest.mark.slow
 @needs_installation
 def test_the_command_writes_it_or_nothing(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "report.html"

@@ -202,7 +202,9 @@ def test_what_the_values_mean(written: dict[str, Any]) -> None:
 
 
 def test_candidates_come_in_order_of_probability(data: dict[str, Any]) -> None:
-    assert data["missing"] or not data["search"]["weighed"] or len(data["steps"]) == 1  # or nothing was sought
+    assert (
+        data["missing"] or not data["search"]["weighed"] or len(data["steps"]) == 1
+    )  # or nothing was sought
     for missing in data["missing"]:
         probabilities = [c["probability"] for c in missing["candidates"]]
         tested = [p for p in probabilities if p is not None]

@@ -68,6 +68,7 @@ def test_a_population_over_partitions_is_that_of_one_process(lot_folder, tmp_pat
     assert str(again) == str(found)
 
 
+@pytest.mark.slow
 def test_a_large_file_is_cut_between_devices(result, tmp_path) -> None:
     made = table().sort_values("device", kind="stable")
     file = tmp_path / "lot.parquet"

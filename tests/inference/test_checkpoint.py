@@ -184,6 +184,7 @@ def test_an_effect_of_another_form_is_another_model(data) -> None:
     assert one["model (hash)"] != other["model (hash)"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["text", "half", "calibration"])
 def test_a_file_that_is_no_checkpoint_is_refused_and_kept(
     tmp_path, data, whole, finished, kind

@@ -74,6 +74,7 @@ def test_what_is_no_polynomial_of_the_temperature_is_in_the_uncertainty() -> Non
     assert any("not corrected, and is in the uncertainty" in note for note in correct.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", ["bias.drift", "bias.run"])
 def test_means_are_those_that_are_printed(effect: str) -> None:
     """The chance of what is drawn of a new run or a moment does not move the correction."""

@@ -38,6 +38,7 @@ def corrected(path: Path, **how: Any) -> bc.VectorCorrection:
     return bc.vector_correction(bc.fit(MODEL, bc.read(path, INSTRUMENT, **how)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("field", FIELDS)
 def test_a_field_that_is_stated(field: float, tmp_path: Path) -> None:
     correct = corrected(table(field, tmp_path), local_field=f"{1000 * field} nT")

@@ -101,6 +101,7 @@ def test_what_is_left_over_is_white_with_the_stated_uncertainty() -> None:
     assert abs(after) < 4 / np.sqrt(count)
 
 
+@pytest.mark.slow
 def test_scale_and_misalignment_without_a_rate_table() -> None:
     _, _, calibration = calibrated()
     draws = np.stack([calibration.samples(name) for name in TRUE])
@@ -331,6 +332,7 @@ def test_a_heading_counts_the_errors_that_field_and_force_share() -> None:
     assert stated == pytest.approx(np.std(drawn_headings), rel=0.12)
 
 
+@pytest.mark.slow
 def test_refusals_say_what_to_do() -> None:
     forces, log = both(simulate_log(seed=6, campaign=FEW))
     with pytest.raises(bc.ModelError, match="moves are of three gyroscopes"):
@@ -403,6 +405,7 @@ def test_what_did_not_settle_is_not_called_a_wrong_unit(monkeypatch: pytest.Monk
         bc.moves(log, TURNS, forces, exact())
 
 
+@pytest.mark.slow
 def test_poses_that_err_each_by_itself_make_the_gyroscopes_as_much_less_sure() -> None:
     """Accelerometers whose outputs creep by 0.4 mg from pose to pose: angles of moves are known no better."""
     chi = []

@@ -37,6 +37,7 @@ def calibration(batch: dp.SimulatedBatch) -> bc.Calibration:
     return bc.fit(dp.INSTRUMENT.baseline(), batch.readings, IN_PHI)
 
 
+@pytest.mark.slow
 def test_sensitivities_are_recovered(calibration, batch) -> None:
     drawn = calibration.samples("environment.shared[sensitivity]")
     assert calibration.verdict.sampler == "importance sampling" and calibration.verdict.ess > 400
@@ -83,6 +84,7 @@ def test_every_candidate_can_be_hidden_under_the_same_noise() -> None:
         assert np.std(double - 2 * hidden) < 0.05 * np.std(double), effect.name
 
 
+@pytest.mark.slow
 @needs_installation
 def test_a_second_order_is_told_from_the_scale_though_the_arm_changes_its_speed() -> None:
     """Readings are means: over a ramp the mean of the square is not the square of the mean, and is no noise of all."""

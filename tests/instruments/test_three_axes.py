@@ -406,6 +406,7 @@ def test_slopes_of_tilt_and_heading() -> None:
     assert one.magnitude[1][0] == pytest.approx(many.magnitude[0].std(), rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("made", "order"), [(thermal, 2), (bent, 3)])
 def test_exports_compute_the_same(made: Any, order: int, tmp_path: Path) -> None:
     correct = bc.vector_correction(made())

@@ -53,6 +53,7 @@ def turned(label: str) -> bc.Effect:
     )
 
 
+@pytest.mark.slow
 def test_all_that_is_declared_comes_back() -> None:
     found = bc.check_instrument(replace(GOOD, candidates=(*GOOD.candidates, turned("down"))))
     assert found.ok and not found.errors

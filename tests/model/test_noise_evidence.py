@@ -75,6 +75,7 @@ LAWS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("heavy", slow_but([True], [False, True]))
 def test_evidence_under_other_laws_is_that_of_quadrature(law: str, heavy: bool, rng) -> None:

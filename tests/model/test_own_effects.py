@@ -112,6 +112,7 @@ def damp(size: float) -> bc.Effect:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "shown"), [(0.02, False), (1e-12, True), (1e9, True)], ids=["right", "small", "large"]
 )

@@ -29,6 +29,7 @@ def record(unit: str, path: Path) -> bc.Measurements:
     return bc.read(path, still_sensor.INSTRUMENT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", [*SIZES])
 def test_an_output_keeps_its_unit_and_no_shape_is_taken_for_a_size(
     unit: str, tmp_path: Path

@@ -39,6 +39,7 @@ def test_a_rounded_output_is_said_and_nothing_finer_is_looked_for() -> None:
     assert bc.calibrate(INSTRUMENT.baseline(), fine, method=bc.LeastSquares()).ok
 
 
+@pytest.mark.slow
 def test_clipped_readings_are_set_aside_and_said() -> None:
     readings = mems_gyro.simulate({}, seed=1)
     low, high = np.quantile(readings["output"], [0.1, 0.9])

@@ -24,6 +24,7 @@ def trail() -> bc.SearchPath:
     return bc.calibrate(INSTRUMENT.baseline(), readings, holdout=mems_gyro.simulate(HUMID, seed=32))
 
 
+@pytest.mark.slow
 def test_the_column_of_an_effect_outside_the_catalogue_is_named_and_added(
     trail: bc.SearchPath,
 ) -> None:
@@ -34,6 +35,7 @@ def test_the_column_of_an_effect_outside_the_catalogue_is_named_and_added(
     assert after < 0.9 * before  # the other test has other humidities: there it extrapolates
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     slow_but(

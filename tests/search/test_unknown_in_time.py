@@ -90,6 +90,7 @@ def test_their_shapes_are_drafted_as_what_they_are(
         compile(text, "draft", "exec")
 
 
+@pytest.mark.slow
 def test_a_calibration_with_one_is_saved_and_loaded(jumped: bc.SearchPath, tmp_path) -> None:
     final = jumped.final.calibration
     final.save(tmp_path / "c.nc")

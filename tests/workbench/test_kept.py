@@ -75,7 +75,12 @@ def test_resumed_as_it_was(session: Session) -> None:
 def test_a_file_read_with_every_option_is_gone_on_with(campaign: Campaign, tmp_path: Path) -> None:
     """A session of `--nominal-scale` or `--ignore` was refused by the next start: an option that it did not know."""
     how = {
-        **{"columns": {"output": "raw"}, "units": {"raw": "mV"}, "local_gravity": 9.81, "local_field": None},
+        **{
+            "columns": {"output": "raw"},
+            "units": {"raw": "mV"},
+            "local_gravity": 9.81,
+            "local_field": None,
+        },
         **{"nominal_scale": "250 mV/(deg/s)", "nominal_zero": "2 mV", "ignore": ("a", "b")},
         **{"missing": "drop", "decimal": ",", "date_order": "dmy"},
     }

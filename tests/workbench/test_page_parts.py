@@ -193,6 +193,7 @@ def test_a_time_axis_without_long_gaps_is_left_as_it_is(times) -> None:
     assert CutAxis.of(times).place(times).tolist() == times.tolist()
 
 
+@pytest.mark.slow
 def test_a_page_that_fails_costs_no_step(session: Session, monkeypatch) -> None:
     """What a pane cannot show is on the disk before: the session goes on with it."""
     page = Workbench(session)
@@ -208,6 +209,7 @@ def test_a_page_that_fails_costs_no_step(session: Session, monkeypatch) -> None:
     assert "bias.drift" in again.current.calibration.model.names
 
 
+@pytest.mark.slow
 def test_a_picture_that_fails_costs_no_export(session: Session, monkeypatch) -> None:
     from bayescal._report import plots
 

@@ -69,6 +69,7 @@ def test_all_that_can_be_done(session: Session, tmp_path: Path) -> None:
     same(session, tmp_path)
 
 
+@pytest.mark.slow
 def test_files_as_they_were_read(campaign: Campaign, tmp_path: Path) -> None:
     """A hostile name of a file is a name; columns, units and means are as they were."""
     odd = tmp_path / 'it\'s "odd"; import os #<script>.csv'

@@ -141,6 +141,7 @@ def test_no_page_from_elsewhere_may_read_what_is_served(server: Server) -> None:
             assert path != asked or status == 404
 
 
+@pytest.mark.nightly
 @needs_installation
 def test_a_request_of_a_megabyte_is_refused(server: Server) -> None:
     server.ready()
