@@ -29,7 +29,7 @@ from bayescal._data.dataset_checks import oddities, rounding_step
 from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.model import Model
-from bayescal._model.unknown_effect import FORMS, FREED, covariate_in
+from bayescal._model.unknown_effect import FREED, IN_TIME, covariate_in
 
 LOOK = "something is missing from the model. Look for it: bayescal discover, or calibrate."
 
@@ -198,7 +198,7 @@ def _between_runs(calibration: Calibration) -> list[str]:
     """A function of time that only tells runs apart: of which of them a new run would be is not known."""
     _, codes = calibration.readings.groups("run")
     for name in calibration.model.names:
-        if covariate_in(name) not in FORMS:
+        if covariate_in(name) not in IN_TIME:
             continue
         added = calibration.linear.contribution(name)
         means = np.bincount(codes, added) / np.bincount(codes)

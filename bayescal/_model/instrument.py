@@ -259,13 +259,13 @@ class Instrument:
         return tuple(e for e in known.values() if there.issuperset(e.columns))
 
     def unknown(self, covariate: str) -> Effect:
-        """An unknown dependence of the output on a covariate: a smooth one, or a step or a periodic form in time.
+        """An unknown dependence of the output on a covariate: smooth, a step, a kink; a periodic form in time.
 
         Its plausible amplitudes are taken from the readings that the model is fitted to.
 
         Args:
             covariate: a numeric column, "elapsed" (time within the run), or a temperature's rate such as
-                "temperature rate"; "time, jump" and "time, cycle" for these forms.
+                "temperature rate"; "humidity, jump", "humidity, kink" and "time, cycle" for these forms.
 
         Raises:
             ModelError: no slot has the output's unit.

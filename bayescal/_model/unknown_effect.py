@@ -1,4 +1,5 @@
-"""What no named effect describes: an unknown smooth dependence on one covariate; a step or a periodic form in time.
+"""What no named effect describes: an unknown smooth dependence on one covariate, a step or a kink along it; in time a
+step or a periodic form.
 
 They stand beside the instrument and not in the catalogue, because the language of models has a word for them:
 `model + "unknown(humidity)"`. Each is linear in coefficients whose sizes the amplitude gives. What amplitudes are
@@ -8,8 +9,9 @@ same functions.
 The smooth one is a Gaussian process. Its columns are the eigenfunctions of the Laplacian on an interval somewhat wider
 than the covariate's range, weighted with the root of the process's spectral density (Solin & Särkkä, Stat. Comput. 30
 (2020) 419). It follows steps and periodic forms too, but spends most of its freedom on what is not there: a record that
-steps once, or goes up and down evenly, is then more probable as correlated noise. Hence the two forms in time, of one
-shape and one or two coefficients. Beyond the record a step stays, and a periodic form goes on.
+steps once, or goes up and down evenly, is then more probable as correlated noise. Hence the forms of one shape and one
+or two coefficients. A step or a kink along a covariate is a form of the smooth dependence on it: a search weighs them
+in its place. Beyond the record a step stays, and a periodic form goes on.
 """
 
 from __future__ import annotations
@@ -54,16 +56,18 @@ def covariate_in(name: str) -> str | None:
 
 
 def placeholder(covariate: str, slot: str, unit: str) -> Effect:
-    """The placeholder for a covariate; "time, jump" and "time, cycle" are the forms in time.
+    """The placeholder for a covariate, and for its forms: "humidity, jump", "humidity, kink", "time, cycle".
 
     Args:
-        covariate: a numeric column, "elapsed" (time within the run), or "temperature rate"; or one of `FORMS`.
+        covariate: a numeric column, "elapsed" (time within the run), or "temperature rate"; a form after a comma.
         slot: what it adds to.
         unit: of the slot.
     """
-    covariate = ", ".join(part.strip() for part in covariate.split(","))
-    if covariate in FORMS:
-        return FORMS[covariate](slot, *OPEN, unit)
+    along, _, form = (part.strip() for part in covariate.partition(","))
+    if form == "cycle" and along == "time":
+        return cycle(slot, *OPEN, unit)
+    if form in FORMS:
+        return FORMS[form](slot, *OPEN, unit, covariate=along)
     return unknown(covariate, slot, *OPEN, unit)
 
 
@@ -153,17 +157,45 @@ def process_sizes(terms: int, length: Any, amplitude: Any) -> Any:
 
 
 @functools.cache
-def jump(slot: str, low: float, high: float, unit: str, *, name: str = "") -> Effect:
-    """A slot's value steps at one moment of the record, and stays.
+def jump(
+    slot: str, low: float, high: float, unit: str, *, covariate: str = "time", name: str = ""
+) -> Effect:
+    """A slot's value steps at one moment of the record, or at one value of a column, and stays.
 
     Args:
         low, high: plausible changes, in `unit`; `*OPEN` takes them from the readings.
-        name: canonical; `unknown(time, jump)` if not given.
+        covariate: the column along which it steps.
+        name: canonical; `unknown(time, jump)` if not given, with the column's name.
     """
-    place = Shape("place", "1", *PLACES, scale="linear", ragged=True, shared=True)
-    shapes = (place, Shape("amplitude", unit, low, high))
     words = "−a/2 before one moment, a/2 after it"
-    return _in_time(name or "unknown(time, jump)", slot, _step, 1, shapes, words)
+    if covariate != "time":
+        words = f"−a/2 below one {covariate}, a/2 above it"
+    shapes = (_place(covariate), Shape("amplitude", unit, low, high))
+    name = name or f"unknown({covariate}, jump)"
+    return _of_form(name, slot, given(_step, covariate), 1, shapes, words, covariate)
+
+
+@functools.cache
+def kink(
+    slot: str, low: float, high: float, unit: str, *, covariate: str, name: str = ""
+) -> Effect:
+    """A slot's slope along a column changes at one value of it.
+
+    Args:
+        low, high: plausible changes of the slope times the column's range, in `unit`; `*OPEN` takes them from the
+            readings.
+        covariate: the column.
+        name: canonical; `unknown(temperature, kink)` if not given, with the column's name.
+    """
+    words = f"a·max(0, x − p),  x the position in the range of {covariate}"
+    shapes = (_place(covariate), Shape("amplitude", unit, low, high))
+    name = name or f"unknown({covariate}, kink)"
+    return _of_form(name, slot, given(_hinge, covariate), 1, shapes, words, covariate)
+
+
+def _place(covariate: str) -> Shape:
+    """Of a step or a kink, in parts of the range; a moment is the same in all channels of a unit."""
+    return Shape("place", "1", *PLACES, scale="linear", ragged=True, shared=covariate == "time")
 
 
 @functools.cache
@@ -177,11 +209,16 @@ def cycle(slot: str, low: float, high: float, unit: str, *, name: str = "") -> E
     cycles = Shape("cycles", "1", *CYCLES, ragged=True)
     shapes = (cycles, Shape("amplitude", unit, low, high))
     words = "a·sin(2π·cycles·t + φ)"
-    return _in_time(name or "unknown(time, cycle)", slot, _waves, 2, shapes, words)
+    return _of_form(name or "unknown(time, cycle)", slot, _waves, 2, shapes, words, "time")
 
 
-def _step(r, place):
-    return 0.5 * jnp.tanh((r.position("time") - place) / SHARP)
+def _step(covariate, r, place):
+    return 0.5 * jnp.tanh((r.position(covariate) - place) / SHARP)
+
+
+def _hinge(covariate, r, place):
+    beyond = r.position(covariate) - place
+    return 0.5 * (beyond + jnp.sqrt(beyond**2 + SHARP**2))
 
 
 def _waves(r, cycles):
@@ -198,20 +235,23 @@ def standard_normals(unit: str, count: int) -> tuple[Coefficient, ...]:
     return tuple(Coefficient(unit, Normal(), part=f"{i + 1}") for i in range(count))
 
 
-def _too_few(readings: Measurements) -> str | None:
-    count = np.unique(readings["time"]).size
-    return None if count >= FEWEST else f"needs {FEWEST} different times; there are {count}"
+def _too_few(covariate: str, readings: Measurements) -> str | None:
+    count = np.unique(readings[covariate]).size
+    what = "times" if covariate == "time" else f"values of {covariate}"
+    return None if count >= FEWEST else f"needs {FEWEST} different {what}; there are {count}"
 
 
-def _in_time(
+def _of_form(
     name: str,
     slot: str,
     basis: Callable[..., Any],
     count: int,
     shapes: tuple[Shape, Shape],
     equation: str,
+    covariate: str,
 ) -> Effect:
-    """A form in time of so many coefficients; the last of its shapes is their amplitude."""
+    """A form along a column, of so many coefficients; the last of its shapes is their amplitude."""
+    in_time = covariate == "time"
     return Effect(
         name,
         slot,
@@ -220,13 +260,16 @@ def _in_time(
         shapes=shapes,
         weights=_even,
         measure="amplitude",
-        columns=("time",),
-        varies=("time",),
-        untestable=_too_few,
+        columns=(covariate,),
+        varies=(covariate,),
+        untestable=functools.partial(_too_few, covariate),
         equation=equation,
         source=SOURCE,
+        along="" if in_time else covariate,
+        family="" if in_time else f"unknown({covariate})",
     )
 
 
 JUMP = "time, jump"
-FORMS: dict[str, Callable[..., Effect]] = {JUMP: jump, "time, cycle": cycle}
+IN_TIME = (JUMP, "time, cycle")
+FORMS: dict[str, Callable[..., Effect]] = {"jump": jump, "kink": kink}  # along a column

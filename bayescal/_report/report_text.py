@@ -25,7 +25,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import convert, same_dimension, unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
-from bayescal._model.unknown_effect import covariate_in
+from bayescal._model.unknown_effect import FORMS, covariate_in
 from bayescal._report.result_json import is_quiet
 from bayescal._report.section import Chapter
 from bayescal._use.vector_correction import term_rows
@@ -347,8 +347,15 @@ def _does(c: Calibration, effect: Effect) -> str:
     cause = effect.name.partition(".")[2] or effect.name
     if covariate := covariate_in(effect.name):
         form = covariate.partition(", ")[2]
-        if form == "jump":
-            return f"has a step in time of {_extent(c, effect)}"
+        if form in FORMS:
+            at = _at(c, effect, covariate.partition(",")[0])
+            step = float(np.ptp(c.linear.contribution(effect.name)))
+            size = f"{number(step, 2)} {unit_label(c.unit)}"
+            return (
+                f"has a step of {size} at {at}"
+                if form == "jump"
+                else f"has a kink at {at}, of up to {size}"
+            )
         if form == "cycle":
             return f"varies periodically in time by up to {_extent(c, effect)}"
         return (
@@ -387,6 +394,14 @@ def _does(c: Calibration, effect: Effect) -> str:
     if cause.startswith("temperature") and len(effect.columns) == 1:
         return f"changes with {column} by {size}"
     return f"shows {effect.name} ({effect.equation or column}), {size}"
+
+
+def _at(c: Calibration, effect: Effect, column: str) -> str:
+    """Where a step or a kink is."""
+    low, high = (c.reference[f"{column}_{end}"] for end in ("low", "high"))
+    assert isinstance(low, float) and isinstance(high, float)
+    place = float(c.samples(f"{effect.name}.place").mean())
+    return place_of(c, column, low + place * (high - low))
 
 
 def _extent(c: Calibration, effect: Effect) -> str:

@@ -62,7 +62,7 @@ QUICK = LeastSquares(draws=500)
 NOT_LOOKED = "Nothing was looked for."
 CUT = "The search was ended after {:.0f} s ({}), {}: more time may find more."
 NO_SECOND = "before a second structure was weighed"
-# For a larger model to be fitted and checked: times what the first step took, and s more; and s more still after Ctrl-C.
+# For a larger model to be fitted and checked: times what the first step took, s more, and s more still after Ctrl-C.
 FITTED, SOONEST, PATIENT = 3.0, 3.0, 10.0
 UNJUDGED = "Whether the last model is to be used was not judged ({})."
 UNDER_WAY = Gate(False, "The search is under way: this model is not its end.")

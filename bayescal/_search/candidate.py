@@ -81,6 +81,18 @@ def best_form(
     return found
 
 
+def by_refit(structures: Structures, name: str, at: Weighed, form: str) -> Candidate:
+    """One candidate that has no score, as `judge`."""
+    effect, with_it = structures.candidates[form], structures.weigh(at.structure.plus(form), at)
+    several = len(structures.forms[name]) > 1
+    found = Candidate(effect=name, form=form if several else "", unit=effect.coefficients[0].unit)
+    if not math.isfinite(with_it.log_evidence):
+        return found
+    factor = with_it.log_evidence - at.log_evidence
+    found = replace(found, log_bayes_factor=factor, source="refit")
+    return replace(found, **_by_refit(effect, with_it))
+
+
 def judge(
     library: Library,
     name: str,

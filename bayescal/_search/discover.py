@@ -27,11 +27,12 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
-from bayescal._model.unknown_effect import FORMS, FREED
+from bayescal._model.unknown_effect import FORMS, FREED, IN_TIME
 from bayescal._search.candidate import (
     Candidate,
     alike,
     best_form,
+    by_refit,
     judge,
     kind_of,
     too_small_or_large,
@@ -292,12 +293,14 @@ def with_causes(
 
 
 def placeholders(model: Model, readings: Measurements) -> list[Effect]:
-    """An unknown smooth dependence on each covariate, a step and a periodic form in time, beside the catalogue."""
+    """An unknown dependence on each covariate in its forms, a step and a periodic form in time."""
     instrument = model.instrument
     if all(s.unit != instrument.unit for s in instrument.slots):
         return []
     names = [name for name, values in derived(readings).items() if np.ptp(values) > 0]
-    forms = [form for form in FORMS if form.split(",")[0] in names]
+    forms = [form for form in IN_TIME if form.split(",")[0] in names]
+    columns = [name for name in names if readings.has(name) and name != "time"]
+    forms += [f"{name}, {form}" for name in columns for form in FORMS]
     return [instrument.unknown(name) for name in (*names, *forms)]
 
 
@@ -330,6 +333,15 @@ def discovery_at(
         )
         plausible = _plausible(structures.candidates[points[name][0].effect])
         judged.append(kind_of(candidate, name in in_sets, plausible))
+    for name in sorted({structures.family(n) for n in structures.unscored} - had):
+        candidate = by_refit(structures, name, here, posterior.form(name))
+        near = tuple(sorted(in_sets.get(name, set()) - {name}))
+        candidate = replace(
+            candidate, probability=posterior.inclusion(name), indistinguishable_from=near
+        )
+        lead = (candidate.probability or 0.0) >= searching().lead
+        kind = "finding" if name in in_sets else "lead" if lead else None
+        judged.append(replace(candidate, kind=kind))
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     new, made = posterior.chosen.effects - at.effects, structures.weigh(posterior.chosen)
     best = [made.sized_model.effect(name) for name in structures.candidates if name in new]

@@ -19,7 +19,6 @@ from bayescal._calibration.settings import searching
 from bayescal._core.errors import ModelError
 from bayescal._core.quoting import identifier, python_string, python_words
 from bayescal._model.frame import derived
-from bayescal._model.unknown_effect import FORMS
 
 POINTS = 101
 PERIODS = np.geomspace(0.06, 2.0, 1000)  # of a sine, in parts of the range
@@ -64,7 +63,7 @@ def shape_of(calibration: Calibration, name: str) -> DraftShape:
             f"{name!r} is a named effect, not an unknown dependence: it has a form of its own"
         )
     inside = name[name.index("(") + 1 : -1]
-    covariate = inside.split(",")[0] if inside in FORMS else inside
+    covariate = inside.split(",")[0]
     low, high = (calibration.reference[f"{covariate}_{end}"] for end in ("low", "high"))
     assert isinstance(low, float) and isinstance(high, float)
     names = [effect.coefficient_name(i) for i in range(len(effect.coefficients))]

@@ -153,6 +153,12 @@ class Structures:
         the column changes with it, so that no score beside the others says what it is worth."""
         return self.candidates[name].slot not in self.record.slots
 
+    @cached_property
+    def unscored(self) -> tuple[str, ...]:
+        """Candidates of families that have no score in any form: a body by itself."""
+        own = (f for f in self.forms.values() if all(map(self.moves_a_column, f)))
+        return tuple(name for forms in own for name in forms)
+
     def other_forms(self, structure: Structure, name: str) -> list[Structure]:
         """The structure with other forms of one of its effects."""
         rest = structure.minus(name)

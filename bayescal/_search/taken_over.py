@@ -20,10 +20,10 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.settings import guarding
 from bayescal._inference.linear_model import LinearModel
+from bayescal._model import unknown_effect
 from bayescal._model.effect import Effect
-from bayescal._model.unknown_effect import FORMS
 
-IN_TIME = ("time", *FORMS)  # of which what repeats from run to run is no function
+IN_TIME = ("time", *unknown_effect.IN_TIME)  # of which what repeats from run to run is no function
 
 
 class TakenOver(NamedTuple):

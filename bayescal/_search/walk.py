@@ -187,6 +187,10 @@ def _look_around(
     for name in sorted(filter(structures.moves_a_column, here.effects)):
         if not end.over and math.isfinite((rest := structures.weigh(here.minus(name), at)).total):
             moves += _moves(View(library, rest), max_effects, among)
+    # What no score tells of is looked at by a refit.
+    if len(here.effects) < max_effects:
+        open_ = among.effects.intersection(structures.unscored, structures.open_to(here))
+        moves += [Move(here.plus(name), at.total) for name in sorted(open_)]
     for move in (*moves, *changes):
         structures.expect(move.to, move.total)
     # Of another law a refit tells little more than was expected, unless it is to be used.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal import effects
 from bayescal._inference.assembly import Point
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
@@ -173,3 +175,12 @@ def test_firmware_holds_one_state_for_a_body(tmp_path: Any) -> None:
     fitted = bc.fit(model, one, bc.LeastSquares(draws=50))
     compensator = bc.compensator(fitted)
     assert [lag.name for lag in compensator.equation.lags] == ["temperature_lag"]
+
+
+def test_a_body_of_ones_own_is_found_too() -> None:
+    """It has no score: nothing but a refit tells of it."""
+    readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=4)
+    body = effects.body("bias", 0.1, "deg/s", low=60.0, high=1200.0, source="made up")
+    line = bc.fit(replace(GYRO, candidates=()).baseline(), readings, bc.LeastSquares())
+    alone = bc.discover(line, effects=[body], max_effects=1)
+    assert [c.effect for c in alone.candidates if c.kind == "finding"] == [body.name]
