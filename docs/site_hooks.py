@@ -3,6 +3,7 @@
 A page holds a comment where such a part belongs, so that nothing is written twice:
 
     <!-- data sheet: mems_gyro -->      the docstring of that instrument's model.py
+    <!-- in NumPyro: mems_gyro -->      that instrument's as_numpyro.py
     <!-- commands -->                   every command and option, from the command line itself
     <!-- names: fit fit_batch load -->  public names, for mkdocstrings to document
 
@@ -19,7 +20,7 @@ from typing import Any
 
 HERE = Path(__file__).parent
 MODELS = HERE.parent / "models" / "bayescal_models"
-PART = re.compile(r"^<!-- (data sheet|commands|names)(?:: (.*?))? -->$", re.MULTILINE)
+PART = re.compile(r"^<!-- (data sheet|in NumPyro|commands|names)(?:: (.*?))? -->$", re.MULTILINE)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
@@ -32,6 +33,12 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 def docstring(instrument: str) -> str:
     source = (MODELS / instrument / "model.py").read_text("utf-8")
     return ast.get_docstring(ast.parse(source)) or ""
+
+
+def in_numpyro(instrument: str) -> str:
+    """The model that is written out whole, as a listing."""
+    path = MODELS / instrument / "as_numpyro.py"
+    return f"```python\n{path.read_text('utf-8').strip()}\n```"
 
 
 def data_sheet(instrument: str) -> str:
@@ -125,6 +132,7 @@ def names(listed: str) -> str:
 
 PARTS: dict[str, Callable[[str], str]] = {
     "data sheet": data_sheet,
+    "in NumPyro": in_numpyro,
     "commands": commands,
     "names": names,
 }

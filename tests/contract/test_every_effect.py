@@ -81,7 +81,9 @@ def test_commands_take_it(maker: str, tmp_path: Path) -> None:
     saved = (tmp_path / "calibration.nc", "--effects", OWN_FILE)
     for command in ("check", "budget"):
         ran = run(command, *saved)
-        assert ran.status in (0, 1), ran.err  # 1: what is not there has two places, or no measured size
+        assert ran.status in (0, 1), (
+            ran.err
+        )  # 1: what is not there has two places, or no measured size
     for suffix in ("h", "py", "json", "html"):
         ran = run("export", *saved, "--out", tmp_path / f"used.{suffix}")
         assert ran.status in (0, 1), ran.err

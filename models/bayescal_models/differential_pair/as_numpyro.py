@@ -1,0 +1,78 @@
+"""Accelerometers in two opposed groups on a centrifuge, in one environment: the hierarchical model whole, in NumPyro.
+
+Each device has a scale factor, a sensitivity to the shared environment, and a departure of its own.
+
+What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
+
+    MCMC(NUTS(model, dense_mass=True), num_warmup=1000, num_samples=1000).run(key, **data(readings))
+
+Output of device k at time t, a the acceleration outward, s = +1 outer and −1 inner (source 3; sizes ours):
+
+    y = s_k·(1 + κ_k)·a(t) + w_k(t) + e,     κ_k ~ N(0, s_κ²),  λ_k ~ N(1, s_λ²),  e ~ N(0, σ²)
+    w_k = Σ c_kn·P_n,     c_kn ~ N(λ_k·u_n, s_n²),     P_n Legendre polynomials of unit rms over the record
+
+w_k is λ_k·u(t), a share in the common environment, and the device's own departure from it, whose size and
+spectrum s_n are learned.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+from numpyro.distributions import HalfNormal, LogNormal, Normal
+from scipy.special import eval_legendre
+
+import bayescal as bc
+from bayescal_models.differential_pair import reference_problem
+
+SENSITIVITY = "environment.shared[sensitivity]"
+CENTRED = ("w", "scale.device", SENSITIVITY)  # the readings tell them far better than their priors
+ORDERS = np.arange(6)
+DISTURBANCE = 1000.0  # µg rms over the record
+FALLING = 0.6**ORDERS  # of the orders of u
+
+
+def model(acceleration, sign, device, devices, orders, output=None) -> None:
+    """Acceleration µg, +1 or −1, and the device of each reading from 0, (n,); P_n (n, 6); output µg, or None."""
+    spread = {
+        name: numpyro.sample(f"{name}.group_sd", HalfNormal(size))
+        for name, size in (("scale.device", 5000.0), (SENSITIVITY, 0.2))
+    }
+    u = numpyro.sample(
+        "u", Normal(0.0, DISTURBANCE * FALLING / np.sqrt(np.sum(FALLING**2))).to_event(1)
+    )
+    share = numpyro.sample("departure.device.share", LogNormal(np.log(0.0502), 0.730))  # of v in u
+    falling = numpyro.sample("departure.device.falling", LogNormal(np.log(0.4873), 0.3406))
+    powers = falling**ORDERS
+    with numpyro.plate("devices", devices):
+        kappa = 1e-6 * numpyro.sample("scale.device", Normal(0.0, spread["scale.device"]))
+        sensitivity = numpyro.sample(SENSITIVITY, Normal(1.0, spread[SENSITIVITY]))
+        own = DISTURBANCE * share * powers / jnp.sqrt(jnp.sum(powers**2))
+        w = numpyro.sample("w", Normal(sensitivity[:, None] * u, own).to_event(1))
+    noise = numpyro.sample("noise.white", HalfNormal(50.0))  # µg
+    mean = sign * (1 + kappa[device]) * acceleration + jnp.sum(orders * w[device], axis=1)
+    numpyro.sample("output", Normal(mean, noise), obs=output)
+
+
+def data(readings: bc.Measurements) -> dict[str, Any]:
+    """The readings as arguments of `model`."""
+    (devices, device), (groups, group) = readings.groups("device"), readings.groups("group")
+    time = readings["time"]
+    progress = 2 * (time - time.mean()) / np.ptp(time)
+    orders = np.stack([np.sqrt(2 * n + 1) * eval_legendre(n, progress) for n in ORDERS], axis=1)
+    sign = np.where(np.array(groups)[group] == "outer", 1.0, -1.0)
+    each = {
+        "acceleration": readings["acceleration"],
+        "sign": sign,
+        "device": device,
+        "devices": len(devices),
+    }
+    return {**each, "orders": orders, "output": readings["output"]}
+
+
+def equal() -> bc.Model:
+    """The same model as a sum of named effects."""
+    return reference_problem.model()

@@ -1,0 +1,49 @@
+"""An inclinometer's zero offset over the placement angle, two axes in several mountings: the model whole, in NumPyro.
+
+What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
+
+    MCMC(NUTS(model), num_warmup=500, num_samples=1000).run(key, **data(readings))
+
+Zero offset S of reading i on axis k in mounting j, arcsec, at the placement angle ω (source 4; mountings ours):
+
+    S_i = a_k + b_k·ω_i + d_j + e_i,     d_j ~ N(0, s²),     e_i ~ N(0, σ²)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpyro
+from numpyro.distributions import HalfCauchy, HalfNormal, Normal
+
+import bayescal as bc
+from bayescal_models.inclinometer.model import INSTRUMENT
+
+
+def model(placement, axis, axes, run, runs, output=None) -> None:
+    """Placement angles in degrees (n,); axis and run of each, from 0; output in arcsec (n,), or None to simulate."""
+    with numpyro.plate("axes", axes):
+        a = numpyro.sample("zero.constant", Normal(0.0, 1000.0))  # arcsec
+        b = numpyro.sample("zero.placement", Normal(0.0, 2.0))  # arcsec/deg
+    s = numpyro.sample("zero.run.group_sd", HalfNormal(2.0))  # arcsec, how far mountings differ
+    with numpyro.plate("runs", runs):
+        d = s * numpyro.sample("zero.run.standard", Normal(0.0, 1.0))
+    noise = numpyro.sample("noise.white", HalfCauchy(2.0))  # arcsec
+    numpyro.sample("output", Normal(a[axis] + b[axis] * placement + d[run], noise), obs=output)
+
+
+def data(readings: bc.Measurements) -> dict[str, Any]:
+    """The readings as arguments of `model`."""
+    (axes, axis), (runs, run) = readings.groups("axis"), readings.groups("run")
+    groups = {"axis": axis, "axes": len(axes), "run": run, "runs": len(runs)}
+    return {
+        "placement": np.degrees(readings["placement_angle"]),
+        **groups,
+        "output": readings["output"],
+    }
+
+
+def equal() -> bc.Model:
+    """The same model as a sum of named effects."""
+    return INSTRUMENT.baseline()

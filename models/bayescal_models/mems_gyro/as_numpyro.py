@@ -1,0 +1,51 @@
+"""A gyroscope's bias over temperature with a turn-on offset per run: the hierarchical model whole, in NumPyro.
+
+What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
+
+    MCMC(NUTS(model), num_warmup=500, num_samples=1000).run(key, **data(readings))
+
+Rate output y of reading i in run j, °/s (source 1, the line; runs and sizes ours):
+
+    y_i = c0 + c1·(T_i − T0) + d_j + e_i,     d_j ~ N(0, s²),     e_i ~ N(0, σ²)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpyro
+from numpyro.distributions import HalfCauchy, HalfNormal, Normal
+
+import bayescal as bc
+from bayescal_models.mems_gyro.model import INSTRUMENT
+
+
+def model(temperature, run, runs, T0, output=None) -> None:
+    """Temperatures °C (n,); the run of each, 0 to runs − 1; T0 °C; output °/s (n,), or None to simulate."""
+    c0 = numpyro.sample("bias.constant", Normal(0.0, 50.0))  # °/s
+    c1 = numpyro.sample("bias.temperature", Normal(0.0, 0.05))  # °/s/°C
+    s = numpyro.sample("bias.run.group_sd", HalfNormal(0.05))  # °/s, learned from the runs
+    with numpyro.plate("runs", runs):
+        d = s * numpyro.sample("bias.run.standard", Normal(0.0, 1.0))
+    noise = numpyro.sample("noise.white", HalfCauchy(0.1))  # °/s
+    numpyro.sample("output", Normal(c0 + c1 * (temperature - T0) + d[run], noise), obs=output)
+
+
+def data(readings: bc.Measurements) -> dict[str, Any]:
+    """The readings as arguments of `model`."""
+    runs, run = readings.groups("run")
+    temperature = readings["temperature"]
+    T0 = np.round(temperature.mean())
+    return {
+        "temperature": temperature,
+        "run": run,
+        "runs": len(runs),
+        "T0": T0,
+        "output": readings["output"],
+    }
+
+
+def equal() -> bc.Model:
+    """The same model as a sum of named effects."""
+    return INSTRUMENT.baseline() + "bias.run"

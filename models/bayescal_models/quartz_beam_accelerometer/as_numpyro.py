@@ -1,0 +1,110 @@
+"""A quartz resonant beam accelerometer with two thermometers: source 2's fifteen columns, whole, in NumPyro.
+
+What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
+
+    MCMC(NUTS(model, dense_mass=True), num_warmup=1000, num_samples=1000).run(key, **data(readings))
+
+With t1 at the beams' circuit, t2 in the head, both from T0, and δ = t1 − t2:
+
+    output = b + (1 + κ)·a + e,     e ~ N(0, σ²)
+    b, κ = Σ of  1, t1, t1², t1³,  1, t2, t2², t2³,  δ, δ², δ³,  dt1/dt, dt2/dt,  t2·dt2/dt, t2·δ
+
+The fifteen columns have rank twelve: priors share out what three combinations of coefficients leave open.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpyro
+from numpyro.distributions import HalfCauchy, Normal
+
+import bayescal as bc
+from bayescal_models.quartz_beam_accelerometer.model import two_thermometers
+
+SIZES = {  # prior standard deviations of the bias: µg, °C, min
+    **{"constant_circuit": 2e4, "constant_head": 2e4, "gradient": 20.0, "gradient_quadratic": 1.0},
+    **{
+        "temperature_circuit": 50.0,
+        "temperature_circuit_quadratic": 0.5,
+        "temperature_circuit_cubic": 0.005,
+    },
+    **{
+        "temperature_head": 50.0,
+        "temperature_head_quadratic": 0.5,
+        "temperature_head_cubic": 0.005,
+    },
+    **{"gradient_cubic": 0.1, "rate_circuit": 10.0, "rate_head": 10.0},
+    **{"temperature_x_rate": 0.2, "temperature_x_gradient": 0.5},
+}
+TENTH = 0.1  # of these the sizes of the scale factor's, ppm
+CONSTANT = {"bias": 2e4, "scale": 5e3}
+
+
+def model(columns, acceleration, output=None) -> None:
+    """The fifteen columns (n, 15) in the order of `SIZES`, the acceleration µg (n,), the output µg or None."""
+
+    def polynomial(slot: str) -> Any:
+        total = 0.0
+        for i, (name, size) in enumerate(SIZES.items()):
+            size = (
+                CONSTANT[slot]
+                if name.startswith("constant")
+                else size * (TENTH if slot == "scale" else 1.0)
+            )
+            total += numpyro.sample(f"{slot}.{name}", Normal(0.0, size)) * columns[:, i]
+        return total
+
+    bias, kappa = polynomial("bias"), 1e-6 * polynomial("scale")
+    noise = numpyro.sample("noise.white", HalfCauchy(20.0))  # µg
+    numpyro.sample("output", Normal(bias + (1 + kappa) * acceleration, noise), obs=output)
+
+
+def data(readings: bc.Measurements) -> dict[str, Any]:
+    """The readings as arguments of `model`."""
+    raw = [readings[f"temperature_{place}"] for place in ("circuit", "head")]
+    T0 = np.round(raw[1].mean())
+    (t1, t2), (rate1, rate2) = (t - T0 for t in raw), (_per_minute(readings, t) for t in raw)
+    one, gradient = np.ones_like(t1), t1 - t2
+    columns = {
+        **{
+            "constant_circuit": one,
+            "constant_head": one,
+            "rate_circuit": rate1,
+            "rate_head": rate2,
+        },
+        **{
+            "temperature_circuit": t1,
+            "temperature_circuit_quadratic": t1**2,
+            "temperature_circuit_cubic": t1**3,
+        },
+        **{
+            "temperature_head": t2,
+            "temperature_head_quadratic": t2**2,
+            "temperature_head_cubic": t2**3,
+        },
+        **{"gradient": gradient, "gradient_quadratic": gradient**2, "gradient_cubic": gradient**3},
+        **{"temperature_x_rate": t2 * rate2, "temperature_x_gradient": t2 * gradient},
+    }
+    together = np.stack([columns[name] for name in SIZES], axis=1)
+    return {
+        "columns": together,
+        "acceleration": readings["acceleration"],
+        "output": readings["output"],
+    }
+
+
+def _per_minute(readings: bc.Measurements, values: np.ndarray) -> np.ndarray:
+    """Slope from the reading before, of one run and one sweep; 0 in the first, °C/min."""
+    time, run = readings["time"], readings.groups("run")[1]
+    order = np.lexsort((time, run))
+    step, change = np.diff(time[order], prepend=np.nan), np.diff(values[order], prepend=np.nan)
+    new = np.diff(run[order], prepend=-1) != 0
+    slope = np.where(new, 0.0, 60.0 * change / np.where(new, 1.0, step))
+    return slope[np.argsort(order)]
+
+
+def equal() -> bc.Model:
+    """The same model as a sum of named effects."""
+    return two_thermometers()

@@ -1,0 +1,86 @@
+"""The models written out in NumPyro are those that `bc.fit` fits: the same density, and draws that agree."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from numpyro import handlers
+from numpyro.diagnostics import effective_sample_size
+from numpyro.infer.util import log_density
+
+import bayescal as bc
+from bayescal_models.in_numpyro import draws
+
+# Of the others the latent quantities are not the framework's own: nothing but draws compares.
+SAME_LATENTS = ("mems_gyro", "inclinometer", "ng_accelerometer", "quartz_beam_accelerometer")
+INSTRUMENTS = (*SAME_LATENTS, "accelerometer_triad", "differential_pair")
+
+
+def written_out(instrument: str) -> tuple[ModuleType, bc.Measurements]:
+    module = import_module(f"bayescal_models.{instrument}.as_numpyro")
+    problem = import_module(f"bayescal_models.{instrument}.reference_problem")
+    return module, problem.readings(0)
+
+
+@pytest.mark.parametrize("instrument", SAME_LATENTS)
+def test_it_is_the_density_of_the_framework(instrument: str) -> None:
+    """Differences between any two points, so that what is constant does not count."""
+    module, readings = written_out(instrument)
+    own, program = module.data(readings), bc.numpyro_program(module.equal(), readings)
+    with jax.enable_x64(True):
+        seeded = handlers.seed(module.model, 0)
+        sites = handlers.trace(seeded).get_trace(**{**own, "output": None})
+        free = {n: s for n, s in sites.items() if s["type"] == "sample" and n != "output"}
+        mode = bc.fit(module.equal(), readings, bc.LeastSquares())
+        random, found = np.random.default_rng(1), []
+        for _ in range(4):
+            at = {n: near(mode, n, site, random) for n, site in free.items()}
+            here, _ = log_density(module.model, (), own, at)
+            theirs = {n: standard(n, value, free[n]) for n, value in at.items()}
+            there, _ = log_density(program, (readings["output"],), {}, dict(theirs.values()))
+            found.append((float(here), float(there)))
+    ours, theirs = np.array(found).T
+    np.testing.assert_allclose(np.diff(ours), np.diff(theirs), rtol=1e-7, atol=1e-5)
+
+
+def near(mode: bc.Calibration, name: str, site: dict[str, Any], random: np.random.Generator) -> Any:
+    """A value near the posterior, where densities are neither all prior nor of no number."""
+    size = np.shape(site["value"])
+    if name in mode.posterior:
+        drawn = mode.samples(name)
+        return drawn[random.integers(len(drawn))].reshape(size)
+    return 0.3 * random.standard_normal(size)
+
+
+def standard(name: str, value: Any, site: dict[str, Any]) -> tuple[str, Any]:
+    """The site of the framework's program and its value: coefficients in units of their prior's size."""
+    law = site["fn"]
+    if name.endswith((".standard", ".group_sd")) or name.startswith("noise."):
+        return name, value
+    z = (value - np.asarray(law.mean)) / np.sqrt(np.asarray(law.variance))
+    return f"{name}.standard", np.atleast_1d(z)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("instrument", INSTRUMENTS)
+def test_nuts_on_it_agrees(instrument: str) -> None:
+    """Means within a tenth of a standard deviation, widths within a tenth, and what draws scatter by beside them."""
+    module, readings = written_out(instrument)
+    fitted = bc.fit(module.equal(), readings)
+    drawn = draws(module.model, module.data(readings), centred=getattr(module, "CENTRED", ()))
+    compared = [name for name in map(str, fitted.posterior) if name in drawn]
+    assert len(compared) >= 4
+    for name in compared:
+        theirs = fitted.samples(name)
+        ours = drawn[name].reshape(len(drawn[name]), -1).T
+        for one, other in zip(ours, theirs.reshape(len(theirs), -1).T, strict=True):
+            count = float(effective_sample_size(one[None]))
+            assert count > 100, name
+            away = abs(one.mean() - other.mean()) / other.std()
+            assert away < 0.1 + 2.5 / count**0.5, name
+            assert abs(np.log(one.std() / other.std())) < 0.1 + 2.5 / (2 * count) ** 0.5, name
