@@ -102,6 +102,7 @@ def test_marginal_agrees_with_least_squares(case: Case) -> None:
     if not any(name.endswith(".spread") for name in scales):
         others.append(case.marginal)
     means, sds = NEAR_BENT.get(case.name, NEAR)
+    sds += 0.05  # of as few draws as weights that are uneven leave
     for full in map(columns_of, others):
         for name in set(held) - set(scales):
             one, other = full[name], held[name]
@@ -112,6 +113,8 @@ def test_marginal_agrees_with_least_squares(case: Case) -> None:
 @pytest.mark.slow
 def test_marginal_agrees_with_nuts(case: Case) -> None:
     # The plain program, or whitened coordinates where it does not mix: as the reference was made, 1000 draws a chain.
+    if case.name == "ng_accelerometer":
+        pytest.skip("half an hour of chains; test_as_numpyro.py compares this posterior with NUTS")
     kind = case.reference["sampler"]["kind"]
     posterior, _ = reference_posteriors.SAMPLERS[kind](case.model, case.readings, 1000)
     for name, (draws, _) in reference_posteriors.columns_of(posterior).items():

@@ -163,7 +163,7 @@ SAMPLED: list[tuple[object, str]] = [
     (bc.White, "variance"),
     (gaussian, "draw"),
     (products.Products, "grams"),
-    (sampling, "explore"),
+    (sampling, "weighted_draws"),
     (OrnsteinUhlenbeck, "whiten"),
     (bc.StudentT, "log_density"),
     (bc.Heteroscedastic, "variance"),
