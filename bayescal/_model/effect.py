@@ -263,6 +263,11 @@ class Effect:
         return self.measure is not None
 
     @property
+    def unnamed(self) -> bool:
+        """Whether it says how the output goes and not with what: a curve, a step, no line along a column."""
+        return self.is_placeholder and not self.name.endswith(", line)")
+
+    @property
     def open(self) -> bool:
         """Whether its plausible amplitude is to be taken from the readings."""
         return any(s.open for s in self.shapes)

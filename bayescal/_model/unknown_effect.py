@@ -1,5 +1,5 @@
-"""What no named effect describes: an unknown smooth dependence on one covariate, a step or a kink along it; in time a
-step or a periodic form.
+"""What no named effect describes: an unknown dependence on one covariate, smooth, straight, with a step or a kink; in
+time a step or a periodic form.
 
 They stand beside the instrument and not in the catalogue, because the language of models has a word for them:
 `model + "unknown(humidity)"`. Each is linear in coefficients whose sizes the amplitude gives. What amplitudes are
@@ -10,8 +10,8 @@ The smooth one is a Gaussian process. Its columns are the eigenfunctions of the 
 than the covariate's range, weighted with the root of the process's spectral density (Solin & Särkkä, Stat. Comput. 30
 (2020) 419). It follows steps and periodic forms too, but spends most of its freedom on what is not there: a record that
 steps once, or goes up and down evenly, is then more probable as correlated noise. Hence the forms of one shape and one
-or two coefficients. A step or a kink along a covariate is a form of the smooth dependence on it: a search weighs them
-in its place. Beyond the record a step stays, and a periodic form goes on.
+or two coefficients. A line, a step or a kink along a column is a form of the smooth dependence on it: a search weighs
+them in its place. Beyond the record a step stays, and a periodic form goes on.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def covariate_in(name: str) -> str | None:
 
 
 def placeholder(covariate: str, slot: str, unit: str) -> Effect:
-    """The placeholder for a covariate, and for its forms: "humidity, jump", "humidity, kink", "time, cycle".
+    """The placeholder for a covariate, and for its forms: "humidity, line", ", jump", ", kink", "time, cycle".
 
     Args:
         covariate: a numeric column, "elapsed" (time within the run), or "temperature rate"; a form after a comma.
@@ -176,6 +176,23 @@ def jump(
 
 
 @functools.cache
+def line(
+    slot: str, low: float, high: float, unit: str, *, covariate: str, name: str = ""
+) -> Effect:
+    """A slot's value is proportional to a column.
+
+    Args:
+        low, high: plausible changes over the column's range, in `unit`; `*OPEN` takes them from the readings.
+        covariate: the column.
+        name: canonical; `unknown(humidity, line)` if not given, with the column's name.
+    """
+    words = f"a·(x − ½),  x the position in the range of {covariate}"
+    shapes = (Shape("amplitude", unit, low, high),)
+    name = name or f"unknown({covariate}, line)"
+    return _of_form(name, slot, given(_straight, covariate), 1, shapes, words, covariate)
+
+
+@functools.cache
 def kink(
     slot: str, low: float, high: float, unit: str, *, covariate: str, name: str = ""
 ) -> Effect:
@@ -216,6 +233,10 @@ def _step(covariate, r, place):
     return 0.5 * jnp.tanh((r.position(covariate) - place) / SHARP)
 
 
+def _straight(covariate, r):
+    return r.position(covariate) - 0.5
+
+
 def _hinge(covariate, r, place):
     beyond = r.position(covariate) - place
     return 0.5 * (beyond + jnp.sqrt(beyond**2 + SHARP**2))
@@ -246,7 +267,7 @@ def _of_form(
     slot: str,
     basis: Callable[..., Any],
     count: int,
-    shapes: tuple[Shape, Shape],
+    shapes: tuple[Shape, ...],
     equation: str,
     covariate: str,
 ) -> Effect:
@@ -272,4 +293,8 @@ def _of_form(
 
 JUMP = "time, jump"
 IN_TIME = (JUMP, "time, cycle")
-FORMS: dict[str, Callable[..., Effect]] = {"jump": jump, "kink": kink}  # along a column
+FORMS: dict[str, Callable[..., Effect]] = {
+    "line": line,
+    "jump": jump,
+    "kink": kink,
+}  # along a column

@@ -348,9 +348,12 @@ def _does(c: Calibration, effect: Effect) -> str:
     if covariate := covariate_in(effect.name):
         form = covariate.partition(", ")[2]
         if form in FORMS:
-            at = _at(c, effect, covariate.partition(",")[0])
+            column = covariate.partition(",")[0]
             step = float(np.ptp(c.linear.contribution(effect.name)))
             size = f"{number(step, 2)} {unit_label(c.unit)}"
+            if form == "line":
+                return f"is proportional to {column.replace('_', ' ')}, {size} over its range"
+            at = _at(c, effect, column)
             return (
                 f"has a step of {size} at {at}"
                 if form == "jump"

@@ -300,7 +300,15 @@ def placeholders(model: Model, readings: Measurements) -> list[Effect]:
     names = [name for name, values in derived(readings).items() if np.ptp(values) > 0]
     forms = [form for form in IN_TIME if form.split(",")[0] in names]
     columns = [name for name in names if readings.has(name) and name != "time"]
-    forms += [f"{name}, {form}" for name in columns for form in FORMS]
+    straight = {
+        name for effect in model.effects for name in effect.varies
+    }  # a line along them is there
+    forms += [
+        f"{name}, {form}"
+        for name in columns
+        for form in FORMS
+        if form != "line" or name not in straight
+    ]
     return [instrument.unknown(name) for name in (*names, *forms)]
 
 

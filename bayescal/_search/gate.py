@@ -90,7 +90,7 @@ def _confounded(steps: Sequence[Step]) -> list[str]:
 def _followed(steps: Sequence[Step]) -> list[TakenOver]:
     """Terms of the first model in the last; what has no name is compared with the last model without such."""
     last, found = steps[-1].calibration, list[TakenOver]()
-    unnamed = {e.name for e in last.model.effects if e.is_placeholder}
+    unnamed = {e.name for e in last.model.effects if e.unnamed}
     plain = [s.calibration for s in steps[:-1] if unnamed.isdisjoint(s.calibration.model.names)]
     if plain:
         found = [one for one in taken_over(plain[0], last) if not one.unnamed]

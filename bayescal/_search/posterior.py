@@ -85,7 +85,7 @@ class Posterior:
         rest, found = self.families(self.given.union(unseen)), []
         each = zip(self.structures, self._reported, self.probability, strict=True)
         for s, own, probability in each:
-            unnamed = {n for n in s.effects if structures.candidates[n].is_placeholder}
+            unnamed = {n for n in s.effects if structures.candidates[n].unnamed}
             weighed = self.refitted.get(s)
             if not own - unnamed <= rest or not unnamed:
                 found.append(own <= rest)

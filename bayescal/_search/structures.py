@@ -282,7 +282,7 @@ class Structures:
         What one explains that the rest of the structure cannot, rms over the noise; or what it moves a coefficient of a
         named effect by, over its standard uncertainty: where both are small, all that has a name is there.
         """
-        unnamed = [n for n in weighed.structure.effects if self.candidates[n].is_placeholder]
+        unnamed = [n for n in weighed.structure.effects if self.candidates[n].unnamed]
         found = set[str]()
         for name in unnamed:
             line = self.line(weighed)

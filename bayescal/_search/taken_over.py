@@ -62,7 +62,7 @@ class TakenOver(NamedTuple):
     @property
     def unnamed(self) -> bool:
         """Whether a description that may repeat from run to run is among what was added."""
-        return any(e.is_placeholder and e.along not in IN_TIME for e in self.by)
+        return any(e.unnamed and e.along not in IN_TIME for e in self.by)
 
     @property
     def confounded(self) -> bool:

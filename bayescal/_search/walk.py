@@ -53,7 +53,7 @@ def walk(
         # Physics first: a curve, or noise that is correlated, found before a second effect takes what this explains,
         # and hides it. So what has a name is looked for by itself, under the noise that is given, and then all
         # together.
-        named = frozenset(n for n, e in structures.candidates.items() if not e.is_placeholder)
+        named = frozenset(n for n, e in structures.candidates.items() if not e.unnamed)
         physics, every = Scope(named, ("",)), Scope(frozenset(structures.candidates))
         looked: dict[Scope, set[Structure]] = {physics: set(), every: set()}
         for among, later in ((physics, None), (every, None), (every, given)):

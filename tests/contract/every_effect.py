@@ -26,6 +26,7 @@ MADE = {
     "warm_up": effects.warm_up("bias", 100.0, "ug", **BODY, **OWN),
     "unknown": effects.unknown("temperature", "bias", 1.0, 100.0, "ug"),
     "jump": effects.jump("bias", 1.0, 100.0, "ug"),
+    "line": effects.line("bias", 1.0, 100.0, "ug", covariate="temperature"),
     "kink": effects.kink("bias", 1.0, 100.0, "ug", covariate="temperature"),
     "cycle": effects.cycle("bias", 1.0, 100.0, "ug"),
 }
