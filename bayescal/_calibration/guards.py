@@ -356,8 +356,10 @@ def _too_large(calibration: Fitted, hyperparameters: list[dict[str, Any]]) -> li
     found, unit = [], calibration.unit
     reach = float(np.ptp(calibration.readings["output"]))
     sizes = _sizes_of_output(calibration)
+    # An amplitude is a scale of coefficients, hardly told where there is one; what it makes of the output is judged.
+    amplitudes = {f"{e.name}.{e.measure}" for e in calibration.model.effects if e.is_placeholder}
     for row in hyperparameters:
-        if row["name"] in sizes and row["unit"] == unit and row["mean"] > reach > 0:
+        if row["name"] in sizes - amplitudes and row["unit"] == unit and row["mean"] > reach > 0:
             found.append(
                 f"{row['name']} is larger than the output's whole range ({number(row['mean'])} against "
                 f"{number(reach)} {unit_label(unit)}): the readings lie far from what the model can be. Check the "

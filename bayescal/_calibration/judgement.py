@@ -23,13 +23,18 @@ from bayescal._calibration.guards import (
 )
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
+from bayescal._calibration.predict import predict
 from bayescal._calibration.settings import guarding
 from bayescal._core.formatting import number
-from bayescal._data.dataset_checks import oddities, rounding_step
+from bayescal._data.dataset_checks import Oddity, oddities, pieces, rounding_step
 from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.model import Model
 from bayescal._model.unknown_effect import FREED, IN_TIME, covariate_in
+
+FEW = 100  # draws, of an expected output's slope
+SMALL = 0.5  # part of a leap, up to which a shift of the thermometer is none
+SURELY = 3.0  # standard uncertainties that are added to a shift
 
 LOOK = "something is missing from the model. Look for it: bayescal discover, or calibrate."
 
@@ -134,8 +139,34 @@ def of_thermometers(calibration: Calibration, model: Model) -> list[str]:
     return [
         f"Column {one.column!r} {one.said}: what depends on it is not measured."
         for one in found
-        if one.column in warm
+        if one.column in warm and not (one.jumped and _followed(calibration, one))
     ]
+
+
+def _followed(calibration: Calibration, one: Oddity) -> bool:
+    """Whether the output went where a thermometer did that goes on from another level: it was the temperature.
+
+    Beside all else in the model, a shift of the thermometer from there to the end of the stretch is estimated: small
+    against the leap, where the output depends on the temperature enough to tell.
+    """
+    readings = calibration.readings
+    values, line = readings[one.column], calibration.linear
+    own = pieces({name: readings[name] for name in readings.columns})
+    expected = predict(calibration, readings, new_groups=False, draws=FEW).mean
+    for row in one.rows:
+        piece = next((p for p in own if row in p[1:]), None)
+        if piece is None:
+            return False
+        at = int(np.flatnonzero(piece == row)[0])
+        shifted = values.copy()
+        shifted[piece[at:]] += 1.0  # °C
+        moved = readings.with_column(one.column, shifted, readings.unit(one.column))
+        slope = predict(calibration, moved, new_groups=False, draws=FEW).mean - expected
+        (pull,), ((weight,),) = line.score(slope[:, None])
+        leap = abs(values[row] - values[piece[at - 1]])
+        if not (weight > 0 and abs(pull) / weight + SURELY / math.sqrt(weight) < SMALL * leap):
+            return False
+    return True
 
 
 def of_noise(

@@ -95,12 +95,14 @@ class Oddity(NamedTuple):
         said: what is odd, in words.
         rows: in which it is.
         wrong: of these, where the temperature was surely another than the column says; none where that is not known.
+        jumped: whether the column goes on from another level at these rows, which the output may confirm.
     """
 
     column: str
     said: str
     rows: np.ndarray
     wrong: np.ndarray
+    jumped: bool = False
 
 
 def oddities(
@@ -259,7 +261,7 @@ def _jumps(
         f"goes on from another level, {jump[np.isin(at, rows)].max():.2g} °C away, from one reading to the next, and "
         "nothing else does: re-seated, exchanged, or a counter that wrapped?"
     )
-    return [Oddity(name, said, np.sort(rows), rows[:0])]  # on which side of it, is not known
+    return [Oddity(name, said, np.sort(rows), rows[:0], True)]  # on which side of it, is not known
 
 
 def _unexplained(values: np.ndarray, time: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
