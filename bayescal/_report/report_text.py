@@ -312,7 +312,7 @@ def _found(chapter: Chapter) -> str:
         if not chapter.data["missing"]:
             count = search.get("weighed", 0)
             weighed = "Nothing was looked for beside"
-            if count > 1:
+            if count > 1 and search.get("stopped"):
                 weighed = f"{count} structures were weighed, and none was fitted but"
         names = c.model.names
         model = f"{len(names)} effects" if len(names) > NAMED else ", ".join(names) or "no effect"
@@ -371,7 +371,7 @@ def _does(c: Calibration, effect: Effect) -> str:
     size, group = _size(c, effect), effect.coefficients[0].per
     if cause.startswith("thermal_lag") and "tau" in times:
         return f"follows the temperature with a lag of {times['tau']} ({size})"
-    if cause == "warm_up" and "tau" in times:
+    if cause.startswith("warm_up") and "tau" in times:
         return f"settles after the start by {size} with a time constant of {times['tau']}"
     if group is not None and effect.coefficients[0].group_sd is not None:
         between = _GROUPS.get(group, f"{group} to {group}")
@@ -387,7 +387,7 @@ def _does(c: Calibration, effect: Effect) -> str:
             return words
     if cause.startswith("rate"):
         return f"follows the rate of change of {column} by {size}"
-    if cause == "drift":
+    if cause.startswith("drift"):
         return f"drifts by {size} over the test"
     if cause == "hysteresis":
         way = "direction of approach" if column == "direction" else f"way that {column} went before"

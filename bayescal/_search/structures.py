@@ -24,7 +24,7 @@ from bayescal._inference.gaussian import condition
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, at_mode, find_mode, flat_scales
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.record import Record
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Effect, with_forms
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import Layout
@@ -85,7 +85,7 @@ class Weighed:
     @property
     def sized_model(self) -> Model:
         """The model with the plausible sizes of the instrument's own effects at the likeliest."""
-        found, own = self.model, {e.name for e in self.model.instrument.candidates}
+        found, own = self.model, {e.name for e in with_forms(self.model.instrument.candidates)}
         for name, factor in (self.assembly.size_factors or {}).items():
             first = found.effect(name).coefficients[0]
             if factor != 1.0 and name in own and not first.flat:

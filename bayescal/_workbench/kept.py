@@ -41,7 +41,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.read import read
 from bayescal._data.set_aside import set_aside
 from bayescal._inference.method import Method
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Effect, with_forms
 from bayescal._model.frame import Reference
 from bayescal._model.installed import GROUP, installed_names
 from bayescal._model.instrument import Instrument
@@ -304,7 +304,7 @@ class State:
     @property
     def sized(self) -> dict[str, Effect]:
         """What a look would add of the instrument's effects, by name, at the sizes likeliest beside each other."""
-        known = {e.name for e in self.model.instrument.candidates}
+        known = {e.name for e in with_forms(self.model.instrument.candidates)}
         return {
             e.name: e for e in (self.discovery.best if self.discovery else ()) if e.name in known
         }

@@ -17,7 +17,7 @@ CAMPAIGNS = {  # instrument, what is hidden, what must be said, what must not
     "nothing": (mems_gyro, {}, "Nothing was found missing from the first model", "follows"),
     "a bend": (mems_gyro, {"bias.temperature_quadratic": 2e-3}, "bends with temperature by", "lag"),
     "a drift": (mems_gyro, {"bias.drift": 1.0}, "drifts by", "lag"),
-    "humidity": (mems_gyro, {"unlisted.humidity": 0.05}, "depends on humidity in a form that has no name here", "lag"),
+    "humidity": (mems_gyro, {"unlisted.humidity": 0.05}, "is proportional to humidity", "lag"),
 }  # fmt: skip
 FAST = ("a lag", "nothing", "humidity")
 
@@ -62,7 +62,7 @@ def test_a_result_fits_on_a_screen(found, name) -> None:
 
 def test_a_curve_is_one_line(found) -> None:
     printed = str(found("humidity").final.calibration)
-    rows = [line for line in printed.splitlines() if line.startswith("unknown(humidity)")]
+    rows = [line for line in printed.splitlines() if line.startswith("unknown(humidity, line)")]
     assert len(rows) == 1 and "rms" in rows[0] and "at humidity" in rows[0], printed
 
 

@@ -184,3 +184,13 @@ def test_a_body_of_ones_own_is_found_too() -> None:
     line = bc.fit(replace(GYRO, candidates=()).baseline(), readings, bc.LeastSquares())
     alone = bc.discover(line, effects=[body], max_effects=1)
     assert [c.effect for c in alone.candidates if c.kind == "finding"] == [body.name]
+
+
+def test_a_form_is_as_large_as_the_search_found_it() -> None:
+    """Ten times what is plausible: the search averages over sizes, and so must what is fitted of a form."""
+    readings = mems_gyro.simulate({"bias.drift": 1.0}, seed=11)
+    trail = bc.calibrate(GYRO.baseline(), readings, method=bc.LeastSquares())
+    assert [s.added for s in trail.steps] == [None, "bias.drift.logarithmic"]
+    assert trail.search is not None and trail.final.calibration.log_evidence is not None
+    likeliest = trail.search.structures[0].log_evidence
+    assert trail.final.calibration.log_evidence[0] == pytest.approx(likeliest, abs=5.0)

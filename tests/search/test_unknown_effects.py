@@ -28,7 +28,7 @@ def trail() -> bc.SearchPath:
 def test_the_column_of_an_effect_outside_the_catalogue_is_named_and_added(
     trail: bc.SearchPath,
 ) -> None:
-    assert [s.added for s in trail.steps] == [None, "unknown(humidity)"]
+    assert [s.added for s in trail.steps] == [None, "unknown(humidity, line)"]
     before, after = trail.steps[0].holdout_rmse, trail.final.holdout_rmse
     assert before is not None
     assert after is not None
@@ -98,7 +98,7 @@ def test_least_squares_fits_and_predicts_with_it(trail: bc.SearchPath) -> None:
     assert fitted.verdict.ok
     within = bc.predict(sampled).rmse
     assert bc.predict(fitted).rmse < 1.05 * within
-    amplitude = "unknown(humidity).amplitude"
+    amplitude = "unknown(humidity, line).amplitude"
     ratio = fitted.samples(amplitude).mean() / np.median(sampled.samples(amplitude))
     assert 0.2 < ratio < 5
 
