@@ -36,7 +36,7 @@ def campaign(seed: int) -> tuple[bc.Measurements, float, float]:
     for _ in range(RUNS):
         air.append(np.interp(fine, np.linspace(0, fine[-1], 9), random.uniform(-20.0, 70.0, 9)))
         behind = [air[-1][0]]
-        for t in air[-1][1:]:
+        for t in 0.5 * (air[-1][1:] + air[-1][:-1]):
             behind.append(behind[-1] + (t - behind[-1]) * (1 - np.exp(-FINE / tau)))
         die.append(np.interp(time, fine, behind))
     clock = np.concatenate([time + i * (HOURS + 1) * 3600 for i in range(RUNS)])
@@ -78,7 +78,7 @@ def test_it_is_found_with_its_time_constant_and_curvature() -> None:
 @pytest.mark.slow
 def test_it_is_found_in_twenty_campaigns() -> None:
     seen, tau, curvature = np.array([found(seed) for seed in range(100, 120)]).sum(axis=0)
-    assert seen >= 18 and tau >= 0.93 * 20 - 1.5 and curvature >= 0.93 * 20 - 1.5
+    assert seen >= 18 and min(tau, curvature) >= 15  # of twenty at 95 %, fewer in one test of 400
 
 
 @pytest.mark.parametrize("form", BODIES)
