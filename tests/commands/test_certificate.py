@@ -35,6 +35,7 @@ def saved(calibration, tmp_path):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unpainted")
 def test_the_report_states_device_place_people_conditions_standards_and_dates(
     saved, tmp_path

@@ -152,6 +152,7 @@ def test_libraries_obey_no_file_of_the_current_folder(tmp_path: Path) -> None:
     assert not any(name in done.stderr for name in SETTINGS)
 
 
+@pytest.mark.slow
 def test_python_m_runs_no_module_of_the_current_folder(tmp_path: Path) -> None:
     """Of those that Python itself has not asked for before: these it takes from there, unless it is told -P."""
     folder = strangers_folder(tmp_path)

@@ -73,7 +73,7 @@ MADE: dict[str, Callable[[], tuple[bc.Compensator, bc.Measurements]]] = {
 }
 
 
-FAST = ("gyro", "inclinometer", "bent sensor")
+FAST = ("gyro", "bent sensor")
 
 
 @pytest.fixture(scope="module", params=slow_but(FAST, MADE))

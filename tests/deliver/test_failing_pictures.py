@@ -72,6 +72,7 @@ def test_calibrate_prints_and_keeps_its_result_where_its_picture_fails(tmp_path,
     assert results_of(tmp_path / "out") == KEPT
 
 
+@pytest.mark.slow
 @needs_installation
 def test_a_report_is_written_without_the_pictures_that_fail(tmp_path, monkeypatch) -> None:
     trail().final.calibration.save(tmp_path / "calibration.nc")

@@ -80,6 +80,7 @@ def test_another_structure_compiles_only_for_columns_and_sizes_not_seen_before(m
     assert len(further) <= FEW
 
 
+@pytest.mark.slow
 def test_a_whole_search_traces_a_few_pieces_and_another_one_hardly_any() -> None:
     """However many structures are weighed: the pieces know none of them, only their padded sizes."""
     count = 0

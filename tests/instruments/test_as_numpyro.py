@@ -15,6 +15,7 @@ from numpyro.infer.util import log_density
 
 import bayescal as bc
 from bayescal_models.in_numpyro import draws
+from tests.support.tiers import slow_but
 
 # Of the others the latent quantities are not the framework's own: nothing but draws compares.
 SAME_LATENTS = ("mems_gyro", "inclinometer", "ng_accelerometer", "quartz_beam_accelerometer")
@@ -27,7 +28,7 @@ def written_out(instrument: str) -> tuple[ModuleType, bc.Measurements]:
     return module, problem.readings(0)
 
 
-@pytest.mark.parametrize("instrument", SAME_LATENTS)
+@pytest.mark.parametrize("instrument", slow_but(("mems_gyro", "ng_accelerometer"), SAME_LATENTS))
 def test_it_is_the_density_of_the_framework(instrument: str) -> None:
     """Differences between any two points, so that what is constant does not count."""
     module, readings = written_out(instrument)

@@ -13,6 +13,7 @@ from bayescal_models import accelerometer_triad, magnetometer_triad
 from bayescal_models.magnetometer_triad import Campaign, simulate
 from bayescal_models.magnetometer_triad.simulator import BASELINE
 from tests.support.command_line import needs_installation, run
+from tests.support.tiers import slow_but
 
 INSTRUMENT = magnetometer_triad.INSTRUMENT
 MODEL = INSTRUMENT.baseline()
@@ -51,7 +52,7 @@ def test_a_field_that_is_stated(field: float, tmp_path: Path) -> None:
     assert not any("may be stated wrongly" in note for note in correct.notes)
 
 
-@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("field", slow_but(FIELDS[:1], FIELDS))
 def test_of_a_field_that_is_not_stated_ratios_are_measured(field: float, tmp_path: Path) -> None:
     """The absolute scale is as uncertain as data sheets leave it; a direction is as sure as in a known field."""
     path = table(field, tmp_path)
@@ -77,7 +78,7 @@ def test_of_a_field_that_is_not_stated_ratios_are_measured(field: float, tmp_pat
     assert any("is not known and taken as the outputs read it" in note for note in correct.notes)
 
 
-@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("field", slow_but(FIELDS[1:2], FIELDS))
 def test_a_field_that_is_stated_wrongly_is_said(field: float, tmp_path: Path) -> None:
     wrong = 50.0 if field != 50.0 else 65.0
     correct = corrected(table(field, tmp_path, wrong))

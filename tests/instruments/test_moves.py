@@ -371,6 +371,7 @@ def held(log: dict[str, np.ndarray], moves: tuple[int, ...], samples: int) -> di
     return log
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "moves"), [(3, (1, 3, 4)), (7, (10, 12, 17))])
 def test_moves_that_disagree_are_set_aside_by_name(seed: int, moves: tuple[int, ...]) -> None:
     """Of 19 moves three, in which outputs stood still for half of the time; the rest measures as well without them."""

@@ -44,6 +44,7 @@ SAID = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_hostile_file_is_refused_and_the_refusal_says_why(name, tmp_path) -> None:
     if name.endswith(".xlsx"):

@@ -91,6 +91,7 @@ def test_its_amplitude_is_the_size_that_is_reported(trail: bc.SearchPath) -> Non
     assert found.unit == "deg/s"
 
 
+@pytest.mark.slow
 def test_least_squares_fits_and_predicts_with_it(trail: bc.SearchPath) -> None:
     """Its amplitude must not run away while its coefficients shrink: draws of their product would be worthless."""
     sampled, readings = trail.final.calibration, trail.final.calibration.readings

@@ -64,6 +64,7 @@ def test_a_jump_is_found_where_it_is_and_as_high_as_it_is(jumped: bc.SearchPath)
     assert "two levels" not in jumped.gate.reason, "a note shuts no gate"
 
 
+@pytest.mark.slow
 def test_a_cycle_is_found_with_its_period_and_amplitude(cycled: bc.SearchPath) -> None:
     final = cycled.final.calibration
     assert [s.added for s in cycled.steps] == [None, "unknown(time, cycle)"]

@@ -23,6 +23,7 @@ EFFECTS = (
 """
 
 
+@pytest.mark.slow
 def test_the_loop_by_hand(session: Session) -> None:
     """What is found and added brings the hold-out error down to the floor; a step back begins a branch."""
     found = session.look()
