@@ -101,7 +101,7 @@ def test_chains_that_were_stopped_end_with_the_same_draws(
     begun = checkpoint.open_checkpoint(
         file, checkpoint.fingerprint(MODEL, data[1], CHAINS, 3, whole.reference)
     )
-    assert begun.notes["NUTS"] == 100
+    assert 0 < begun.notes["NUTS"] <= 100  # pieces are as long as the processor makes them
     resumed = bc.fit(MODEL, data[1], CHAINS, seed=3, strict=False, checkpoint=file)
     for one, other in zip(vectors(whole), vectors(resumed), strict=True):
         np.testing.assert_array_equal(one, other)
