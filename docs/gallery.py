@@ -89,9 +89,9 @@ def of_the_posterior(after: bc.Calibration) -> list[Entry]:
         ),
         Entry(
             "members",
-            'bc.plot.members(trail.final.calibration, "bias.thermal_lag[start]")',
+            'bc.plot.members(trail.final.calibration, f"{trail.steps[-1].added}[start]")',
             "A coefficient with one value for each run: means, 50 % and 95 % credible intervals.",
-            lambda: bc.plot.members(after, "bias.thermal_lag[start]"),
+            lambda: bc.plot.members(after, f"{after.model.names[-1]}[start]"),
         ),
         Entry(
             "identifiability",

@@ -103,12 +103,11 @@ def _slots(instrument: Instrument) -> list[str]:
 
 
 def unexplained(model: Model, readings: Measurements) -> dict[str, Float[np.ndarray, "n"]]:
-    """Columns that no effect is a function of, time among them; not what the instrument declares, nor what measures
-    the same quantity as that does: another thermometer, a set point."""
+    """Columns that no effect is a function of; not what the instrument declares, nor what measures the same quantity as
+    that does: another thermometer, a set point. Nor time: what drifts or warms up has names, and sizes that are stated,
+    with which a search weighs it."""
     declared = {c.name for c in model.instrument.columns}
-    known = (declared | model.columns) - {*IN_TIME}
-    if any({*e.columns} == {"time"} for e in model.effects):
-        known |= {*IN_TIME}
+    known = declared | model.columns | {*IN_TIME}
     units = [
         u for n in declared & {*readings.columns} if (u := readings.unit(n)) not in (None, "1", "s")
     ]
@@ -121,7 +120,7 @@ def unexplained(model: Model, readings: Measurements) -> dict[str, Float[np.ndar
     return {
         name: values
         for name, values in derived(readings).items()
-        if np.ptp(values) > 0 and (name in IN_TIME or not another(name)) and name not in known
+        if np.ptp(values) > 0 and name not in known and not another(name)
     }
 
 
@@ -159,8 +158,6 @@ def in_words(found: Sequence[Confounder]) -> list[dict[str, str]]:
 
 
 def _cure(column: str) -> str:
-    if column in IN_TIME:
-        return "Take another run that goes otherwise in time"
     own = column.removesuffix(" rate")
     return (
         f"Vary {own} otherwise in another run, or leave it out if it is no cause (--ignore {own})"

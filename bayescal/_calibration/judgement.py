@@ -22,6 +22,7 @@ from bayescal._calibration.guards import (
     without_priors,
 )
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
+from bayescal._calibration.mixture import has_effect
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
 from bayescal._calibration.settings import guarding
@@ -209,7 +210,11 @@ def of_noise(
 
 def _left_over(calibration: Calibration, check: Check, missing: str) -> list[str]:
     """What the residuals still depend on; and readings too few to tell noise from unknowns."""
-    free, size = len(calibration.layout.blocks), len(calibration.readings)
+    # Of an average over structures as many as there are on average.
+    free = round(
+        sum(float(has_effect(calibration, b.effect.name).mean()) for b in calibration.layout.blocks)
+    )
+    size = len(calibration.readings)
     if size < free + 3:
         return [
             f"{size} readings are too few for {free} unknowns: the noise cannot be told, and uncertainties hang on "

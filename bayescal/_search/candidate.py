@@ -238,7 +238,10 @@ def _visibility(point: ScoredPoint) -> float:
 def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
     """Size found with 80 % power: the log Bayes factor reaches what a finding needs under its prior odds."""
     found, group = searching().found, library.grouped(point.effect)
-    needed = math.log(found / (1 - found)) - library.structures.log_odds[point.effect]
+    structures = library.structures
+    forms = structures.forms[structures.family(point.effect)]  # by any of which it is found
+    odds = float(logsumexp([structures.log_odds[n] for n in forms]))
+    needed = math.log(found / (1 - found)) - odds
     _, information = _main(point, group)
     if group:
         measure = library.structures.candidates[point.effect].measure
