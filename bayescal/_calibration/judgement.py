@@ -35,7 +35,7 @@ from bayescal._model.unknown_effect import FREED, IN_TIME, covariate_in
 
 FEW = 100  # draws, of an expected output's slope
 SMALL = 0.5  # part of a leap, up to which a shift of the thermometer is none
-SURELY = 3.0  # standard uncertainties that are added to a shift
+SURELY = 3.0  # standard uncertainties of a shift that is told from none
 
 LOOK = "something is missing from the model. Look for it: bayescal discover, or calibrate."
 
@@ -147,8 +147,8 @@ def of_thermometers(calibration: Calibration, model: Model) -> list[str]:
 def _followed(calibration: Calibration, one: Oddity) -> bool:
     """Whether the output went where a thermometer did that goes on from another level: it was the temperature.
 
-    Beside all else in the model, a shift of the thermometer from there to the end of the stretch is estimated: small
-    against the leap, where the output depends on the temperature enough to tell.
+    Beside all else in the model, a shift of the thermometer from there to the end of the stretch is estimated. It was
+    wrong where a shift of half the leap or more is told from none; where none is told, no number hangs on it.
     """
     readings = calibration.readings
     values, line = readings[one.column], calibration.linear
@@ -165,7 +165,7 @@ def _followed(calibration: Calibration, one: Oddity) -> bool:
         slope = predict(calibration, moved, new_groups=False, draws=FEW).mean - expected
         (pull,), ((weight,),) = line.score(slope[:, None])
         leap = abs(values[row] - values[piece[at - 1]])
-        if not (weight > 0 and abs(pull) / weight + SURELY / math.sqrt(weight) < SMALL * leap):
+        if weight > 0 and abs(pull) / weight > max(SURELY / math.sqrt(weight), SMALL * leap):
             return False
     return True
 
