@@ -22,7 +22,7 @@ from bayescal._calibration.guards import (
     without_priors,
 )
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
-from bayescal._calibration.mixture import has_effect
+from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
 from bayescal._calibration.settings import guarding
@@ -210,10 +210,8 @@ def of_noise(
 
 def _left_over(calibration: Calibration, check: Check, missing: str) -> list[str]:
     """What the residuals still depend on; and readings too few to tell noise from unknowns."""
-    # Of an average over structures as many as there are on average.
-    free = round(
-        sum(float(has_effect(calibration, b.effect.name).mean()) for b in calibration.layout.blocks)
-    )
+    there = inclusion(calibration)  # of an average over structures as many as there are on average
+    free = round(sum(there[b.effect.name] for b in calibration.layout.blocks))
     size = len(calibration.readings)
     if size < free + 3:
         return [

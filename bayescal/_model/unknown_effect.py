@@ -171,8 +171,7 @@ def jump(
     if covariate != "time":
         words = f"−a/2 below one {covariate}, a/2 above it"
     shapes = (_place(covariate), Shape("amplitude", unit, low, high))
-    name = name or f"unknown({covariate}, jump)"
-    return _of_form(name, slot, given(_step, covariate), 1, shapes, words, covariate)
+    return _of_form("jump", slot, _step, 1, shapes, words, covariate, name)
 
 
 @functools.cache
@@ -188,8 +187,7 @@ def line(
     """
     words = f"a·(x − ½),  x the position in the range of {covariate}"
     shapes = (Shape("amplitude", unit, low, high),)
-    name = name or f"unknown({covariate}, line)"
-    return _of_form(name, slot, given(_straight, covariate), 1, shapes, words, covariate)
+    return _of_form("line", slot, _straight, 1, shapes, words, covariate, name)
 
 
 @functools.cache
@@ -206,8 +204,7 @@ def kink(
     """
     words = f"a·max(0, x − p),  x the position in the range of {covariate}"
     shapes = (_place(covariate), Shape("amplitude", unit, low, high))
-    name = name or f"unknown({covariate}, kink)"
-    return _of_form(name, slot, given(_hinge, covariate), 1, shapes, words, covariate)
+    return _of_form("kink", slot, _hinge, 1, shapes, words, covariate, name)
 
 
 def _place(covariate: str) -> Shape:
@@ -226,7 +223,7 @@ def cycle(slot: str, low: float, high: float, unit: str, *, name: str = "") -> E
     cycles = Shape("cycles", "1", *CYCLES, ragged=True)
     shapes = (cycles, Shape("amplitude", unit, low, high))
     words = "a·sin(2π·cycles·t + φ)"
-    return _of_form(name or "unknown(time, cycle)", slot, _waves, 2, shapes, words, "time")
+    return _of_form("cycle", slot, _waves, 2, shapes, words, "time", name)
 
 
 def _step(covariate, r, place):
@@ -242,8 +239,8 @@ def _hinge(covariate, r, place):
     return 0.5 * (beyond + jnp.sqrt(beyond**2 + SHARP**2))
 
 
-def _waves(r, cycles):
-    angle = 2 * math.pi * cycles * r.position("time")
+def _waves(covariate, r, cycles):
+    angle = 2 * math.pi * cycles * r.position(covariate)
     return jnp.stack([jnp.sin(angle), jnp.cos(angle)], axis=1)
 
 
@@ -263,20 +260,21 @@ def _too_few(covariate: str, readings: Measurements) -> str | None:
 
 
 def _of_form(
-    name: str,
+    form: str,
     slot: str,
     basis: Callable[..., Any],
     count: int,
     shapes: tuple[Shape, ...],
     equation: str,
     covariate: str,
+    name: str,
 ) -> Effect:
     """A form along a column, of so many coefficients; the last of its shapes is their amplitude."""
     in_time = covariate == "time"
     return Effect(
-        name,
+        name or f"unknown({covariate}, {form})",
         slot,
-        basis,
+        given(basis, covariate),
         coefficients=standard_normals(shapes[-1].unit, count),
         shapes=shapes,
         weights=_even,

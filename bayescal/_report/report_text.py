@@ -17,7 +17,7 @@ from bayescal._calibration.check_result import Check
 from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.settings import searching
-from bayescal._calibration.summary import curve_extent, place_of, summary
+from bayescal._calibration.summary import curve_extent, place_of, range_of, summary
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import interval, number, probability, with_error
 from bayescal._data.column import NominalScale
@@ -401,8 +401,7 @@ def _does(c: Calibration, effect: Effect) -> str:
 
 def _at(c: Calibration, effect: Effect, column: str) -> str:
     """Where a step or a kink is."""
-    low, high = (c.reference[f"{column}_{end}"] for end in ("low", "high"))
-    assert isinstance(low, float) and isinstance(high, float)
+    low, high = range_of(c, column)
     place = float(c.samples(f"{effect.name}.place").mean())
     return place_of(c, column, low + place * (high - low))
 

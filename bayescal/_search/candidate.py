@@ -13,6 +13,7 @@ from bayescal._calibration.guards import off_scale
 from bayescal._calibration.settings import searching
 from bayescal._inference.density import Density
 from bayescal._inference.linear_model import learned_size
+from bayescal._model.effect import Effect
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._search.library import Library
 from bayescal._search.scores import ScoredPoint, gain_of
@@ -86,11 +87,13 @@ def by_refit(structures: Structures, name: str, at: Weighed, form: str) -> Candi
     effect, with_it = structures.candidates[form], structures.weigh(at.structure.plus(form), at)
     several = len(structures.forms[name]) > 1
     found = Candidate(effect=name, form=form if several else "", unit=effect.coefficients[0].unit)
-    if not math.isfinite(with_it.log_evidence):
-        return found
+    return _refitted(found, effect, at, with_it) if math.isfinite(with_it.log_evidence) else found
+
+
+def _refitted(found: Candidate, effect: Effect, at: Weighed, with_it: Weighed) -> Candidate:
+    """What the refit says: it averages over sizes and finds its shapes, where a score says where it began."""
     factor = with_it.log_evidence - at.log_evidence
-    found = replace(found, log_bayes_factor=factor, source="refit")
-    return replace(found, **_by_refit(effect, with_it))
+    return replace(found, log_bayes_factor=factor, source="refit", **_by_refit(effect, with_it))
 
 
 def judge(
@@ -124,10 +127,7 @@ def judge(
         minimum_detectable=_minimum_detectable(library, top),
     )
     if with_it is not None and math.isfinite(with_it.log_evidence):
-        # The refit averages over sizes and finds its shapes: what the score says of these is only where it began.
-        factor = with_it.log_evidence - at.log_evidence
-        found = replace(found, log_bayes_factor=factor, source="refit")
-        return replace(found, **_by_refit(library.structures.candidates[form], with_it))
+        return _refitted(found, library.structures.candidates[form], at, with_it)
     mean, variance = _size(library, points)
     return replace(found, size=mean, size_sd=math.sqrt(variance))
 
@@ -294,12 +294,19 @@ def alike(points: Mapping[str, Sequence[ScoredPoint]]) -> dict[str, set[str]]:
     }
 
 
-def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
-    """The candidate with its kind: whether it is found, a lead, or not to be seen."""
+def found_or_lead(candidate: Candidate, found: bool) -> Candidate:
+    """The candidate, as a finding or a lead where it is one."""
     if found:
         return replace(candidate, kind="finding")
-    if (candidate.probability or 0.0) >= searching().lead:
-        return replace(candidate, kind="lead")
+    lead = (candidate.probability or 0.0) >= searching().lead
+    return replace(candidate, kind="lead") if lead else candidate
+
+
+def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
+    """The candidate with its kind: whether it is found, a lead, or not to be seen."""
+    candidate = found_or_lead(candidate, found)
+    if candidate.kind is not None:
+        return candidate
     if (candidate.log_bayes_factor or 0.0) > searching().strong:
         return candidate  # to be seen well enough, and explained by what was found
     # Visible means: a plausible size would be found. Where nuisances take all but a hundredth, what is left hangs on

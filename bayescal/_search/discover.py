@@ -33,6 +33,7 @@ from bayescal._search.candidate import (
     alike,
     best_form,
     by_refit,
+    found_or_lead,
     judge,
     kind_of,
     too_small_or_large,
@@ -347,9 +348,7 @@ def discovery_at(
         candidate = replace(
             candidate, probability=posterior.inclusion(name), indistinguishable_from=near
         )
-        lead = (candidate.probability or 0.0) >= searching().lead
-        kind = "finding" if name in in_sets else "lead" if lead else None
-        judged.append(replace(candidate, kind=kind))
+        judged.append(found_or_lead(candidate, name in in_sets))
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     new, made = posterior.chosen.effects - at.effects, structures.weigh(posterior.chosen)
     best = [made.sized_model.effect(name) for name in structures.candidates if name in new]

@@ -16,6 +16,7 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.settings import searching
+from bayescal._calibration.summary import range_of
 from bayescal._core.errors import ModelError
 from bayescal._core.quoting import identifier, python_string, python_words
 from bayescal._model.frame import derived
@@ -64,8 +65,7 @@ def shape_of(calibration: Calibration, name: str) -> DraftShape:
         )
     inside = name[name.index("(") + 1 : -1]
     covariate = inside.split(",")[0]
-    low, high = (calibration.reference[f"{covariate}_{end}"] for end in ("low", "high"))
-    assert isinstance(low, float) and isinstance(high, float)
+    low, high = range_of(calibration, covariate)
     names = [effect.coefficient_name(i) for i in range(len(effect.coefficients))]
     coefficients = np.stack([calibration.samples(n) for n in names], axis=1)
     shapes = {s.name: calibration.samples(effect.shape_name(s)) for s in effect.column_shapes}

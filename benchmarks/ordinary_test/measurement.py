@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,15 +48,7 @@ class Cell(NamedTuple):
 
 def plan() -> list[Cell]:
     """All cells, in their order."""
-    return in_order(
-        [
-            Cell(s, r, n, seed)
-            for s in STRUCTURES
-            for r in (True, False)
-            for n in READINGS
-            for seed in range(SEEDS)
-        ]
-    )
+    return in_order([Cell(*c) for c in product(STRUCTURES, (True, False), READINGS, range(SEEDS))])
 
 
 def made(cell: Cell) -> tuple[Campaign, str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,15 +39,7 @@ class Cell(NamedTuple):
 
 def plan() -> list[Cell]:
     """All cells, in their order."""
-    return in_order(
-        [
-            Cell(shape, r, n, seed)
-            for shape in SHAPES
-            for r in (True, False)
-            for n in READINGS
-            for seed in range(SEEDS)
-        ]
-    )
+    return in_order([Cell(*c) for c in product(SHAPES, (True, False), READINGS, range(SEEDS))])
 
 
 def column(rng: np.random.Generator, bare: Record) -> Further:

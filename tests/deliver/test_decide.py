@@ -12,11 +12,11 @@ import pytest
 from scipy import stats
 
 import bayescal as bc
-from bayescal import effects
 from bayescal._use.conformity import GlobalRisks, LimitedRange, StatedLimit, stated_limit
 from bayescal._use.decide import DAY, first_below
 from bayescal._use.operating_equation import errors_over_draws
 from tests.support.made_up import bent_sensor
+from tests.support.made_up import level as electronic_level
 
 GUARDED = ("guarded", 0.025)
 
@@ -382,20 +382,7 @@ def test_a_model_without_drift_says_that_it_cannot_know(gyro) -> None:
     assert "one number of the model" in one.recalibration.why_not
 
 
-LEVEL = bc.Instrument(
-    name="level",
-    title="an electronic level",
-    columns=(bc.Column("time", "s"), bc.Column("run", None), bc.Column("output", "arcsec")),
-    slots=(bc.Slot("zero", "arcsec"),),
-    response=lambda slots, r: slots["zero"],
-    effects=(
-        effects.constant("zero", 100.0, "arcsec", source="made up"),
-        effects.drift("zero", 4.0, "arcsec", source="made up"),
-        effects.deviation("zero", "run", 0.5, "arcsec", source="made up"),
-    ),
-    noise=bc.White(bc.HalfCauchy(1.0)),
-    use=bc.Use("tilt", "arcsec", equation=lambda tilt, slots, r: tilt + slots["zero"]),
-)
+LEVEL = electronic_level.level(4.0)
 RUNS, READINGS, SPAN = 8, 6, 200 * DAY
 
 

@@ -9,32 +9,14 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal import effects
 from bayescal._report.certificate import dcc_text
 from bayescal._use.decide import DAY, YEAR
 from bayescal_models import mems_gyro
 from tests.support.made_up import bent_sensor
+from tests.support.made_up.level import level
 from tests.support.stated import STATED
 
 CANNOT = "cannot be said from these readings"
-
-
-def level(drift: float) -> bc.Instrument:
-    """A level whose zero drifts; `drift` is the plausible size over the test, arcsec. Runs differ by some 0.5."""
-    return bc.Instrument(
-        name="level",
-        title="an electronic level",
-        columns=(bc.Column("time", "s"), bc.Column("run", None), bc.Column("output", "arcsec")),
-        slots=(bc.Slot("zero", "arcsec"),),
-        response=lambda slots, r: slots["zero"],
-        effects=(
-            effects.constant("zero", 100.0, "arcsec", source="made up"),
-            effects.drift("zero", drift, "arcsec", source="made up"),
-            effects.deviation("zero", "run", 0.5, "arcsec", source="made up"),
-        ),
-        noise=bc.White(bc.HalfCauchy(1.0)),
-        use=bc.Use("tilt", "arcsec", equation=lambda tilt, slots, r: tilt + slots["zero"]),
-    )
 
 
 def levelled(instrument: bc.Instrument, seed: int = 1) -> bc.Measurements:
