@@ -13,25 +13,9 @@ The public names stand in `__init__.pyi`, grouped by what they are for. Each loa
 `import bayescal` and `bayescal --help` cost nothing.
 """
 
-import warnings
-
 import lazy_loader
 
 from bayescal._core import jax_setup as jax_setup  # before JAX: see the comment there
 from bayescal._core.version import __version__ as __version__
 
-_load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
-
-_RENAMED = {
-    "Trail": "SearchPath",
-    "template": "draft_effect",
-}  # since 0.2.0; the old names go in 0.3.0
-
-
-def __getattr__(name: str):
-    new = _RENAMED.get(name)
-    if new is None:
-        return _load(name)
-    text = f"bayescal.{name} is called bayescal.{new} now; the old name goes in 0.3.0"
-    warnings.warn(text, DeprecationWarning, stacklevel=2)
-    return _load(new)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

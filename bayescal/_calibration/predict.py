@@ -45,16 +45,6 @@ class Prediction:
     correlated_noise_sd: np.ndarray | None = None
 
     @property
-    def wander(self) -> np.ndarray | None:
-        """`correlated_noise`, by the name that it had up to version 0.2."""
-        return self.correlated_noise
-
-    @property
-    def wander_sd(self) -> np.ndarray | None:
-        """`correlated_noise_sd`, by the name that it had up to version 0.2."""
-        return self.correlated_noise_sd
-
-    @property
     def rmse(self) -> float:
         return float(np.sqrt(np.mean(self.residual**2)))
 

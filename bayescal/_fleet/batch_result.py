@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -419,12 +418,6 @@ class FleetResult:
 
     def __len__(self) -> int:
         return self.devices
-
-    @property
-    def trusted(self) -> int:
-        """`fitted`, as it was called."""
-        warnings.warn("FleetResult.trusted is called fitted now", DeprecationWarning, stacklevel=2)
-        return self.fitted
 
     @property
     def files(self) -> Path:

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import inspect
 import math
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import field, replace
-from functools import cached_property, wraps
+from functools import cached_property
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -39,23 +38,6 @@ FUNCTIONS = ("basis", "weights", "untestable")  # of an effect
 OPEN = (0.0, math.inf)  # low and high of a shape whose plausible range the readings say
 
 
-def _takes_spread(cls: type[Any]) -> type[Any]:
-    """The name that `group_sd` had in 0.2.0 still leads to it, and says so; it goes in 0.3.0."""
-    init = cls.__init__
-
-    @wraps(init)
-    def taking(self: Any, *args: Any, **given: Any) -> None:
-        if "spread" in given:
-            text = "Coefficient(spread=…) is called group_sd now; the old name goes in 0.3.0"
-            warnings.warn(text, DeprecationWarning, stacklevel=2)
-            given["group_sd"] = given.pop("spread")
-        init(self, *args, **given)
-
-    cls.__init__ = taking
-    return cls
-
-
-@_takes_spread
 @static
 class Coefficient:
     """One unknown that a slot is linear in.

@@ -49,8 +49,6 @@ def test_fitted_is_one_thing_and_checked_another(file: Path, fleet: FleetResult)
         assert "40 devices, 40 fitted (least-squares)\n" in said
         assert "fitted is not checked" in said and "reliable" not in said
     assert (fleet.fitted, fleet.checked) == (40, 0)
-    with pytest.warns(DeprecationWarning, match="is called fitted"):
-        assert fleet.trusted == 40
 
 
 def test_odd_devices_are_named_with_what_is_odd(file: Path, fleet: FleetResult, tmp_path) -> None:

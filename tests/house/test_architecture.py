@@ -189,11 +189,6 @@ def test_one_version() -> None:
     assert cited is not None and cited[1] == bayescal.__version__
 
 
-def test_names_that_are_to_go_are_gone_in_the_version_that_was_said() -> None:
-    renamed = set(bayescal._RENAMED)  # pyright: ignore[reportAttributeAccessIssue]
-    assert not renamed or tuple(map(int, bayescal.__version__.split(".")[:2])) < (0, 3)
-
-
 def test_every_instrument_is_offered_to_the_command_line() -> None:
     from bayescal_models import INSTRUMENTS
 
