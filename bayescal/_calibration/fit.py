@@ -13,7 +13,6 @@ from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError, NotConverged
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._data.measurements import Measurements
-from bayescal._inference.checkpoint import fingerprint, keeping
 from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
@@ -36,7 +35,6 @@ def fit(
     seed: int = 0,
     strict: bool = True,
     reference: Reference | None = None,
-    checkpoint: str | Path | None = None,
     time_limit: float | None = None,
     start: Mapping[str, float] = NOTHING_KNOWN,
 ) -> Calibration:
@@ -49,16 +47,13 @@ def fit(
         seed: of every random number; the same seed gives the same draws on the same machine.
         strict: raise if the fit did not converge; False returns it with its verdict.
         reference: constants of the bases, such as {"T0": 0.0}, in place of the data's own.
-        checkpoint: a file, …nc, for the chains of NUTS. Chains that were stopped, killed even, go on from there to
-            the same draws, bit for bit; those that had ended are not run again.
         time_limit: seconds, after which what there is is taken: the draws so far, or the Gaussian approximation about
             the mode; the verdict says so. Ctrl-C does the same.
         start: values of shapes, noise parameters and between-group standard deviations, by name and in the units of
             `calibration.samples(name)`, where their mode is looked for beside draws of their priors.
 
     Raises:
-        InputError: `reference` names what is no constant of these readings; the checkpoint is none, or one of another
-            model, readings, method, seed or version.
+        InputError: `reference` names what is no constant of these readings.
         ModelError: readings lack a column, have too few rows for the flat coefficients, or an output that never
             changes; the model is none, or has an effect that is zero in every reading.
         NotConverged: the verdict is not good; carries the calibration.
@@ -81,10 +76,7 @@ def fit(
     def run() -> Outcome:
         return method.run(layout, frame, frame["output"], seed, start)
 
-    with (
-        keeping(checkpoint, lambda: fingerprint(model, readings, method, seed, reference)),
-        deadline.until(time_limit),
-    ):
+    with deadline.until(time_limit):
         outcome = deadline.within(run)
     calibration = Calibration(
         model=model,

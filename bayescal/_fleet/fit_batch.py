@@ -67,10 +67,10 @@ from bayescal._fleet.fit_devices import (
     tailored_to_first,
     temperature_sums,
 )
+from bayescal._fleet.model_texts import model_texts, shown
 from bayescal._fleet.odd_devices import Values, odd_effects, odd_values
 from bayescal._fleet.partial_pooling import learn_population
 from bayescal._fleet.population import AskedPopulation, chosen
-from bayescal._inference.checkpoint import model_texts, shown
 from bayescal._inference.method import Method
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model

@@ -157,7 +157,7 @@ class Marginal(Method):
         """NUTS; for a while only where neither it nor a time limit was asked for."""
         layout, asked = assembly.layout, self.sampler == "nuts"
         log_density, unpack, start, covariance = nuts_chains.whitened(assembly, mode)
-        plan = nuts_chains.Plan(800, self.draws // CHAINS, CHAINS, start.size < 40, "exact NUTS")
+        plan = nuts_chains.Plan(800, self.draws // CHAINS, CHAINS, start.size < 40)
         asked = asked or deadline.current().ends_at < math.inf
         with stage("NUTS on whitened unknowns"):
             with deadline.until(None if asked else nuts_chains.PATIENCE, words=PATIENCE):

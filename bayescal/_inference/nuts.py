@@ -57,7 +57,7 @@ class NUTS(Method):
         assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
         mode = find_mode(assembly, start=start)
         deadline.offer(lambda why: Marginal().about_the_mode(assembly, mode, seed, (), why))
-        plan = Plan(self.warmup, self.draws, self.chains, self.dense, "NUTS")
+        plan = Plan(self.warmup, self.draws, self.chains, self.dense)
         ran, sites = sampled(program(layout, frame), (y,), plan, seed)
         x, rows, v = (np.asarray(sites[k]) for k in ("x", "rows", "v"))
         ran = ran._replace(draws=np.concatenate([x, v], axis=2))

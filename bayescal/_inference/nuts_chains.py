@@ -21,13 +21,12 @@ from jaxtyping import Array, Float
 from bayescal._core import deadline
 from bayescal._core.errors import TimeIsUp
 from bayescal._core.jit import ALWAYS, known
-from bayescal._inference import checkpoint
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode
 from bayescal._model import forward
 
-BLOCK = 100  # iterations between which a run can be stopped and taken up again, at most,
+BLOCK = 100  # iterations between which a run can be stopped, at most,
 PIECE = 0.1  # s that they may take, so that a deadline is met and Ctrl-C heard
 FEWEST_STEPS = 7  # of an iteration, by which its cost is judged too low rather than too high: a tree of depth three
 PATIENCE = 300.0  # s that chains get that nobody asked for, where there is no time limit
@@ -49,14 +48,12 @@ class Plan:
         warmup, draws: iterations of each.
         chains: how many, side by side.
         dense: whether a dense mass matrix is adapted.
-        name: theirs, in a checkpoint.
     """
 
     warmup: int
     draws: int
     chains: int = 4
     dense: bool = True
-    name: str = "chains"
 
     def kernel(self, *model: Any, **how: Any) -> Any:
         """NumPyro's NUTS of a program or of a `potential_fn`."""
@@ -92,8 +89,8 @@ def run(
 def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -> Chains:
     """Run a NumPyro kernel, all chains side by side, in pieces of a few iterations.
 
-    Where the fit keeps a checkpoint, the sampler's state is kept with the draws after each piece. The draws do not
-    depend on where one ends. Chains that have no time to end are not begun, as far as the first iteration can tell.
+    The draws do not depend on where a piece ends. Chains that have no time to end are not begun, as far as the first
+    iteration can tell.
 
     Args:
         kernel: of NumPyro.
@@ -107,19 +104,13 @@ def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -
     """
     end = deadline.current()
     end.ask()
-    warmup, draws, name = plan.warmup, plan.draws, plan.name
+    warmup, draws = plan.warmup, plan.draws
     keys = jax.random.split(key, plan.chains)
     state = kernel.init(keys, warmup, begin, model_args=arguments, model_kwargs={})
     found = jax.tree.map(lambda a: np.zeros((draws, *a.shape), a.dtype), _kept(state))
-    store, done = checkpoint.current(), 0
-    if store is not None and name in store.arrays:
-        done = int(store.notes[name])
-        state, found = checkpoint.filled((state, found), store.arrays[name])
-        found = jax.tree.map(np.array, found)  # arrays that can be written to
-    count, begun, all_of_them = 1, done, warmup + draws
-    if done < all_of_them:
-        block = _block_of(kernel, arguments)
-        state, _ = block(state, 0)  # compiles, which is no part of what an iteration costs
+    count, done, all_of_them = 1, 0, warmup + draws
+    block = _block_of(kernel, arguments)
+    state, _ = block(state, 0)  # compiles, which is no part of what an iteration costs
     while done < all_of_them:
         end.ask()
         # A piece ends where warm-up does.
@@ -129,7 +120,7 @@ def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -
         took = (time.monotonic() - since) / count
         # One iteration has been timed. With a tree of its usual depth the rest takes `took` each; judged by the
         # smallest tree, so that chains are never given up that would have ended in time.
-        if done == begun:
+        if done == 0:
             steps = max(1.0, float(np.mean(np.max(np.atleast_2d(kept[2])[:count], axis=-1))))
             least = took * min(1.0, FEWEST_STEPS / steps) * (all_of_them - done)
             if least > end.left:
@@ -140,10 +131,6 @@ def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -
                 all_of_it[place] = np.asarray(new)[:count]
         done += count
         count = max(1, min(BLOCK, math.ceil(PIECE / max(took, 1e-9))))
-        if store is not None:
-            store.notes[name] = done
-            store.arrays[name] = checkpoint.leaves_of((state, found))
-            store.write() if done == all_of_them else store.write_now_and_then()
     z, diverging, steps = found
     by_chain = jax.tree.map(lambda a: jnp.swapaxes(jnp.asarray(a), 0, 1), z)
     return Chains(by_chain, int(np.sum(diverging)), float(np.mean(steps)))

@@ -1,4 +1,4 @@
-"""A damaged calibration, batch or checkpoint is refused in words: whatever byte was changed, and whatever piece."""
+"""A damaged calibration or batch is refused in words: whatever byte was changed, and whatever piece."""
 
 from __future__ import annotations
 

@@ -162,6 +162,23 @@ def test_what_is_done_is_not_done_again(lot_folder, tmp_path, monkeypatch) -> No
         bc.fit_batch(MODEL, folder / "lot-0.parquet", out=out)
 
 
+def test_a_basis_of_another_form_is_another_request(lot_folder, tmp_path) -> None:
+    def model(power: int) -> bc.Model:
+        return MODEL + bc.Effect(
+            "bias.power",
+            "bias",
+            basis=lambda r: r.centred() ** power,
+            coefficients=(bc.Coefficient("deg/s", bc.Normal(0.0, 1.0)),),
+        )
+
+    file, done = lot_folder / "lot-0.parquet", []
+    for power in (2, 2, 3):
+        found = bc.fit_batch(model(power), file, out=tmp_path / "out")
+        assert isinstance(found, bc.FleetResult)
+        done.append(found.about["found_done"])
+    assert done == [0, 1, 0]
+
+
 def test_a_corrupt_file_is_named_and_done_once_it_is_mended(lot_folder, result, tmp_path) -> None:
     folder, out = tmp_path / "in", tmp_path / "out"
     shutil.copytree(lot_folder, folder)
