@@ -12,12 +12,11 @@ from ._search.preview import preview as preview
 from ._report.save_search import calibrate as calibrate
 from ._report.save_search import calibrate_channels as calibrate_channels
 
-# beside the loop: which test to run next, how often a search reports what is not there, an effect's draft
+# beside the loop: which test to run next, an effect's draft
 from ._search.poses import poses as poses
 from ._search.next_experiment import next_experiment as next_experiment
 from ._search.plan_readings import plan_readings as plan_readings
 from ._search.undetermined import undetermined as undetermined
-from ._search.false_reports import false_reports as false_reports
 from ._search.draft_effect import shape_of as shape_of
 from ._search.draft_effect import draft_effect as draft_effect
 from ._search.describe import Draft as Draft
@@ -107,7 +106,6 @@ from ._report.save_search import (
 from ._search.next_experiment import NextExperiment as NextExperiment
 from ._search.plan_readings import ReadingPlan as ReadingPlan
 from ._search.undetermined import Undetermined as Undetermined
-from ._search.false_reports import FalseReports as FalseReports
 from ._use.compensator import Compensator as Compensator
 from ._use.vector_correction import VectorCorrection as VectorCorrection
 from ._use.budget import Budget as Budget

@@ -543,7 +543,6 @@ def discover(
     ignore: list[str] | None = None,
     covariates: str | None = None,
     next_experiment: bool = False,
-    calibrate_screen: int | None = None,
     json_: bool = False,
 ) -> None:
     """Which effect is missing from a fitted model; and which experiment would tell rivals apart."""
@@ -570,13 +569,7 @@ def discover(
                     f"\n\n{ranked or 'next experiment: nothing here has a rival to be told from'}"
                 )
                 data["next_experiment"] = None if ranked is None else experiment_data(ranked)
-            if calibrate_screen is not None and not end.over:
-                rate = bc.false_reports(
-                    loaded, calibrate_screen, effects=effects, max_effects=max_effects
-                )
-                text += f"\n\n{rate}"
-                data["false_reports"] = as_json(rate)
-            if end.over and (next_experiment or calibrate_screen):
+            if end.over and next_experiment:
                 text += f"\n\nwhat was asked for beside the search was left out or cut short ({end.why})"
             print_result(data if json_ else text)
 

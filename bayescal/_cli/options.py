@@ -134,7 +134,6 @@ HELP = {
     "batch.population": (
         "Coefficient whose mean and standard deviation over the devices are estimated; 'all', or repeat."
     ),
-    "calibrate_screen": "Search N campaigns simulated from this model, and print how often something is reported.",
     "calibration": "A folder of results, or its calibration (.nc).",
     "capability": "Least T/(4u) with which 'shared-risk' decides.",
     "certificate": (
@@ -271,7 +270,6 @@ MORE: dict[str, dict[str, Any]] = {
     "average": {"metavar": "TIME", "callback": _refuse_no_duration},
     "batch.files": {"callback": _refuse_missing_beside_folders},
     "batch.method": {"callback": _refuse_unknown_method},
-    "calibrate_screen": {"metavar": "N", "min": 1},
     "channels": {"metavar": "NAME,NAME,…"},
     "check": {"metavar": "my.py:INSTRUMENT"},
     "count": {"min": 0},

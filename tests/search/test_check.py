@@ -55,19 +55,6 @@ def test_the_run_that_stands_apart_is_named(readings) -> None:
     assert entry.log_bayes_factor > 5
 
 
-@pytest.mark.slow
-def test_false_reports_are_counted(readings) -> None:
-    first = fitted(readings)
-    rate = bc.false_reports(first, 10, seed=1)
-    assert rate.campaigns == 10
-    assert rate.reported <= 3  # at a true rate of 5 %, more happen once in a thousand times
-    low, high = rate.interval
-    assert low <= rate.reported / 10 <= high
-    assert f"{rate.reported} of 10" in str(rate)
-    with pytest.raises(bc.InputError, match="ask for 1 or more"):
-        bc.false_reports(first, 0)
-
-
 def test_noise_known_beforehand_stands_beside_a_published_line() -> None:
     table = bc.read(mems_gyro.TABLE, mems_gyro.INSTRUMENT)
     line = {"bias.constant": 19.80, "bias.temperature": 0.041}  # source 1, as printed
