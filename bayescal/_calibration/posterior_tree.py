@@ -44,7 +44,7 @@ def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTre
         "posterior_predictive": xr.Dataset({"output": (("chain", "draw", "reading"), made, units)}),
         "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
-        "constant_data": readings.data.drop_vars("output"),
+        "constant_data": readings.to_xarray().drop_vars("output"),
         "draws": vectors,
     }
     prior = _prior_draws(c)

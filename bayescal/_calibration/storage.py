@@ -259,4 +259,4 @@ def _readings_from(tree: xr.DataTree, described: dict[str, Any]) -> Measurements
     sources = tuple(Source(**s) for s in described["sources"])
     given, flags = described.get("nominal_scale"), tuple(described["flags"])
     scale = given and NominalScale(**given)
-    return Measurements(data=data, sources=sources, flags=flags, scale=scale)
+    return Measurements.from_xarray(data, sources=sources, flags=flags, scale=scale)

@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, check_text
 from bayescal._calibration.predict import Prediction
@@ -294,8 +292,8 @@ def write_prediction(prediction: Prediction, readings: Measurements, path: Path)
     Raises:
         InputError: the file type is not known or the folder is not there.
     """
-    p, unit = prediction, {"units": readings.unit("output")}
-    columns: dict[str, Any] = {
+    p = prediction
+    columns = {
         "predicted": p.mean,
         "predicted_uncertainty": p.sd,
         "residual": p.residual,
@@ -303,5 +301,6 @@ def write_prediction(prediction: Prediction, readings: Measurements, path: Path)
     if p.correlated_noise is not None:
         columns["correlated_noise"] = p.correlated_noise
         columns["correlated_noise_uncertainty"] = p.correlated_noise_sd
-    added = {name: ("reading", np.asarray(values), unit) for name, values in columns.items()}
-    Measurements(data=readings.data.assign(added), sources=readings.sources).write(path)
+    for name, values in columns.items():
+        readings = readings.with_column(name, values, readings.unit("output"))
+    readings.write(path)

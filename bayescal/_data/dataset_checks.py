@@ -29,19 +29,22 @@ RECORD = ("device", "axis", "run")  # columns of labels that tell one record in 
 Columns = Mapping[str, np.ndarray]
 
 
-def label_codes(columns: Columns, names: Collection[str]) -> np.ndarray:
-    """A number for each combination of labels, in the order in which they first appear; NaN is one of them.
+def distinct(columns: Sequence[np.ndarray]) -> tuple[list[tuple[Any, ...]], np.ndarray]:
+    """The different rows of some columns, in the order in which they first appear, and which of them each row is.
 
-    By a dictionary, since pandas takes half a second to load and files are refused before it is needed.
+    By a dictionary, since pandas takes half a second to load.
     """
-    count = len(next(iter(columns.values())))
+    codes: dict[tuple[Any, ...], int] = {}
+    rows = zip(*(values.tolist() for values in columns), strict=True)
+    found = np.fromiter((codes.setdefault(row, len(codes)) for row in rows), np.int64)
+    return list(codes), found
+
+
+def label_codes(columns: Columns, names: Collection[str]) -> np.ndarray:
+    """A number for each combination of labels, in the order in which they first appear; NaN is one of them."""
     every = [columns[n] for n in names]
     every = [np.where(v == v, v.astype(object), "") if v.dtype.kind == "f" else v for v in every]
-    if not every:
-        return np.zeros(count, np.int64)
-    codes: dict[object, int] = {}
-    labels = zip(*(v.tolist() for v in every), strict=True)
-    return np.fromiter((codes.setdefault(one, len(codes)) for one in labels), np.int64, count)
+    return distinct(every)[1] if every else np.zeros(len(next(iter(columns.values()))), np.int64)
 
 
 def record_codes(columns: Columns) -> np.ndarray:
@@ -625,17 +628,25 @@ def stuck_rows(values: np.ndarray, thermometer: bool = False) -> tuple[int, int]
 
 def repeated_rows(columns: Columns) -> np.ndarray:
     """Rows that repeat an earlier one in every column: looked for among those whose hashes agree, to save memory."""
-    import pandas as pd
-
-    table = pd.DataFrame(dict(columns), copy=False)
-    hashed = pd.util.hash_pandas_object(table, index=False)  # pyright: ignore[reportAttributeAccessIssue]
-    hashes = hashed.to_numpy()
+    bits = [_bits(values) for values in columns.values()]
+    hashes = np.zeros(len(bits[0]), np.uint64)
+    for own in bits:  # of SplitMix64 (G. Steele, D. Lea and C. Flood, OOPSLA 2014): its mixer
+        hashes += own + np.uint64(0x9E3779B97F4A7C15)
+        for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+            hashes = (hashes ^ (hashes >> np.uint64(shift))) * np.uint64(factor)
+        hashes ^= hashes >> np.uint64(31)
     ordered = np.sort(hashes)
-    shared = ordered[1:][ordered[1:] == ordered[:-1]]
-    if not shared.size:
-        return shared.astype(np.int64)
-    alike = np.flatnonzero(np.isin(hashes, shared))
-    return alike[table.iloc[alike].duplicated().to_numpy()]
+    alike = np.flatnonzero(np.isin(hashes, ordered[1:][ordered[1:] == ordered[:-1]]))
+    rows = np.stack([own[alike] for own in bits], axis=1)
+    return np.delete(alike, np.unique(rows, axis=0, return_index=True)[1])
+
+
+def _bits(values: np.ndarray) -> np.ndarray:
+    """Numbers as whole ones that are equal where these are, NaN and NaN too; labels as their numbers (n,)."""
+    if values.dtype.kind != "f":
+        return distinct([values])[1].astype(np.uint64)
+    plain = np.where(values == values, values + 0.0, np.nan)  # −0 is 0
+    return plain.astype(np.float64).view(np.uint64)
 
 
 def clip_levels(values: np.ndarray) -> list[tuple[str, float]]:

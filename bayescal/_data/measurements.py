@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
-import xarray as xr
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
@@ -26,6 +24,7 @@ from bayescal._data.column import (
 )
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import (
+    distinct,
     flags_of,
     problems_of_whole,
     repeated_rows,
@@ -36,6 +35,10 @@ from bayescal._data.unit_conversion import ANY, STANDARD_GRAVITY, parse
 from bayescal._tables.cells import date_text, equally_long
 from bayescal._tables.raw_table import ROW, Problems, Table
 from bayescal._tables.write import write
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 SINCE = "since"  # attribute of the time: seconds since 1970 at its zero, where the file has dates
 SHOWN = 5  # labels of a column that are named
@@ -49,34 +52,67 @@ class Measurements(Printed):
     Made by `read` or `from_arrays`, which check them. The arrays are read-only.
 
     Attributes:
-        data: one dimension, `reading`; numbers are float64 with the attribute `units`, labels are
-            text.
+        values: name → one entry a reading; numbers are float64, labels are text.
+        units: name → the column's fixed unit; None for labels.
         sources: the files they came from.
         flags: what was odd but no reason to refuse them, a sentence each.
         output: name of the output column.
         scale: how a raw output is turned into the instrument's, where the user said so.
+        no_causes: columns that nothing is taken to depend on: other channels, and what the user leaves out.
+        since: seconds since 1970 at time zero; None where the time counts from no date.
     """
 
-    data: xr.Dataset
+    values: Mapping[str, np.ndarray]
+    units: Mapping[str, str | None]
     sources: tuple[Source, ...] = ()
     flags: tuple[str, ...] = ()
     output: str = "output"
     scale: NominalScale | None = None
+    no_causes: frozenset[str] = frozenset()
+    since: float | None = None
 
     def __post_init__(self) -> None:
         """Make the arrays read-only.
 
         Raises:
-            InputError: the data set has another dimension than `reading`.
+            InputError: a unit is none, or a column is no vector as long as the others.
         """
-        if set(self.data.sizes) != {ROW}:
+        made = {name: _column(values, self.units[name]) for name, values in self.values.items()}
+        if {values.ndim for values in made.values()} != {1} or len(
+            set(map(len, made.values()))
+        ) > 1:
+            shapes = ", ".join(f"{name} {values.shape}" for name, values in made.items()) or "none"
+            raise InputError(
+                f"measurements have the one dimension {ROW!r}, these have columns of unequal shapes: {shapes}"
+            )
+        object.__setattr__(self, "values", made)
+        object.__setattr__(self, "units", {name: self.units[name] for name in made})
+
+    @classmethod
+    def from_xarray(cls, data: xr.Dataset, **more: Any) -> Measurements:
+        """Readings that `to_xarray` made a data set of; unchecked.
+
+        Args:
+            data: one dimension, `reading`; numbers with the attribute `units`, labels without.
+            **more: `sources`, `flags`, `output` and `scale`, which no data set holds.
+
+        Raises:
+            InputError: it has another dimension than `reading`.
+        """
+        if set(data.sizes) != {ROW}:
             raise InputError(
                 f"measurements have the one dimension {ROW!r}, these have "
-                f"{', '.join(map(str, self.data.sizes))}"
+                f"{', '.join(map(str, data.sizes))}"
             )
-        # the arrays of `Dataset.items`, made one by one, take a time that grows by the square
-        for name in self.data.data_vars:
-            self.data.variables[name].values.flags.writeable = False
+        held = {str(name): data.variables[name] for name in data.data_vars}
+        gone = (name for name, variable in held.items() if not variable.attrs.get(CAUSE, 1))
+        return cls(
+            {name: variable.values for name, variable in held.items()},
+            {name: variable.attrs.get("units") for name, variable in held.items()},
+            no_causes=frozenset(gone),
+            since=held["time"].attrs.get(SINCE) if "time" in held else None,
+            **more,
+        )
 
     @classmethod
     def from_arrays(
@@ -136,20 +172,20 @@ class Measurements(Printed):
         Raises:
             InputError: there is none of that name.
         """
-        if name not in self.data.data_vars:
+        if name not in self.values:
             raise InputError(
                 f"{self.file} has no column {name!r}; it has: {', '.join(self.columns)}"
             )
-        return self.data[name].values
+        return self.values[name]
 
     def __len__(self) -> int:
-        return self.data.sizes[ROW]
+        return len(next(iter(self.values.values())))
 
     def __contains__(self, name: object) -> bool:
-        return name in self.data.data_vars
+        return name in self.values
 
-    def __reduce__(self) -> Any:
-        return Measurements, (self.data, self.sources, self.flags, self.output, self.scale)
+    def __reduce__(self) -> Any:  # through `__post_init__`: pickled arrays can be written to
+        return Measurements, tuple(getattr(self, one.name) for one in fields(self))
 
     def __str__(self) -> str:
         rows = []
@@ -173,11 +209,25 @@ class Measurements(Printed):
 
     def to_pandas(self) -> pd.DataFrame:
         """The readings as a `pandas.DataFrame`, columns in their fixed units."""
-        return self.data.to_dataframe()
+        return self.to_xarray().to_dataframe()
 
     def to_xarray(self) -> xr.Dataset:
         """The readings as an `xarray.Dataset`; each column of numbers says its `units`."""
-        return self.data.copy(deep=True)
+        import xarray as xr  # half a second that reading does without
+
+        made = {}
+        for name, values in self.values.items():
+            unit = self.units[name]
+            said = {} if unit is None else {"units": unit}
+            said |= {CAUSE: 0} if name in self.no_causes else {}
+            said |= {SINCE: self.since} if name == "time" and self.since is not None else {}
+            made[name] = xr.Variable(ROW, values.copy(), said)
+        return xr.Dataset(made)
+
+    @property
+    def data(self) -> xr.Dataset:
+        """The same."""
+        return self.to_xarray()
 
     def has(self, name: str) -> bool:
         """Whether there is a column of that name."""
@@ -186,7 +236,7 @@ class Measurements(Printed):
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns."""
-        return tuple(map(str, self.data.data_vars))
+        return tuple(self.values)
 
     @property
     def file(self) -> str:
@@ -200,13 +250,7 @@ class Measurements(Printed):
             InputError: there is no column of that name.
         """
         self[name]
-        return self.data[name].attrs.get("units")
-
-    @property
-    def no_causes(self) -> frozenset[str]:
-        """Names of columns that nothing is taken to depend on: other channels, and what the user leaves out."""
-        held = self.data.variables  # as in `__post_init__`
-        return frozenset(n for n in self.columns if not held[n].attrs.get(CAUSE, 1))
+        return self.units[name]
 
     def without_causes(self, names: Collection[str], others: bool = True) -> Measurements:
         """The same readings, in which nothing is taken to depend on these columns; others as before, or all may be.
@@ -216,19 +260,8 @@ class Measurements(Printed):
         """
         for name in names:
             self[name]
-        gone = {*names, *(self.no_causes if others else ())}
-        if gone == self.no_causes:
-            return self
-        data = self.data.copy()
-        for name in data.data_vars:
-            plain = {k: v for k, v in data[name].attrs.items() if k != CAUSE}
-            data[name].attrs = {**plain, **({CAUSE: 0} if name in gone else {})}
-        return replace(self, data=data)
-
-    @property
-    def since(self) -> float | None:
-        """Seconds since 1970 at time zero; None where the time counts from no date."""
-        return self.data["time"].attrs.get(SINCE) if self.has("time") else None
+        kept = self.no_causes if others else frozenset()
+        return replace(self, no_causes=kept.union(names))
 
     def add_to(self, digest: Any) -> None:
         """Add names, units and values of all columns to a digest of `hashlib`."""
@@ -241,11 +274,18 @@ class Measurements(Printed):
                 else json.dumps(column.tolist()).encode()
             )
 
+    def same_as(self, other: Measurements) -> bool:
+        """Whether both have the same columns, and equal entries in each."""
+        return self.values.keys() == other.values.keys() and all(
+            np.array_equal(self[name], other[name], equal_nan=unit is not None)
+            for name, unit in self.units.items()
+        )
+
     def followed_by(self, later: Measurements) -> Measurements:
         """These readings and then later ones, of the columns that both have; unchecked."""
         names = [n for n in self.columns if later.has(n) and self.unit(n) == later.unit(n)]
-        joined = {n: _variable(np.concatenate([self[n], later[n]]), self.unit(n)) for n in names}
-        return replace(self, data=xr.Dataset(joined))
+        joined = {n: np.concatenate([self[n], later[n]]) for n in names}
+        return replace(self, values=joined, no_causes=frozenset(), since=None)
 
     def groups(self, name: str) -> tuple[tuple[str, ...], np.ndarray]:
         """The members of a grouping, in order of appearance, and each reading's index among them.
@@ -268,17 +308,17 @@ class Measurements(Printed):
             raise InputError(
                 f"{self.file}: column {name!r} holds numbers and makes no groups; use labels"
             )
-        codes, levels = pd.factorize(self[name].astype(object))
-        return tuple(map(str, levels)), codes
+        levels, codes = distinct([self[name]])
+        return tuple(label for (label,) in levels), codes
 
     def _cells(self) -> tuple[tuple[str, ...], np.ndarray]:
         if not self.has(MAY_BE_EMPTY):
             return (), np.full(len(self), -1, dtype=np.int64)
         runs, run = self.groups("run")
-        frame = pd.DataFrame({"run": run, "point": self[MAY_BE_EMPTY]})
-        codes = frame.groupby(["run", "point"], sort=False).ngroup().fillna(-1).astype(np.int64)
-        pairs = frame.dropna().drop_duplicates().itertuples(index=False)
-        return tuple(f"run {runs[r]}, {p:.10g} °C" for r, p in pairs), codes.to_numpy()
+        point, codes = self[MAY_BE_EMPTY], np.full(len(self), -1, dtype=np.int64)
+        there = ~np.isnan(point)
+        pairs, codes[there] = distinct([run[there], point[there]])
+        return tuple(f"run {runs[r]}, {p:.10g} °C" for r, p in pairs), codes
 
     def select(self, chosen: ArrayLike) -> Measurements:
         """Some of the readings, by a mask or by indices.
@@ -295,7 +335,7 @@ class Measurements(Printed):
         index = np.flatnonzero(index) if index.dtype == bool else index
         if not index.size:
             raise InputError(f"no reading of {self.file} was chosen: choose at least one")
-        return replace(self, data=self.data.isel({ROW: index}))
+        return replace(self, values={name: values[index] for name, values in self.values.items()})
 
     def with_column(self, name: str, values: ArrayLike, unit: str | None = None) -> Measurements:
         """The same readings with one column replaced or added, one value a reading; unchecked.
@@ -307,7 +347,13 @@ class Measurements(Printed):
             InputError: an unknown unit.
         """
         unit = self.unit(name) if self.has(name) else unit
-        return replace(self, data=self.data.assign({name: _variable(np.array(values), unit)}))
+        return replace(
+            self,
+            values={**self.values, name: np.array(values)},
+            units={**self.units, name: unit},
+            no_causes=self.no_causes - {name},
+            since=None if name == "time" else self.since,
+        )
 
     def average(self, step: str | float) -> Measurements:
         """Means over times that follow each other, of readings whose labels and settings agree.
@@ -323,12 +369,8 @@ class Measurements(Printed):
         Raises:
             InputError: no such time, no column `time`, or no two readings in any of these times.
         """
-        columns, units = {n: self[n] for n in self.columns}, {n: self.unit(n) for n in self.columns}
-        made = average(columns, units, self.output, step, self.file)
-        means = {name: _variable(values, made.units[name]) for name, values in made.columns.items()}
-        means["time"].attrs.update({SINCE: s} if (s := self.since) is not None else {})
-        found = replace(self, data=xr.Dataset(means), flags=(*self.flags, made.flag))
-        return found.without_causes(self.no_causes)
+        made = average(self.values, self.units, self.output, step, self.file)
+        return replace(self, values=made.columns, units=made.units, flags=(*self.flags, made.flag))
 
     def write(self, path: str | Path) -> Path:
         """Write the readings to .csv, .parquet or .nc, as `read` reads them.
@@ -336,7 +378,7 @@ class Measurements(Printed):
         Raises:
             InputError: another suffix, or a place that cannot be written to.
         """
-        return write(self.data, path)
+        return write(self.values, self.units, path, self.to_xarray)
 
 
 def assemble(
@@ -366,20 +408,16 @@ def assemble(
                 f"{names}: the magnitude {sized[0]} is not given (--local-field, or a column {MAGNITUDE!r}): it is "
                 f"taken as the outputs read it, {read}, and ratios of scale factors are measured"
             )
-    variables = {n: _variable(v, units[n]) for n, v in values.items()}
-    if since is not None:
-        variables["time"].attrs[SINCE] = since
-    made = Measurements(xr.Dataset(variables), sources, tuple(flags), output, scale)
-    return made.without_causes(converted.beside & variables.keys())
+    beside = frozenset(converted.beside & values.keys())
+    return Measurements(values, units, sources, tuple(flags), output, scale, beside, since)
 
 
-def of_columns(values: Mapping[str, np.ndarray], units: Mapping[str, str | None]) -> Measurements:
-    """Measurements of columns by name, in their fixed units, as they are; unchecked."""
-    return Measurements(xr.Dataset({n: _variable(v, units[n]) for n, v in values.items()}))
-
-
-def _variable(values: np.ndarray, unit: str | None) -> xr.Variable:
+def _column(values: ArrayLike, unit: str | None) -> np.ndarray:
+    """A column that cannot be written to: text without a unit, numbers with one."""
     if unit is None:
-        return xr.Variable(ROW, values.astype(str))
-    parse(unit)
-    return xr.Variable(ROW, values.astype(np.float64, copy=False), {"units": unit})
+        made = np.asarray(values).astype(str)
+    else:
+        parse(unit)
+        made = np.asarray(values, np.float64).view()
+    made.flags.writeable = False
+    return made

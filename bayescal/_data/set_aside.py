@@ -12,7 +12,6 @@ from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 
 from bayescal._data import dataset_checks as checks
 from bayescal._data.measurements import Measurements
@@ -249,6 +248,8 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
         readings: to fit.
         holdout: hold-out data, of the same instrument.
     """
+    import pandas as pd  # half a second that reading does without
+
     shared = [
         n
         for n in readings.columns

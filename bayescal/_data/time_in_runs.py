@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import pandas as pd
 
 from bayescal._data.measurements import Measurements
 from bayescal._data.record_settings import recording
@@ -124,6 +123,8 @@ def _window_sums(t: np.ndarray, y: np.ndarray, first: np.ndarray) -> np.ndarray:
     An anchor stands in each window: the sums grow away from it on either side, dt and dy are distances from it, and
     nothing is ever subtracted from a sum, so no digits are lost however long the record.
     """
+    import pandas as pd  # half a second that reading does without
+
     here = np.arange(t.size)
     beyond = np.searchsorted(first, here, side="right")  # the first window without this reading
     anchors = [0]

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import xarray as xr
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import Column, ConvertedColumns, Source
@@ -35,7 +34,7 @@ from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import base_unit
 from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES, open_table
-from bayescal._tables.raw_table import ROW, Problems, Table, load_whole
+from bayescal._tables.raw_table import Problems, Table, load_whole
 
 DEVICE = "device"
 
@@ -81,17 +80,11 @@ class DeviceBlock:
 
     def measurements(self, index: int) -> Measurements:
         """One device's readings."""
-        variables = {
-            name: xr.Variable(ROW, own.astype(str))
-            if self.units[name] is None
-            else xr.Variable(ROW, own.astype(np.float64), {"units": self.units[name]})
-            for name, own in self.columns(index).items()
-        }
         file, sha256 = f"device {self.names[index]}", ""
         if self.source is not None:
             file, sha256 = f"{self.source.file}, {file}", self.source.sha256
         source = Source(file, sha256, int(self.counts[index]))
-        return Measurements(xr.Dataset(variables), (source,), (), self.output)
+        return Measurements(self.columns(index), self.units, (source,), output=self.output)
 
     def some(self, keep: np.ndarray) -> DeviceBlock:
         """The devices where `keep` is true."""

@@ -227,4 +227,4 @@ def _titles(calibrations: list[Calibration]) -> list[str]:
 
 def _same_readings(one: Calibration, other: Calibration) -> bool:
     a, b = one.readings, other.readings
-    return one.model.instrument.name == other.model.instrument.name and a.data.equals(b.data)
+    return one.model.instrument.name == other.model.instrument.name and a.same_as(b)

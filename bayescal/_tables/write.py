@@ -5,28 +5,35 @@ Everything is written beside its place and then renamed, so a file is there whol
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import csv
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
-import xarray as xr
 
 from bayescal._core.atomic_file import renamed, replacing_for_user, storable
 from bayescal._core.errors import InputError
-from bayescal._core.netcdf_bytes import netcdf_bytes
 from bayescal._core.quoting import csv_cell
 from bayescal._tables.raw_table import FORMATS
 
+if TYPE_CHECKING:
+    import xarray as xr
 
-def write(dataset: xr.Dataset, path: str | Path) -> Path:
-    """Write a data set of readings in the format that the suffix names.
+Columns = Mapping[str, np.ndarray]
+Units = Mapping[str, str | None]
+
+
+def write(
+    columns: Columns, units: Units, path: str | Path, dataset: Callable[[], xr.Dataset]
+) -> Path:
+    """Write readings in the format that the suffix names.
 
     Args:
-        dataset: one dimension, numbers with the attribute `units`, and text.
+        columns: numbers and labels by name.
+        units: of the numbers; None for labels.
         path: ending in .csv, .parquet or .nc.
+        dataset: makes a data set of the same, for NetCDF.
 
     Returns:
         The path.
@@ -35,50 +42,46 @@ def write(dataset: xr.Dataset, path: str | Path) -> Path:
         InputError: another suffix, no such folder, or a place that cannot be written to.
     """
     path = Path(path)
-    writers: dict[str, Callable[[xr.Dataset, Path], None]] = {
-        ".csv": _write_csv,
-        ".parquet": _write_parquet,
-        ".nc": _write_netcdf,
-    }
-    writer = writers.get(path.suffix.lower())
-    if writer is None:
+    if (suffix := path.suffix.lower()) not in FORMATS:
         raise InputError(
             f"{path.name!r}: readings cannot be written as "
             f"{path.suffix or 'a file without a suffix'!r}; choose {', '.join(FORMATS)}"
         )
+    named = {name if units[name] is None else f"{name} [{units[name]}]": name for name in columns}
     with replacing_for_user(path) as partial:
-        writer(dataset, partial)
+        if suffix == ".csv":
+            _write_csv({header: columns[name] for header, name in named.items()}, partial)
+        elif suffix == ".parquet":
+            _write_parquet(columns, units, named, partial)
+        else:
+            from bayescal._core.netcdf_bytes import netcdf_bytes  # half a second, as xarray
+
+            partial.write_bytes(netcdf_bytes(renamed(dataset(), storable)))
     return path
 
 
-def _columns(dataset: xr.Dataset) -> dict[str, np.ndarray]:
-    """Values under `name [unit]`, labels under their name."""
-    found = {}
-    for name, variable in dataset.data_vars.items():
-        unit = variable.attrs.get("units")
-        found[str(name) if unit is None else f"{name} [{unit}]"] = variable.values
-    return found
+def _write_csv(columns: Columns, path: Path) -> None:
+    """Numbers with all their digits; those that are NaN are empty cells."""
+    cells = (
+        map(csv_cell, values.tolist())
+        if values.dtype.kind in "OU"
+        else ("" if value != value else value for value in values.tolist())
+        for values in columns.values()
+    )
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(map(csv_cell, columns))
+        writer.writerows(zip(*cells, strict=True))
 
 
-def _write_csv(dataset: xr.Dataset, path: Path) -> None:
-    made = {
-        csv_cell(name): list(map(csv_cell, values)) if values.dtype.kind in "OU" else values
-        for name, values in _columns(dataset).items()
-    }
-    frame = pd.DataFrame(made)
-    frame.to_csv(path, index=False, lineterminator="\n", encoding="utf-8")
+def _write_parquet(columns: Columns, units: Units, named: Mapping[str, str], path: Path) -> None:
+    import pyarrow as pa  # a tenth of a second that text does without
+    import pyarrow.parquet as pq
 
-
-def _write_parquet(dataset: xr.Dataset, path: Path) -> None:
     arrays, fields = [], []
-    units = [variable.attrs.get("units") for variable in dataset.data_vars.values()]
-    for (name, values), unit in zip(_columns(dataset).items(), units, strict=True):
+    for header, name in named.items():
+        unit, values = units[name], columns[name]
         kind = pa.string() if unit is None else pa.float64()
-        metadata = None if unit is None else {"units": unit}
         arrays.append(pa.array(values.tolist() if unit is None else values, type=kind))
-        fields.append(pa.field(name, kind, metadata=metadata))
+        fields.append(pa.field(header, kind, metadata=None if unit is None else {"units": unit}))
     pq.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), path)
-
-
-def _write_netcdf(dataset: xr.Dataset, path: Path) -> None:
-    path.write_bytes(netcdf_bytes(renamed(dataset, storable)))

@@ -27,7 +27,7 @@ from bayescal._data.column import ConvertedColumns, NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import problems_of_whole
 from bayescal._data.header_matching import ExpectedColumns, MatchedFile, ReadOptions
-from bayescal._data.measurements import assemble, of_columns
+from bayescal._data.measurements import Measurements, assemble
 from bayescal._tables.csv_reader import csv_parts
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.parquet_netcdf import parquet_parts
@@ -101,7 +101,7 @@ class _FileCompensation:
         self.all = self._compensated(table, converted)
 
     def _compensated(self, table: Table, converted: ConvertedColumns) -> Compensated:
-        readings = of_columns(converted.values, converted.units)
+        readings = Measurements(converted.values, converted.units)
         found = self.compensator(readings, noise=self.noise, method=self.method, warn=False)
         self.done.rows += table.rows
         self.done.unsolved += int(np.isnan(found.value).sum())

@@ -31,7 +31,7 @@ from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
 from bayescal._core.json_shape import OneOf, required
 from bayescal._core.version import __version__
-from bayescal._data.measurements import Measurements, of_columns
+from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame
@@ -198,7 +198,7 @@ def _record(
             )
     if readings is None:
         units = {i.column: "degC" for i in needed if i.kind in PAST} | {"time": "s"}
-        readings = of_columns({n: np.array(given[n]) for n in units}, units)
+        readings = Measurements({n: np.array(given[n]) for n in units}, units)
     return build_frame(readings, {"run_starts": {}})
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,6 @@ import bayescal as bc
 from bayescal._core.errors import InputError
 from bayescal._data.column import NominalScale
 from bayescal._report.report_text import exchanged, output_factor
-from bayescal._tables.write import write
 from bayescal_models import mems_gyro
 from tests.support.command_line import QUICK, needs_installation, run
 
@@ -29,9 +29,8 @@ def cell(text: str, row: str) -> tuple[float, str]:
 @pytest.mark.usefixtures("unpainted")
 def test_a_gyroscope_in_millivolts_reads_the_same_numbers_in_both_units(tmp_path: Path) -> None:
     readings = mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(average=300, runs=2))
-    raw = readings.data.assign(output=readings.data["output"] * GAIN)
-    raw["output"].attrs["units"] = "mV"
-    table = write(raw, tmp_path / "raw.csv")
+    raw = readings.with_column("output", readings["output"] * GAIN)
+    table = replace(raw, units={**raw.units, "output": "mV"}).write(tmp_path / "raw.csv")
     asked = ("--instrument", "mems_gyro", "--nominal-scale", f"{GAIN} mV/(deg/s)", *QUICK)
     done = run("calibrate", table, *asked, "--nominal-zero", "0 mV", "--output-unit", "uV")
     assert done.status in (0, 1), done.err

@@ -12,7 +12,6 @@ import pytest
 
 import bayescal as bc
 from bayescal._core.quoting import identifier
-from bayescal._tables.write import write
 from bayescal._use.code_writer import as_text
 from bayescal._use.compensate_file import compensate_file
 from bayescal_models import (
@@ -95,7 +94,7 @@ def one_run(readings: bc.Measurements) -> bc.Measurements:
     chosen = np.flatnonzero(rows)
     if readings.has("time"):
         chosen = chosen[np.argsort(readings["time"][chosen], kind="stable")]
-    return bc.Measurements(readings.data.isel(reading=chosen))
+    return readings.select(chosen)
 
 
 def agree(found: np.ndarray, wanted: np.ndarray) -> None:
@@ -190,7 +189,7 @@ def test_json_read_back(case, tmp_path: Path) -> None:
 def test_a_file(case, tmp_path: Path) -> None:
     compensator, readings, wanted = case
     table = tmp_path / "readings.csv"
-    write(readings.data, table)
+    readings.write(table)
     done = compensate_file(compensator, table, tmp_path / "out.csv", method="first order")
     kept = np.genfromtxt(done.file, delimiter=",", names=True, dtype=None, encoding="utf-8")
     names = (kept.dtype.names or ())[-2:]

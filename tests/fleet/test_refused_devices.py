@@ -41,7 +41,7 @@ def test_bad_devices_are_refused_by_themselves(tmp_path, result) -> None:
 
 def test_measurements_that_differ_do_not_stop_each_other(readings, result) -> None:
     lacking, broken = readings["D01"], readings["D02"]
-    lacking = bc.Measurements(lacking.data.drop_vars("temperature"))
+    lacking = bc.Measurements.from_xarray(lacking.to_xarray().drop_vars("temperature"))
     broken = broken.with_column("output", np.where(np.arange(len(broken)) == 3, np.nan, 1.0))
     found = bc.fit_batch(
         MODEL,

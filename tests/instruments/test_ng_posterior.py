@@ -65,7 +65,7 @@ def test_hysteresis_needs_both_directions() -> None:
 
 def test_an_effect_that_lacks_its_column_says_so() -> None:
     readings = ng.simulate(seed=1)
-    bare = replace(readings, data=readings.data.drop_vars("lab_temperature"))
+    bare = bc.Measurements.from_xarray(readings.to_xarray().drop_vars("lab_temperature"))
     model = ng.INSTRUMENT.baseline() + "base_tilt.lab_temperature"
     with pytest.raises(bc.ModelError, match="needs the column 'lab_temperature'"):
         bc.fit(model, bare)

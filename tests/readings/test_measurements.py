@@ -285,7 +285,7 @@ def test_readings_describe_themselves(grouped):
     with pytest.raises(InputError, match="the given arrays has no column 'x'; it has: run"):
         grouped["x"]
     with pytest.raises(InputError, match="have the one dimension 'reading', these have other"):
-        Measurements(xr.Dataset({"output": ("other", [1.0])}))
+        Measurements.from_xarray(xr.Dataset({"output": ("other", [1.0])}))
 
 
 @pytest.mark.parametrize(

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import NominalScale
+from bayescal._data.dataset_checks import repeated_rows
 from bayescal._data.measurements import Measurements
 from bayescal._data.read import read
 from tests.support.gyro_files import GOOD, GYRO, HEAD, refused
+
+ROOT = Path(__file__).resolve().parents[2]
 
 # --- what is read --------------------------------------------------------------------------------
 
@@ -25,6 +31,31 @@ def test_a_good_file_is_read_in_its_order_and_units(put):
     assert m["rate_input"].tolist() == [0, 0, 0]  # its default
     assert m.sources[0].sha256 == hashlib.sha256(GOOD.encode()).hexdigest()
     assert m.sources[0].rows == 3
+
+
+def test_reading_a_csv_file_loads_no_library_of_tables(put):
+    code = (
+        "import sys, bayescal as bc; from tests.support.gyro_files import GYRO; "
+        f"bc.read({str(put(GOOD))!r}, GYRO); "
+        "print([m for m in ('pandas', 'xarray', 'pyarrow', 'scipy', 'jax') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.stdout == "[]\n", done.stdout + done.stderr
+
+
+def test_repeated_rows_are_those_that_pandas_finds():
+    import pandas as pd
+
+    rng = np.random.default_rng(3)
+    few = rng.integers(0, 4, (400, 2))
+    columns = {
+        "run": np.array([f"run {i}" for i in rng.integers(0, 3, 400)], dtype=object),
+        "a": np.choose(few[:, 0], [0.0, -0.0, np.nan, 1e308]),
+        "b": np.choose(few[:, 1], [1.0, np.nextafter(1.0, 2.0), -1.0, np.inf]),
+    }
+    wanted = np.flatnonzero(pd.DataFrame(columns).duplicated())
+    assert 300 < len(wanted) < 400
+    np.testing.assert_array_equal(repeated_rows(columns), wanted)
 
 
 def test_headers_carry_units_of_their_own(put):

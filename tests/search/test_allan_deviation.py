@@ -196,7 +196,9 @@ NOISE = np.random.default_rng(5).standard_normal(100)
 
 
 def without_time(readings: bc.Measurements) -> bc.Measurements:
-    return bc.Measurements(data=readings.data.drop_vars("time"), sources=readings.sources)
+    return bc.Measurements.from_xarray(
+        readings.to_xarray().drop_vars("time"), sources=readings.sources
+    )
 
 
 @pytest.mark.parametrize(

@@ -257,10 +257,10 @@ def test_a_step_that_does_harm_shuts_the_gate(line, first, last, said) -> None:
 
 def test_the_gates_reasons_are_the_results(line: bc.Calibration) -> None:
     assert replace(line.verdict, ok=True).ok  # the fit itself converged
-    off = line.readings.data.assign(output=line.readings.data["output"] + OFFSET)
+    off = line.readings.with_column("output", line.readings["output"] + OFFSET)
     trail = bc.calibrate(
         INSTRUMENT.baseline(),
-        replace(line.readings, data=off),
+        off,
         method=bc.LeastSquares(draws=200),
         max_effects=1,
     )
