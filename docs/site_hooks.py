@@ -4,6 +4,7 @@ A page holds a comment where such a part belongs, so that nothing is written twi
 
     <!-- data sheet: mems_gyro -->      the docstring of that instrument's model.py
     <!-- in NumPyro: mems_gyro -->      that instrument's as_numpyro.py
+    <!-- tour: 3 -->                the third step of tour.py: its comments as prose, its code as code
     <!-- commands -->                   every command and option, from the command line itself
     <!-- names: fit fit_batch load -->  public names, for mkdocstrings to document
 
@@ -15,12 +16,15 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Callable
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
 MODELS = HERE.parent / "models" / "bayescal_models"
-PART = re.compile(r"^<!-- (data sheet|in NumPyro|commands|names)(?:: (.*?))? -->$", re.MULTILINE)
+PART = re.compile(
+    r"^<!-- (data sheet|in NumPyro|tour|commands|names)(?:: (.*?))? -->$", re.MULTILINE
+)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
@@ -38,7 +42,7 @@ def docstring(instrument: str) -> str:
 def in_numpyro(instrument: str) -> str:
     """The model that is written out whole, as a listing."""
     path = MODELS / instrument / "as_numpyro.py"
-    return f"```python\n{path.read_text('utf-8').strip()}\n```"
+    return _code(path.read_text("utf-8").strip())
 
 
 def data_sheet(instrument: str) -> str:
@@ -66,6 +70,28 @@ def _aligned(paragraph: str) -> str | None:
     ]
     rows.insert(1, ["---"] * len(starts))
     return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
+
+
+# The tour.
+
+
+def steps() -> list[str]:
+    """The sources of the steps of tour.py, each with its title in the first line."""
+    return re.split(r"^# %% ", (HERE / "tour.py").read_text("utf-8"), flags=re.MULTILINE)[1:]
+
+
+def step(number: str) -> str:
+    """A step as Markdown: paragraphs of comments are prose, all else is code."""
+    title, _, body = steps()[int(number) - 1].partition("\n")
+    parts = [f"## {title}"]
+    for prose, lines in groupby(body.strip().split("\n\n"), lambda p: p.startswith("# ")):
+        text = "\n\n".join(lines).strip("\n")
+        parts.append(re.sub("^# ?", "", text, flags=re.MULTILINE) if prose else _code(text))
+    return "\n\n".join(parts)
+
+
+def _code(text: str) -> str:
+    return f"```python\n{text}\n```"
 
 
 # Commands.
@@ -133,6 +159,7 @@ def names(listed: str) -> str:
 PARTS: dict[str, Callable[[str], str]] = {
     "data sheet": data_sheet,
     "in NumPyro": in_numpyro,
+    "tour": step,
     "commands": commands,
     "names": names,
 }

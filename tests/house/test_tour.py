@@ -1,0 +1,88 @@
+"""docs/tour.py, executed: each step prints what its page shows, and what is done by hand is what bayescal says.
+
+Steps share one namespace, as the lines of the script do. Those that sample and search are left to the slow tests.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import io
+from collections.abc import Container, Iterable
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support.export_check import needs_compiler
+from tests.support.shown_output import assert_as_shown, blocks
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+SHOWN = blocks((DOCS / "tour.md").read_text("utf-8"), "text")
+QUICK = (1, 3, 6, 8)  # the steps that need neither chains nor a search
+BY_HAND = (6, 8)  # of these those that print what they worked out themselves
+
+
+@cache
+def hooks() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("site_hooks", DOCS / "site_hooks.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def follow(numbers: Iterable[int], compared: Container[int]) -> dict[str, Any]:
+    """Run these steps, and hold what some of them print against the page; the names that they leave."""
+    space: dict[str, Any] = {}
+    for number in numbers:
+        printed = io.StringIO()
+        code = compile(f"# {hooks().steps()[number - 1]}", f"step {number}", "exec", 0, True)
+        with contextlib.redirect_stdout(printed):
+            exec(code, space)
+        if number in compared:
+            assert_as_shown(printed.getvalue(), SHOWN[number - 1])
+    return space
+
+
+def test_every_step_is_on_its_page() -> None:
+    page = hooks().on_page_markdown((DOCS / "tour.md").read_text("utf-8"))
+    assert page.count("\n## ") == len(hooks().steps()) == len(SHOWN)
+    assert "tour:" not in page
+    for code in blocks(page, "python"):
+        compile(code, "tour.md", "exec")
+
+
+def by_hand_as_by_bayescal(space: dict[str, Any]) -> None:
+    assert space["before"] == pytest.approx(space["fit"].log_evidence[0], abs=0.1)
+    assert space["after"] == pytest.approx(space["better"].log_evidence[0], abs=0.1)
+    for line, (rate, temperature) in zip(
+        space["ran"].stdout.splitlines(), space["new"], strict=True
+    ):
+        python = space["correct"](output=rate, temperature=temperature, noise=False)
+        c = np.array(line.split(), dtype=float)
+        np.testing.assert_allclose(c, [python.value[0], python.uncertainty[0]], rtol=1e-6)
+
+
+@needs_compiler
+def test_evidence_and_firmware_by_hand() -> None:
+    by_hand_as_by_bayescal(follow(QUICK, BY_HAND))
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_the_whole_tour() -> None:
+    """NumPyro's draws have the means and widths of the fit, and the search has the Bayes factor of the Gram matrix."""
+    every = range(1, len(SHOWN) + 1)
+    space = follow(every, every)
+    by_hand_as_by_bayescal(space)
+    for name, drawn in space["drawn"].items():
+        if name in space["fit"].posterior:
+            own = space["fit"].samples(name)
+            assert abs(own.mean() - drawn.mean()) < 0.15 * drawn.std()
+            assert own.std() == pytest.approx(drawn.std(), rel=0.15)
+    assert space["first"].effect == "bias.temperature_quadratic"
+    assert space["first"].log_bayes_factor == pytest.approx(space["by_hand"], abs=0.1)
