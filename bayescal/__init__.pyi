@@ -86,12 +86,8 @@ from ._inference.nuts import numpyro_program as numpyro_program
 
 # results
 from ._calibration.calibration import Calibration as Calibration
-from ._calibration.settings import GuardSettings as GuardSettings
-from ._calibration.settings import SearchSettings as SearchSettings
-from ._core.settings_in_force import use_settings as use_settings
-from ._data.record_settings import RecordSettings as RecordSettings
-from ._fleet.fleet_settings import FleetSettings as FleetSettings
-from ._inference.trust import SamplingSettings as SamplingSettings
+from ._core.settings import Settings as Settings
+from ._core.settings import use_settings as use_settings
 from ._inference.method import Verdict as Verdict
 from ._calibration.check_result import Check as Check
 from ._calibration.compare import Comparison as Comparison

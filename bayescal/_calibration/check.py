@@ -19,11 +19,18 @@ from bayescal._calibration.covariate_evidence import (
 )
 from bayescal._calibration.fit import fit
 from bayescal._calibration.guards import uncorrelated
-from bayescal._calibration.noise_in_time import allan_check
-from bayescal._calibration.settings import guarding, searching
+from bayescal._calibration.noise_in_time import SIGNIFICANT_P, allan_check
 from bayescal._calibration.worst_region import worst_regions
 from bayescal._core.parallel import on_one_thread
+from bayescal._core.settings import settings
 from bayescal._inference.least_squares import LeastSquares
+
+ONE_SIDED_P = 0.12  # p-value of one side, whose fourth power is about that of both sides at once
+SAME_COVARIATE_CORRELATION = 0.95  # rank correlation from which two covariates are taken for one
+# Expected lag-1 autocorrelation, from which neighbours are what the fit leaves, such as two about a free level, and
+# say nothing of the noise.
+TIED_CORRELATION = 0.99
+FARTHEST_SHARE = 0.1  # share of the readings, those farthest from the model, whose signs are tested
 
 DUOS = 15  # pairs of covariates, at most
 MEMBERS = 64  # of a group that is looked at member by member, at most
@@ -52,7 +59,7 @@ def check(calibration: Calibration) -> Check:
     pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(duos, of_duos, strict=True)]
     loo = _leave_one_out(judged, white)
     # Where the mean is off, so are size and side of the residuals: these are judged only where it is not.
-    off = max(factors, default=0.0) >= searching().strong
+    off = max(factors, default=0.0) >= settings().strong_evidence
     return Check(
         entries=tuple(sorted(entries, key=lambda e: -e.log_bayes_factor)),
         pairs=tuple(sorted(pairs, key=lambda p: -p.log_bayes_factor)),
@@ -63,7 +70,9 @@ def check(calibration: Calibration) -> Check:
         scatter_with={}
         if off
         else _scatter_with(covariates, white, calibration.readings["output"] - residual),
-        outliers=tuple((i, z) for i, z in enumerate(loo.tolist()) if abs(z) > guarding().outlier),
+        outliers=tuple(
+            (i, z) for i, z in enumerate(loo.tolist()) if abs(z) > settings().outlier_sd
+        ),
         pit_p=_uniform(ndtr(loo)),
         one_sided=1.0 if off else _one_sided(loo),
         fixed=_compare_fixed(calibration, residual, noise, free_noise),
@@ -163,7 +172,7 @@ def _duos(
     return [
         (a, b)
         for a, b in combinations(varied, 2)
-        if abs(np.corrcoef(rank[a.name], rank[b.name])[0, 1]) < guarding().same_covariate
+        if abs(np.corrcoef(rank[a.name], rank[b.name])[0, 1]) < SAME_COVARIATE_CORRELATION
     ][:DUOS]
 
 
@@ -189,7 +198,7 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
     expected, sd = _of_independent_noise(directions, first)
     product, squares = float(before @ after), 0.5 * float(before @ before + after @ after)
     found = product / size
-    if sd == 0 or abs(expected) > guarding().tied:
+    if sd == 0 or abs(expected) > TIED_CORRELATION:
         return 0.0, 0.0
     coefficient = float(np.clip((found - expected) / (1 - found * expected), -1, 1))
     return coefficient, (product / squares - expected) / sd
@@ -229,7 +238,7 @@ def _scatter_with(
     along["the output's distance from its median"] = np.abs(expected - np.median(expected))
     sizes = _ranks(np.abs(standardised))
     found = {name: uncorrelated(sizes, _ranks(values)) for name, values in along.items()}
-    return {name: p for name, p in found.items() if p < guarding().significant}
+    return {name: p for name, p in found.items() if p < SIGNIFICANT_P}
 
 
 def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
@@ -246,7 +255,7 @@ def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
 
 def _one_sided(loo: np.ndarray) -> float:
     """p-value of the sign test (binomial, two-sided) on the readings that stand farthest from the model."""
-    count = int(guarding().farthest * len(loo))
+    count = int(FARTHEST_SHARE * len(loo))
     above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
     return min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5))) if count else 1.0
 
@@ -267,7 +276,7 @@ def _uniform(values: np.ndarray) -> float:
     steps = np.arange(n + 1) / n
     apart = float(max(np.max(steps[1:] - ordered), np.max(ordered - steps[:-1])))
     one_sided = float(smirnov(n, apart))
-    if one_sided < guarding().one_sided:
+    if one_sided < ONE_SIDED_P:
         return 2 * (one_sided - one_sided**4)
     root = np.sqrt(n)
     x = root * apart

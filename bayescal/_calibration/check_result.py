@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from bayescal._calibration.noise_in_time import AllanCheck
-from bayescal._calibration.settings import guarding, searching
+from bayescal._calibration.noise_in_time import SIGNIFICANT_P, AllanCheck
 from bayescal._calibration.worst_region import Region
 from bayescal._core.formatting import WIDTH, Printed, number, table
+from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 
 IN_TIME = ("time", "elapsed", "order", "run")  # what correlated noise seems to follow
@@ -138,7 +138,9 @@ def check_text(check: Check, most: int | None = None) -> str:
     if others := check.entries[len(rows) :]:
         named = ", ".join(e.against for e in others)
         lines.append(textwrap.fill(f"less against {named} (--verbose)", WIDTH))
-    strongest = max(searching().strong, *(e.log_bayes_factor for e in check.entries), -math.inf)
+    strongest = max(
+        settings().strong_evidence, *(e.log_bayes_factor for e in check.entries), -math.inf
+    )
     lines += [
         f"{' and '.join(p.against)} together: interaction not explained by additive terms (log Bayes factor "
         f"{p.log_bayes_factor:.1f})"
@@ -153,7 +155,7 @@ def check_text(check: Check, most: int | None = None) -> str:
         shown = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
         lines.append(f"outliers: {shown}{' …' if len(check.outliers) > 5 else ''}")
     lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
-    if check.one_sided < guarding().significant:
+    if check.one_sided < SIGNIFICANT_P:
         lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
     lines += _allan_lines(check)
     return "\n".join(lines)
@@ -170,7 +172,9 @@ def _allan_lines(check: Check) -> list[str]:
     if found.apart is not None:
         lines.append(textwrap.fill(found.sentence(), WIDTH, subsequent_indent="  "))
     explained = any(
-        e.log_bayes_factor > searching().strong for e in check.entries if e.against not in IN_TIME
+        e.log_bayes_factor > settings().strong_evidence
+        for e in check.entries
+        if e.against not in IN_TIME
     )
     if not explained and any(t.value is not None for t in found.measured.terms):
         lines += ["", found.table()]

@@ -18,12 +18,12 @@ import xarray as xr
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
 from bayescal._calibration.predict import predict
-from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, Printed, number, table
 from bayescal._core.importance_weights import stacking
+from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
-from bayescal._inference.trust import sampling
+from bayescal._inference.trust import K_HAT
 
 FEWEST_GROUPS = (
     10  # that a standard error over groups needs: over three it is itself uncertain by half
@@ -239,7 +239,7 @@ def _warnings(rows: list[ComparisonRow], by: str, fold: LeaveOneGroupOut | None)
                 f"{names} differ by {gap:.1f} ± {error:.1f} in leave-one-group-out score: it does not tell them apart."
             )
     for row in rows:
-        if row.pareto_k > sampling().k_hat:
+        if row.pareto_k > K_HAT:
             said.append(
                 f"{row.name!r}: Pareto k up to {row.pareto_k:.2f}, so its pointwise leave-one-out is not "
                 "reliable."
@@ -251,7 +251,7 @@ def _by_evidence(rows: list[ComparisonRow]) -> list[str]:
     """Whether the evidence tells the first two apart, and where leave-one-group-out would choose another first."""
     best, second = rows[:2]
     said, gap = [], (best.log_evidence or 0.0) - (second.log_evidence or 0.0)
-    if gap < searching().strong:
+    if gap < settings().strong_evidence:
         said.append(
             f"{best.name!r} and {second.name!r} differ by {gap:.1f} in log evidence: it does not tell them apart."
         )

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.special import stdtr
 
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.settings import guarding
 from bayescal._calibration.summary import summary
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
@@ -23,6 +22,24 @@ from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
 from bayescal._model.prior import LogUniform
+
+# p-value of a test that asks once for each covariate and in every step: hundreds in one session.
+RARE_P = 1e-5
+# Prior standard deviations from the prior's mean, beyond which readings and prior contradict each other.
+CONFLICT_SD = 4.0
+# Times the noise: what contributes less or more at a plausible size is in a wrong unit.
+SCALE_RANGE = (1e-6, 1e6)
+FREE_SIZES = 1e3  # times a plausible size, which is none any more
+# Times a candidate's plausible size, which is known to an order of magnitude.
+CANDIDATE_SIZES = 10.0
+WIDER_CONTRACTION = -1.0  # contraction below which the posterior is wider than the prior can be
+# Standard deviations between two modes, from which one does not describe the other.
+MODES_APART_SD = 3.0
+MODES_NEARLY_NATS = 3.0  # nats between two modes, below which one does not stand for both
+LONGEST_RECORDS = 10.0  # lengths of the record, beyond which no time constant can be told
+# Coefficients of an effect whose sizes are judged; more of them stand for a function, whose values are not sizes of a
+# law.
+LAW_COEFFICIENTS = 2
 
 TRIED = 3  # starts of the search for another mode
 
@@ -45,7 +62,7 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
     for row in coefficients:  # what is positive may well be larger than thought, and then wider
         if row["name"].partition("(")[0] in wider:
             continue
-        if row["contraction"] is not None and row["contraction"] < guarding().wider:
+        if row["contraction"] is not None and row["contraction"] < WIDER_CONTRACTION:
             found.append(
                 f"{row['name']} is known worse than before the readings (contraction "
                 f"{row['contraction']:.1f}): the fit did not converge."
@@ -68,7 +85,7 @@ def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> l
     first = effect.coefficients[0]
     if not effect.columns or effect.is_placeholder or first.group_sd is not None or first.flat:
         return []
-    low, high = guarding().off_scale
+    low, high = SCALE_RANGE
     if contribution == 0 or noise == 0 or low <= contribution / noise <= high:
         return []
     shown = f"{number(contribution)} {unit_label(unit)}"
@@ -133,7 +150,7 @@ def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[
         if len(e.coefficients) == 1 and instrument.slot(e.slot).unit in (instrument.unit, "1")
     }
     assembly = Assembly(
-        calibration.layout, calibration.assembly.record, dict.fromkeys(own, guarding().free)
+        calibration.layout, calibration.assembly.record, dict.fromkeys(own, FREE_SIZES)
     )
     there = calibration.mode
     starts = [there.v, np.zeros_like(there.v)]
@@ -147,7 +164,7 @@ def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[
         for i, name in enumerate(b.member_names(calibration.levels)):
             stands[name] = (
                 b.origin + float(mean[b.start + i]),
-                guarding().conflict * float(sd[b.start + i]),
+                CONFLICT_SD * float(sd[b.start + i]),
             )
     return _against_priors(calibration, stands, accepted)
 
@@ -171,7 +188,7 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
     sd = np.sqrt(np.diag(mode.covariance))
 
     def far(v: np.ndarray) -> np.ndarray:
-        return np.abs(v - mode.v)[shapes] > guarding().modes_apart * sd[shapes]
+        return np.abs(v - mode.v)[shapes] > MODES_APART_SD * sd[shapes]
 
     density = Density(assembly, mode.point, mode.flat, mode.v)
     tried = np.concatenate([prior_draws(assembly), *across(assembly, mode.v)])
@@ -179,7 +196,7 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:TRIED]]:
         other = find_mode(assembly, [start], None, mode.point, still=0.01)
         behind = mode.log_evidence - other.log_evidence
-        if far(other.v).any() and behind < guarding().modes_nearly:
+        if far(other.v).any() and behind < MODES_NEARLY_NATS:
             apart = (assembly.hypers[i] for i in np.array(shapes)[far(other.v)])
             here, there = assembly.hyper(mode.v), assembly.hyper(other.v)
             values = ", ".join(
@@ -206,9 +223,9 @@ def _against_priors(
             continue
         if b.index in b.effect.held:
             continue
-        if len(b.effect.coefficients) > guarding().of_a_law or b.effect.name in accepted:
+        if len(b.effect.coefficients) > LAW_COEFFICIENTS or b.effect.name in accepted:
             continue
-        most = guarding().conflict * (1 if b.effect.name in baseline else guarding().sizes)
+        most = CONFLICT_SD * (1 if b.effect.name in baseline else CANDIDATE_SIZES)
         for name in b.member_names(calibration.levels):
             where, give = stands.get(name, (c.mean, 0.0))
             away = abs(where - c.mean) / c.size
@@ -243,7 +260,7 @@ def _beyond_the_known(calibration: Fitted, accepted: Collection[str]) -> list[st
     found = []
     for effect in unnamed:
         here = float(np.std(calibration.linear.contribution(effect.name)))
-        if known and here > guarding().conflict * known:
+        if known and here > CONFLICT_SD * known:
             found.append(
                 f"{effect.name} changes the output by {number(here)} {unit} rms, where all effects known of the "
                 f"instrument, as large as is plausible, would change it by {number(known)} {unit}: check the sign, the "
@@ -289,7 +306,7 @@ def too_different(calibration: Fitted, accepted: Collection[str] = ()) -> list[s
             continue
         name = max(own, key=lambda n: abs(stands[n] - c.mean))
         away = abs(stands[name] - c.mean) / c.size
-        if away > guarding().conflict * guarding().sizes:
+        if away > CONFLICT_SD * CANDIDATE_SIZES:
             found.append(
                 f"{name} stands {away:.0f} times its plausible size from the mean of such ({number(stands[name])} "
                 f"against {number(c.mean)} ± {number(c.size)} {unit_label(c.unit)}): check the sign, the units and the "
@@ -329,7 +346,7 @@ def following_members(calibration: Fitted, accepted: Collection[str] = ()) -> li
             total = np.bincount(own[own >= 0], column[own >= 0], minlength=len(values))
             there = count > 0
             mean, own_values = total[there] / count[there], values[there]
-            if (p := uncorrelated(mean, own_values)) < guarding().rare:
+            if (p := uncorrelated(mean, own_values)) < RARE_P:
                 r = float(np.corrcoef(mean, own_values)[0, 1])
                 along = " and ".join(term.varies)
                 found.append(
@@ -370,13 +387,13 @@ def _too_large(calibration: Fitted, hyperparameters: list[dict[str, Any]]) -> li
         hypers = calibration.layout.hypers
         bounded = {h.name for h in hypers if isinstance(h.prior, LogUniform)}  # by the longest run
         found += [
-            f"{row['name']} is longer than {guarding().records:.0f} records ({number(row['mean'])} s): it cannot be "
+            f"{row['name']} is longer than {LONGEST_RECORDS:.0f} records ({number(row['mean'])} s): it cannot be "
             "told."
             for row in hyperparameters
             if row["name"] not in sizes | bounded
             and row["unit"] == "s"
             and record > 0
-            and row["mean"] > guarding().records * record
+            and row["mean"] > LONGEST_RECORDS * record
         ]
     return found
 

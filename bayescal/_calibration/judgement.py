@@ -15,6 +15,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.guards import (
+    RARE_P,
     conflicts,
     doubts_of_the_mode,
     following_members,
@@ -25,13 +26,27 @@ from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_gr
 from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
-from bayescal._calibration.settings import guarding
 from bayescal._core.formatting import number
+from bayescal._core.settings import settings
 from bayescal._data.dataset_checks import Oddity, oddities, pieces, rounding_step
-from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.model import Model
 from bayescal._model.unknown_effect import FREED, IN_TIME, covariate_in
+
+# Standard deviations of the lag-1 autocorrelation, above which noise is not what its law says; one record in 30,000 by
+# chance.
+CORRELATED_SD = 4.0
+# The autocorrelation itself, below which it changes no standard uncertainty by more than a tenth.
+CORRELATED_COEFFICIENT = 0.1
+# Share of the squares of a step between runs, that lie within runs where it is one between them.
+WITHIN_RUNS_SHARE = 0.05
+SURPRISE_RATIO = 3.0  # times what the other groups expect of one, beyond which it is not like them
+# Nats by which residuals may depend on a covariate, and the model still be used: twice what is very strong, since the
+# largest of many covariates counts.
+STILL_DEPENDS_NATS = 10.0
+# Steps, from which noise makes rounding as good as noise: noise of 0.3 steps leaves a staircase of 0.05 (B. Widrow and
+# I. Kollár, Quantization Noise, 2008), with the rounding's own 1/√12.
+AS_GOOD_AS_NOISE_STEPS = 0.42
 
 FEW = 100  # draws, of an expected output's slope
 SMALL = 0.5  # part of a leap, up to which a shift of the thermometer is none
@@ -78,7 +93,7 @@ def wrong_question(
     found = conflicts(calibration, accepted)
     found = found or [one.said for one in without_priors(calibration, accepted)]
     grid, unit = rounding_step(calibration.readings["output"]), unit_label(calibration.unit)
-    if floor < recording().as_good_as_noise * grid:
+    if floor < AS_GOOD_AS_NOISE_STEPS * grid:
         found.append(
             f"The output is rounded in steps of {grid:.3g} {unit}, which is more than its noise: nothing finer than "
             "a step can be known, and standard uncertainties are too small. Record it with more digits."
@@ -119,8 +134,8 @@ def surprising(out: LeaveOneGroupOut | None) -> list[str]:
         return []
     worst = int(np.nanargmin(out.by_chance))
     # The largest of as many tests as there are groups: its p-value counts that often (C. Bonferroni).
-    beyond = out.by_chance[worst] * out.count < guarding().chance
-    if not (beyond and out.surprise[worst] > guarding().surprised):
+    beyond = out.by_chance[worst] * out.count < settings().holdout_p
+    if not (beyond and out.surprise[worst] > SURPRISE_RATIO):
         return []
     return [
         f"{out.group.capitalize()} {out.members[worst]} is not like the others: predicted from these, its errors are "
@@ -199,7 +214,7 @@ def of_noise(
     found += _left_over(calibration, check, missing)
     found += _between_runs(calibration)
     coefficient, z = check.autocorrelation
-    if abs(z) > guarding().correlated_z and abs(coefficient) > guarding().correlated:
+    if abs(z) > CORRELATED_SD and abs(coefficient) > CORRELATED_COEFFICIENT:
         found.append(
             f"Noise model inadequate: neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), "
             "so the probabilities of missing effects are too confident. Either the noise is correlated in "
@@ -221,7 +236,7 @@ def _left_over(calibration: Calibration, check: Check, missing: str) -> list[str
     rows = [(e.log_bayes_factor, e.against) for e in check.entries]
     rows += [(p.log_bayes_factor, " and ".join(p.against)) for p in check.pairs]
     factor, against = max(rows, default=(0.0, ""))
-    if factor > guarding().still_depends:
+    if factor > STILL_DEPENDS_NATS:
         return [
             f"The residuals still depend on {against} (log Bayes factor {factor:.0f}): {missing}"
         ]
@@ -238,7 +253,7 @@ def _between_runs(calibration: Calibration) -> list[str]:
         means = np.bincount(codes, added) / np.bincount(codes)
         # Squares about the runs' means against all squares: next to none within runs means that the function does
         # nothing but tell runs apart.
-        if np.sum((added - means[codes]) ** 2) < guarding().within * np.sum(
+        if np.sum((added - means[codes]) ** 2) < WITHIN_RUNS_SHARE * np.sum(
             (added - added.mean()) ** 2
         ):
             return [
@@ -251,18 +266,18 @@ def _between_runs(calibration: Calibration) -> list[str]:
 
 def _of_scatter(check: Check) -> list[str]:
     """What the leave-one-out tests say against the noise law."""
-    along = [name for name, p in check.scatter_with.items() if p < guarding().rare]
+    along = [name for name, p in check.scatter_with.items() if p < RARE_P]
     if along:
         return [
             f"Noise model inadequate: the scatter changes with {' and '.join(along)}, so standard uncertainties hold "
             "for no part of the record. Give the readings their own uncertainties (column output_uncertainty)."
         ]
-    if check.one_sided < guarding().rare:
+    if check.one_sided < RARE_P:
         return [
             "Noise model inadequate: the readings far from the model stand on one side "
             f"(p = {check.one_sided:.1g}), outliers that draw it there. Find what makes them, and leave them out."
         ]
-    if check.pit_p < guarding().rare:
+    if check.pit_p < RARE_P:
         outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""
         return [
             "Noise model inadequate: readings do not scatter about the model as normal noise does (leave-one-out "

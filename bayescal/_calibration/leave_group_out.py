@@ -15,13 +15,15 @@ from scipy.special import fdtrc
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.part import Part
-from bayescal._calibration.settings import guarding
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
 from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Gram, Prior, condition
 from bayescal._inference.laplace import Mode, climb
+
+# Readings, below which a group's error is a matter of chance: it is three times too large once in 10⁷ groups of 5.
+FEW_IN_GROUP = 5
 
 NOTHING_LEFT = 1e-10  # that a fold's φ̂ could still gain, nats: its score, unlike its density, is at no maximum there
 BLOCKS = 5  # of neighbouring readings, where there is no group to leave out
@@ -94,7 +96,7 @@ def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
         if found is None:
             continue
         scores[i], residual[out] = found.log_score, found.residual
-        if len(out) >= guarding().few_in_group:
+        if len(out) >= FEW_IN_GROUP:
             surprise[i] = math.sqrt(found.squares / found.spectrum.sum())
             by_chance[i] = found.by_chance(len(codes) - len(out), len(members) - 1)
     return LeaveOneGroupOut(kind, members, scores, residual, surprise, by_chance)

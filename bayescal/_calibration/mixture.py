@@ -15,7 +15,7 @@ from jaxtyping import Bool
 from bayescal._calibration.fitted import Fitted
 from bayescal._inference.assembly import Point
 from bayescal._inference.method import CHAINS, Draws
-from bayescal._inference.trust import sampling
+from bayescal._inference.trust import CHAIN_DRAWS
 from bayescal._model.frame import GROUPS
 
 F = TypeVar("F", bound=Fitted)
@@ -60,7 +60,7 @@ def without(calibration: F, names: Collection[str]) -> F:
     """The average over the structures that have none of these effects; the same where these have nearly all of it."""
     x, rows, v = calibration.draws()
     kept = ~np.any([has_effect(calibration, name) for name in names], axis=0)
-    if kept.sum() < sampling().enough_of_chains:
+    if kept.sum() < CHAIN_DRAWS:
         return calibration
     old, count = calibration.layout, CHAINS * (int(kept.sum()) // CHAINS)
     effects = tuple(e for e in calibration.model.effects if e.name not in names)

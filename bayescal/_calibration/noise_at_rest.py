@@ -24,13 +24,12 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 from scipy.special import gammaln, ndtri, softmax
 
-from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError
 from bayescal._core.importance_weights import effective_size, resample
 from bayescal._core.parallel import on_one_thread
+from bayescal._core.settings import settings
 from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
 from bayescal._data.measurements import Measurements
-from bayescal._data.record_settings import recording
 from bayescal._inference.laplace import curvature
 from bayescal._inference.programs import padded_length
 from bayescal._model.noise_law import LOG_2PI, WHITE
@@ -38,6 +37,21 @@ from bayescal._model.noise_terms import FLAT, TERMS
 from bayescal._model.prior import HalfCauchy
 from bayescal._model.state_space import filtered, of_means
 from bayescal._model.summed_noise import SummedNoise
+
+# Share of the probability of the likeliest noise law of a sensor at rest, from which another one has its share of the
+# draws; a tenth of them would be too few for figures of its own.
+DRAWN_SHARE = 0.1
+# Standard deviations by which the correlation of neighbouring readings must leave that of readings farther apart,
+# before noise of neighbours alone (rounding, or the sensor's own averaging) is tried.
+NEIGHBOURS_SD = 2.0
+# Standard deviations by which a frequency must stand above its neighbours in a record's spectrum, before a tone is
+# tried.
+LINE_SD = 4.5
+# Standard deviations of either, from which every sum has that term; the best one is weighed without it all the same.
+SURE_SD = 6.0
+# °C, range of a temperature at rest, below which it is taken as constant: two steps of a thermometer that is read to
+# 0.1 °C.
+STIRRED_DEGREES = 0.2
 
 Terms = tuple[str, ...]  # names of those of a sum, beside white noise
 LONG = 16_384  # readings, above which means of blocks are taken: the filter then takes a tenth of a second
@@ -157,9 +171,9 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     output = np.asarray(readings["output"], float)
     (brief, surely), (clear, line) = _of_neighbours(output, runs), _line(output, runs)
     channel = channel._replace(line=line)
-    limits = {brief: (surely, searching().neighbours), "tone": (clear, searching().line)}
+    limits = {brief: (surely, NEIGHBOURS_SD), "tone": (clear, LINE_SD)}
     further = tuple(term for term, (sigmas, limit) in limits.items() if sigmas > limit)
-    kept = tuple(term for term in further if limits[term][0] > searching().sure)
+    kept = tuple(term for term in further if limits[term][0] > SURE_SD)
     among = (*ALONE, *further)
     for term in among:
         terms = (term,) if term in further else _sorted((*kept, term))
@@ -180,7 +194,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
         order = sorted(fits, key=lambda t: -_total(fits, t))
         totals = np.array([_total(fits, t) for t in order])
         probabilities = dict(zip(order, softmax(totals).tolist(), strict=True))
-        least = searching().drawn * probabilities[order[0]]
+        least = DRAWN_SHARE * probabilities[order[0]]
         probable = [t for t in order if probabilities[t] > least]
         if not (fresh := [t for t in probable if t not in sampled]):
             break
@@ -266,7 +280,7 @@ def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[s
 
 def _total(fits: dict[Terms, _Fit], terms: tuple[str, ...]) -> float:
     """Log evidence and log prior: white noise has one half of it, other sums that are weighed share the rest."""
-    others, nothing = max(1, len(fits) - 1), searching().nothing
+    others, nothing = max(1, len(fits) - 1), settings().prior_complete
     return fits[terms].log_evidence + math.log(nothing if not terms else (1 - nothing) / others)
 
 
@@ -281,7 +295,7 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
             "more coarsely than its noise: record it with more digits"
         )
     columns = [np.ones(len(output))]
-    if readings.has("temperature") and float(np.ptp(readings["temperature"])) > recording().stirred:
+    if readings.has("temperature") and float(np.ptp(readings["temperature"])) > STIRRED_DEGREES:
         t = np.asarray(readings["temperature"], float)
         t = 2 * (t - t.min()) / np.ptp(t) - 1
         columns += list(np.polynomial.legendre.legvander(t, DEGREE)[:, 1:].T)

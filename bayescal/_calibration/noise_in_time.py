@@ -10,7 +10,6 @@ from jaxtyping import Float
 from scipy.special import chdtr, chdtrc, chdtri
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.settings import guarding
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, table
 from bayescal._data.allan_deviation import (
@@ -26,6 +25,8 @@ from bayescal._data.allan_deviation import (
 )
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.noise_law import WHITE, Noise
+
+SIGNIFICANT_P = 1e-3  # p-value of the tests without a Bayes factor
 
 DRAWS = 100  # of a correlated law's parameters
 RANKS = 50  # of a χ², equally probable, that stand for it
@@ -167,11 +168,11 @@ def _apart(
         ratio = edf * measured.deviation**2 / draws
     sides = np.stack([chdtr(edf, ratio).mean(axis=0), chdtrc(edf, ratio).mean(axis=0)])
     rarity = 2 * sides.min(axis=0)
-    if not rarity.min() * len(rarity) < guarding().significant:
+    if not rarity.min() * len(rarity) < SIGNIFICANT_P:
         return None
     # Of several that are all but impossible, the one that is the most standard deviations off.
     off = np.abs(np.log(np.median(ratio, axis=0) / edf)) * np.sqrt(edf / 2)
-    return int(np.argmax(np.where(rarity * len(rarity) < guarding().significant, off, -1.0)))
+    return int(np.argmax(np.where(rarity * len(rarity) < SIGNIFICANT_P, off, -1.0)))
 
 
 def _law_terms(

@@ -16,8 +16,9 @@ import xarray as xr
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.guards import FREE_SIZES
 from bayescal._calibration.mixture import has_effect
-from bayescal._calibration.settings import guarding
+from bayescal._calibration.summary import CONCERNED_SHARE, WEAK_INFORMATION
 from bayescal._core.atomic_file import named_back
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, with_error
@@ -187,8 +188,8 @@ class NotMeasured:
             weights, axes = np.linalg.eigh(away.T @ away / len(away))
             weights = np.maximum(weights, np.finfo(float).tiny)
             told = 1 / weights - 1
-            told = np.where(told < guarding().weak, 0.0, told)
-            wider = 1 / (told + guarding().free ** -2)
+            told = np.where(told < WEAK_INFORMATION, 0.0, told)
+            wider = 1 / (told + FREE_SIZES**-2)
             along = middle @ axes
             moved = np.where(told > 0, along * wider / weights, along)
             freed = moved + (away @ axes) * np.sqrt(wider / weights)
@@ -248,7 +249,7 @@ def not_measured(
     worst = by_prior[:, int(np.argmax(by_prior[counts].sum(axis=0)))]
     if worst[counts].sum() <= 0.5:  # the readings say more
         return None
-    least = min(guarding().concerned, worst[counts].max())
+    least = min(CONCERNED_SHARE, worst[counts].max())
     named = [i for i in np.argsort(-worst) if worst[i] >= least]
     return NotMeasured(
         tuple(found[i] for i in named if counts[i]),

@@ -16,9 +16,9 @@ from bayescal._calibration.noise_at_rest import (
     WeighedNoise,
     weigh_noise,
 )
-from bayescal._calibration.settings import guarding, searching
 from bayescal._core.formatting import Printed, number, probability, table
 from bayescal._data.allan_deviation import (
+    ALLAN_READINGS,
     CONFIDENCE,
     AllanDeviation,
     EvenRuns,
@@ -28,11 +28,19 @@ from bayescal._data.allan_deviation import (
     of_runs,
 )
 from bayescal._data.measurements import Measurements
-from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse, unit_label
 from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_terms import FLAT
 from bayescal._model.summed_noise import SummedNoise
+
+SHOWN_PROBABILITY = 0.01  # probability from which a noise law is printed
+# Quantile of the posterior of N and K that a filter is given: noise taken as too small makes it overconfident.
+FILTER_QUANTILE = 0.95
+# Share of the law's Allan deviation, that a filter's two terms must reach at every averaging time.
+FILTER_REACHES_SHARE = 0.95
+# Times the usual change between neighbouring averages at rest, beyond which one is an event and no noise: of thirty
+# that are normal, the largest reaches it once in ten thousand records.
+EVENT_RATIO = 7.0
 
 NORMAL_MEDIAN = 0.6745  # standard deviations: the median absolute value of a normal number
 SHOWN = 4  # sums that are printed with their probabilities
@@ -110,7 +118,7 @@ class SensorNoise(Printed):
     def __str__(self) -> str:
         rows = [figure.row() for figure in self.figures]
         terms = table(["term", "value", "95 % interval", "SI"], rows, fold=40)
-        likely = [(w, p) for w, p in self.probabilities.items() if p >= searching().shown][:SHOWN]
+        likely = [(w, p) for w, p in self.probabilities.items() if p >= SHOWN_PROBABILITY][:SHOWN]
         laws = ", ".join(f"{words} {probability(p)}" for words, p in likely)
         lines = [terms, f"Noise law: {laws}."]
         unit = unit_label(self.unit)
@@ -143,7 +151,7 @@ class SensorNoise(Printed):
         Args:
             quantile: of the posterior; that of the settings if None.
         """
-        quantile = guarding().filter_quantile if quantile is None else quantile
+        quantile = FILTER_QUANTILE if quantile is None else quantile
         n, k = (float(np.quantile(d, quantile)) for d in self.densities)
         return n, k
 
@@ -164,7 +172,7 @@ class SensorNoise(Printed):
                 dict(zip(names, map(float, row), strict=True)) for row in zip(*columns, strict=True)
             ],
             "for_filter": {
-                **{"quantile": guarding().filter_quantile, "N": n, "K": k},
+                **{"quantile": FILTER_QUANTILE, "N": n, "K": k},
                 "horizon": self.horizon,
             },
             "notes": list(self.notes),
@@ -219,11 +227,11 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
 def _events(readings: Measurements, runs: EvenRuns) -> tuple[str, ...]:
     """The largest change between neighbouring averages, if stationary Gaussian noise has none such; in words."""
     output, time = (np.asarray(readings[name], float) for name in ("output", "time"))
-    worst, said = guarding().event, ()
+    worst, said = EVENT_RATIO, ()
     for rows in runs.rows:
         for m in runs.factors.astype(int):
             count = len(rows) // m
-            if count <= recording().allan_readings:
+            if count <= ALLAN_READINGS:
                 break
             jumps = np.abs(np.diff(output[rows[: count * m]].reshape(count, m).mean(axis=1)))
             usual = float(np.median(jumps)) / NORMAL_MEDIAN
@@ -268,7 +276,7 @@ def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
             walks.append(np.resize(found.walk.draws["noise.walk"], len(own)))
             continue
         whole = one.allan_variance(factors, step)
-        reached = guarding().filter_reaches ** 2 * whole
+        reached = FILTER_REACHES_SHARE**2 * whole
         # Correlated noise of a few steps is density to a filter, and of many a random walk: of the densities that
         # reach the law at one averaging time, that with whose walk the sum exceeds it least (d, densities, times).
         white = np.maximum(np.column_stack([0 * own, reached * factors]), own[:, None] ** 2)

@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from bayescal._calibration.confounding import in_words
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.settings import guarding
 from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, number, table, with_error
 from bayescal._data.unit_conversion import unit_label
@@ -19,6 +18,15 @@ from bayescal._inference.linear_model import LinearModel
 from bayescal._model.frame import derived
 from bayescal._model.parameters import CoefficientBlock, Layout
 from bayescal._model.prior import deviation
+
+# Information against the prior's, below which a direction of coefficients counts as not measured: the posterior's
+# standard deviation is then 0.95 of the prior's.
+WEAK_INFORMATION = 0.1
+# Length of a coefficient's unit vector within such directions, above which it is not measured at all.
+UNMEASURED_SHARE = 0.99
+CONCERNED_SHARE = (
+    0.1  # share of a direction's squared length, from which a coefficient is named in it
+)
 
 Direction = Float[np.ndarray, "p"]
 
@@ -211,7 +219,7 @@ def null_vectors(
     unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
     white = linear.white_nuisance[:, : layout.size][:, unknown]
     exact = null_space.exact(white) if exactly else np.zeros((0, white.shape[1]))
-    both = [exact, null_space.weak(white, exact, guarding().weak, guarding().unmeasured)]
+    both = [exact, null_space.weak(white, exact, WEAK_INFORMATION, UNMEASURED_SHARE)]
     for i, found in enumerate(both):
         both[i] = np.zeros((len(found), layout.size))
         both[i][:, unknown] = found
@@ -230,7 +238,7 @@ def _single(block: CoefficientBlock, layout: Layout) -> bool:
 
 def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:
     """Whether a direction, in prior standard deviations, has a share of coefficients that stand for themselves."""
-    return float(np.sum(vector[main] ** 2)) > guarding().concerned * float(np.sum(vector**2))
+    return float(np.sum(vector[main] ** 2)) > CONCERNED_SHARE * float(np.sum(vector**2))
 
 
 def _deviations_words(vectors: list[np.ndarray], layout: Layout) -> dict[str, str]:
@@ -263,7 +271,7 @@ def _exact_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:
 def _weak_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:
     """Of a direction that readings hardly tell; `vector` in prior standard deviations."""
     vector = vector / np.linalg.norm(vector)
-    order = [i for i in np.argsort(-np.abs(vector)) if vector[i] ** 2 > guarding().concerned]
+    order = [i for i in np.argsort(-np.abs(vector)) if vector[i] ** 2 > CONCERNED_SHARE]
     order = order or [int(np.argmax(np.abs(vector)))]
     sign = np.sign(vector[order[0]])
     combination = _sum([(float(sign) * round(float(vector[i]), 2), names[i]) for i in order])

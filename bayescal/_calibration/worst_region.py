@@ -8,7 +8,8 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.covariate_evidence import Covariate
-from bayescal._calibration.settings import guarding
+
+RUN_REGION_READINGS = 8  # readings that a run needs for a region of its own where a model fails
 
 BINS = 12  # of a covariate
 
@@ -40,7 +41,7 @@ def worst_regions(calibration: Calibration, covariates: list[Covariate]) -> list
     levels, codes = calibration.readings.groups("run")
     every: list[tuple[str | None, np.ndarray]] = [(None, np.ones(len(codes), bool))]
     runs = [(level, codes == k) for k, level in enumerate(levels)] if len(levels) > 1 else []
-    runs = [(level, own) for level, own in runs if own.sum() >= guarding().run_region]
+    runs = [(level, own) for level, own in runs if own.sum() >= RUN_REGION_READINGS]
     found = []
     for covariate in covariates:
         parts = every if covariate.levels else [*every, *runs]

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
-from bayescal._calibration.settings import SearchSettings
 from bayescal._cli import options
 from bayescal._cli.console import (
     drawn,
@@ -43,7 +42,7 @@ from bayescal._cli.options import (
 from bayescal._core import deadline
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
-from bayescal._core.settings_in_force import use_settings
+from bayescal._core.settings import Settings, use_settings
 from bayescal._report.whole_folder import MANIFEST, files_of, whole_folder
 
 if TYPE_CHECKING:
@@ -219,7 +218,7 @@ def calibrate(
     one unit are searched together: structures and noise of their own, one body for all.
     """
     settings = asked.settings() | options.causes(None, covariates)
-    of_search = SearchSettings(finer_noise=not simple_noise)
+    of_search = Settings(finer_noise=not simple_noise)
     with use_settings(of_search), deadline.until(asked.time_limit, apart=True):
         if channels is None:
             _one(asked, out, json_, settings, verbose, output_unit)

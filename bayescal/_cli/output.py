@@ -10,10 +10,10 @@ from typing import Any
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, check_text
 from bayescal._calibration.predict import Prediction
-from bayescal._calibration.settings import searching
 from bayescal._calibration.summary import null_directions, summary, unknowns_text
 from bayescal._core.formatting import WIDTH, number, probability, table
 from bayescal._core.progress import tell
+from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
@@ -119,7 +119,7 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
     lines = []
     for e in check.entries:
         open_ = e.against not in used and calibration.readings.has(e.against)
-        if open_ and e.log_bayes_factor > searching().strong:
+        if open_ and e.log_bayes_factor > settings().strong_evidence:
             size = f"{abs(e.worst.size):.2g} {unit_label(check.unit)}"
             lines.append(
                 f"unexplained: the residuals depend on {e.against} (up to {size}, log Bayes factor "

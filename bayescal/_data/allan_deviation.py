@@ -22,9 +22,16 @@ from scipy.special import chdtrc
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, table, with_error
 from bayescal._data.measurements import Measurements
-from bayescal._data.record_settings import recording
-from bayescal._data.time_in_runs import run_codes
+from bayescal._data.time_in_runs import EVEN_STEPS, run_codes
 from bayescal._data.unit_conversion import parse, unit_label
+
+# Readings of the longest run, below which no slope of an Allan deviation is told from another.
+ALLAN_READINGS = 30
+# From the slope of one kind of noise on log axes to where that of the next begins: half of ½.
+ALLAN_SLOPE = 0.25
+ALLAN_COVERAGE = 2.0  # standard uncertainties, as everywhere that an interval of 95 % is meant
+# p-value of a line through part of an Allan deviation, below which it is none.
+ALLAN_STRAIGHT_P = 1e-3
 
 SYMBOLS = "NBK"
 SLOPES = {"N": -0.5, "B": 0.0, "K": 0.5}  # of log σ over log τ
@@ -155,17 +162,14 @@ def _sloping(
     found = float(np.sum(centred * y / e**2)) * uncertainty**2
     bend = y - np.average(y, weights=e**-2) - found * centred
     straight = _described(float(np.sum((bend / e) ** 2)), last - first - 1)
-    if (
-        straight
-        and abs(found - slope) + recording().allan_coverage * uncertainty < recording().allan_slope
-    ):
+    if straight and abs(found - slope) + ALLAN_COVERAGE * uncertainty < ALLAN_SLOPE:
         return _Stretch(first, last, uncertainty)
     return None
 
 
 def _described(misfit: float, spare: int) -> bool:
     """Whether a sum of squares is no rarer than one in a thousand for a χ² of so many degrees of freedom."""
-    return spare == 0 or bool(chdtrc(spare, misfit) > recording().allan_straight)
+    return spare == 0 or bool(chdtrc(spare, misfit) > ALLAN_STRAIGHT_P)
 
 
 def _sizes(found: dict[str, _Stretch], curve: Curve) -> dict[str, tuple[float, float]]:
@@ -182,7 +186,7 @@ def _sizes(found: dict[str, _Stretch], curve: Curve) -> dict[str, tuple[float, f
         spare = part.stop - part.start - len(left)
         if len(left) > 1 and not _described(misfit, spare):
             left.pop(max(left, key=lambda s: left[s].last))
-        elif squares[faint] <= recording().allan_coverage * error[faint]:
+        elif squares[faint] <= ALLAN_COVERAGE * error[faint]:
             left.pop(list(left)[faint])
         else:
             sizes = np.sqrt(squares)
@@ -356,12 +360,12 @@ def even_runs(readings: Measurements) -> EvenRuns:
     levels, codes = run_codes(readings)
     order = np.lexsort((readings["time"], codes))
     rows = np.split(order, 1 + np.flatnonzero(np.diff(codes[order])))
-    if max(len(r) for r in rows) < recording().allan_readings:
-        raise InputError(f"{need} a run of {recording().allan_readings} readings or more")
+    if max(len(r) for r in rows) < ALLAN_READINGS:
+        raise InputError(f"{need} a run of {ALLAN_READINGS} readings or more")
     steps = [np.diff(readings["time"][r]) for r in rows]
     usual = float(np.median(np.concatenate(steps)))
     for own, r in zip(steps, rows, strict=True):
-        odd = np.flatnonzero(np.abs(own - usual) > recording().even * usual)
+        odd = np.flatnonzero(np.abs(own - usual) > EVEN_STEPS * usual)
         if len(odd):
             run = f" in run {levels[codes[r[0]]]}" if len(rows) > 1 else ""
             raise InputError(

@@ -11,8 +11,12 @@ import numpy as np
 from bayescal._core.errors import InputError
 from bayescal._data.column import MAY_BE_EMPTY, UNCERTAINTY
 from bayescal._data.dataset_checks import label_codes, record_codes
-from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import convert, unit_label
+
+# Usual changes of a column, beyond which a change is a step between two settings, over which no mean is taken.
+SET_JUMP_CHANGES = 10.0
+# Share of the readings that may be such steps, which leave ten to a mean at the least.
+SET_JUMPS_SHARE = 0.1
 
 _DURATION = re.compile(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*([^\W\d_]+)\s*")
 
@@ -150,8 +154,8 @@ def _steps(values: np.ndarray, same: np.ndarray) -> np.ndarray:
     with many of them holds no settings, but toggles in its last digit: its means are as good as any.
     """
     change = np.where(same, np.abs(np.diff(values, prepend=values[:1])), 0.0)
-    stepped = change > recording().set_jump * (np.median(change[same]) if same.any() else 0.0)
-    return stepped & (np.count_nonzero(stepped) <= recording().set_jumps * values.size)
+    stepped = change > SET_JUMP_CHANGES * (np.median(change[same]) if same.any() else 0.0)
+    return stepped & (np.count_nonzero(stepped) <= SET_JUMPS_SHARE * values.size)
 
 
 def _means(values: np.ndarray, begins: np.ndarray) -> np.ndarray:

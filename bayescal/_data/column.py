@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
-from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import ANY
 from bayescal._tables.raw_table import ROW, Table
+
+PLACEHOLDER_RANGES = 3.0  # ranges of the others, beyond which a −999 or 9999 is no reading
 
 UNCERTAINTY = "output_uncertainty"  # known standard uncertainty of each reading
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
@@ -196,6 +197,6 @@ def placeholders(values: np.ndarray) -> np.ndarray:
         if len(others) < max(3, len(values) / 2):  # of two numbers, each is far from all others
             continue
         low, high = float(others.min()), float(others.max())
-        if max(low - value, value - high) > recording().placeholder * (high - low):
+        if max(low - value, value - high) > PLACEHOLDER_RANGES * (high - low):
             found |= there
     return np.flatnonzero(found)

@@ -19,10 +19,83 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayescal._core.errors import InputError
+from bayescal._core.settings import settings
 from bayescal._data.column import ARRAYS, MAY_BE_EMPTY, ConvertedColumns, file_names
-from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import base_unit, convert, unit_label
 from bayescal._tables.raw_table import Problem, Problems, Table
+
+# What a record may not be, and what of it is no reading of the sensor. "Good records" are the campaigns that the six
+# instruments simulate, as they are, rounded as displays do, and noisy (tests/readings/test_thermometers.py).
+
+# Usual steps between readings, beyond which the next one is no neighbour; a logger that loses four readings in a row
+# has not paused.
+PAUSE_STEPS = 5.0
+# Standard deviations within runs, that the temperatures of runs are apart at the least where each has one of its own:
+# a slope within runs then has a hundredth of the information.
+PLATEAU_SD = 10.0
+# Readings at the very end of an output's range, below which that may be chance.
+CLIPPED_READINGS = 5
+CLIPPED_SHARE = 0.01  # the same as a share of all readings, in a long record
+# Share of the range, between an end and the next level, beyond which the end is a set-up of its own, such as one
+# position.
+CLIPPED_GAP = 0.1
+# Times the readings at the next level, below which an end is that of a rounded output.
+CLIPPED_RATIO = 3.0
+STUCK_READINGS = 8  # readings in a row without a change, below which that may be chance
+STUCK_RATIO = 4.0  # times the next longest stretch without a change, below which it is like others
+STUCK_SHARE = 0.5  # of a record, from which a stretch is no plateau of a rounded thermometer
+# Share of the other readings that repeat the one before, above which all are rounded, or set.
+REPEATED_SHARE = 0.1
+FEW_CHANGES = 20  # changes of a column, below which nothing is usual in it
+LEAP_RANGE = 0.02  # of a thermometer's range: less is no leap
+# Robust standard deviations of a thermometer's own leaps there and back, beyond which one is no noise: of normal noise
+# not one in 10¹⁴ readings.
+LEAP_NOISE_SD = 8.0
+# Times the change that nine tenths of a thermometer's changes stay below: a body does not go five times as fast for
+# one reading.
+LEAP_RATIO = 5.0
+LEAP_SHARE = 0.05  # of all readings; more leaps are a thermometer's noise, or its way
+# Times every other change of a stretch, above which its first or last reading stands apart.
+END_RATIO = 3.0
+# Steps of a rounded column, above which a change is a leap: noise toggles by one or two.
+HELD_STEPS = 3.0
+HELD_LEAPS = 6  # leaps there and back, below which that may be chance; good records have none
+HELD_SHARE = 0.05  # the same as a share of a stretch's changes
+# Readings in a row at a thermometer's extreme, below which that may be chance.
+SATURATED_READINGS = 5
+# Share of two runs' readings that have the same times, from which the runs can be compared.
+SAME_TIMES_SHARE = 0.5
+# Share of a thermometer's range to which it repeats from run to run where a profile does.
+REPEATS_RANGE = 0.02
+# Correlation of two thermometers in a run, from which they are on one body: that of a lag of an eighth of a wave (cos
+# 45°).
+TOGETHER_CORRELATION = 0.7
+# Times the range of the other, beyond which one is in the laboratory and one in the chamber.
+AS_WIDE_RATIO = 3.0
+# Times what its sibling repeats to, beyond which a thermometer was different in a run.
+UNLIKE_RATIO = 5.0
+# °C: what a thermometer good to 0.5 °C (uniform) differs by from one time to another.
+UNLIKE_DEGREES = 0.3
+# Share of all readings that distinct values are at most where values occur again by rounding.
+ROUNDED_SHARE = 0.5
+# Of a step, by which values on a grid may be off it; numbers are written with two digits more.
+OFF_GRID_STEPS = 0.01
+# Share of the readings that have the time of the one before, from which a clock is too coarse or has too few digits:
+# most changes are lost.
+SAME_TICK_SHARE = 0.5
+COUNTED_RUNS = 8  # runs of one reading each, below which that may be the plan of a test
+# Different values of a thermometer, of fewer of which each change is as large as its range.
+FEWEST_LEVELS = 3
+# Share of a thermometer's changes that are usual ones: a rounded corner of a profile is among the rest.
+USUAL_CHANGES_SHARE = 0.9
+# Unit, least and largest range of an output that any sensor resolves and measures. Least: a superconducting gravimeter
+# resolves 1e-12 m/s², a large ring laser 1e-13 rad/s, an interferometer on a lever 1e-12 rad. Most: gauges of impacts
+# end at 2e6 m/s², rotors of any kind at 1e5 rad/s, and an angle beyond 1e4 rad has been counted in turns.
+OUTPUT_RANGES = (
+    ("m/s^2", 1e-12, 1e7),
+    ("rad/s", 1e-13, 1e5),
+    ("rad", 1e-12, 1e4),
+)
 
 RECORD = ("device", "axis", "run")  # columns of labels that tell one record in time from another
 
@@ -71,16 +144,16 @@ def stretches(time: np.ndarray, codes: np.ndarray, fewest: int) -> list[np.ndarr
         rows = own[np.argsort(time[own], kind="stable")]
         steps = np.diff(time[rows])
         usual = np.median(steps) if steps.size else 0.0
-        found += np.split(rows, 1 + np.flatnonzero(steps > recording().pause * usual))
+        found += np.split(rows, 1 + np.flatnonzero(steps > PAUSE_STEPS * usual))
     return [rows for rows in found if len(rows) >= fewest]
 
 
 def rounding_step(values: np.ndarray) -> float:
     """The step that an output is rounded to, in its unit; 0 where most values occur once, or lie on no grid."""
     levels = np.unique(values)
-    if not 3 <= len(levels) <= recording().rounded * len(values):
+    if not 3 <= len(levels) <= ROUNDED_SHARE * len(values):
         return 0.0
-    gaps, off = np.diff(levels), recording().off_grid
+    gaps, off = np.diff(levels), OFF_GRID_STEPS
     step = float(gaps[gaps > off * np.median(gaps)].min())
     places = (levels - levels[0]) / step
     return step if np.all(np.abs(places - np.round(places)) < off) else 0.0
@@ -142,26 +215,26 @@ def leaps(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
         values: of the column (n,).
         own: rows of each stretch without a pause, by `pieces`.
     """
-    given, jumps = recording(), [np.diff(values[piece]) for piece in own]
-    if sum(map(len, jumps)) < given.few_changes or len(np.unique(values)) < given.levels:
+    jumps = [np.diff(values[piece]) for piece in own]
+    if sum(map(len, jumps)) < FEW_CHANGES or len(np.unique(values)) < FEWEST_LEVELS:
         return np.zeros(0, int)
     back = [_there_and_back(jump) for jump in jumps]
     size = np.abs(np.concatenate(jumps))
     usual = max(
-        given.leap * float(np.ptp(values)),
-        given.leap_noise * 1.4826 * float(np.median(np.concatenate(back))),
-        given.leap_excess * float(np.quantile(size, given.most)),
-        given.held_step * rounding_step(values),
+        LEAP_RANGE * float(np.ptp(values)),
+        LEAP_NOISE_SD * 1.4826 * float(np.median(np.concatenate(back))),
+        LEAP_RATIO * float(np.quantile(size, USUAL_CHANGES_SHARE)),
+        HELD_STEPS * rounding_step(values),
     )
     rows = []
     for piece, jump, both in zip(own, jumps, back, strict=True):
         spike = np.pad(_highest(both, usual), 1)
         rows.append(piece[spike])
         inner = np.abs(jump[1:-1])[~(spike[1:-2] | spike[2:-1])]
-        apart = np.abs(jump[[0, -1]]) > max(usual, given.end_excess * float(inner.max(initial=0.0)))
+        apart = np.abs(jump[[0, -1]]) > max(usual, END_RATIO * float(inner.max(initial=0.0)))
         rows.append(piece[[0, -1]][apart & ~spike[[1, -2]]])
     found = np.unique(np.concatenate(rows))
-    return found if len(found) <= given.leap_share * len(values) else found[:0]
+    return found if len(found) <= LEAP_SHARE * len(values) else found[:0]
 
 
 def _there_and_back(jump: np.ndarray) -> np.ndarray:
@@ -199,17 +272,17 @@ def held_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
         values: of a column that is not constant (n,).
         own: rows of each stretch without a pause, by `pieces`.
     """
-    given, held, pairs = recording(), [np.zeros(0, int)], 0
-    leap = given.held_step * float(np.diff(np.unique(values)).min())
+    held, pairs = [np.zeros(0, int)], 0
+    leap = HELD_STEPS * float(np.diff(np.unique(values)).min())
     for piece in own:
         cells = values[piece]
         ends = np.append(np.flatnonzero(cells[1:] != cells[:-1]), len(cells) - 1)
         repeated = np.diff(ends, prepend=-1) > 1
         pair = repeated[:-1] & repeated[1:] & (np.abs(np.diff(cells[ends])) > leap)
-        if pair.any() and pair.mean() > given.held_share:
+        if pair.any() and pair.mean() > HELD_SHARE:
             held.append(piece)
             pairs += int(np.count_nonzero(pair))
-    return np.concatenate(held) if pairs >= given.held_times else held[0]
+    return np.concatenate(held) if pairs >= HELD_LEAPS else held[0]
 
 
 def repeats(values: np.ndarray, own: Sequence[np.ndarray], rows: np.ndarray) -> np.ndarray:
@@ -227,20 +300,20 @@ def _jumps(
     apart; unless an input was set anew there. Values that stand still before and after are set-points, written down as
     they were set. `follow` are the columns that follow a body, this one among them.
     """
-    given, values = recording(), columns[name]
+    values = columns[name]
     own = [piece for piece in own if len(piece) > 2 * BESIDE + 1]
     changes = [np.diff(values[piece]) for piece in own]
-    if sum(map(len, changes)) < given.few_changes or len(np.unique(values)) < given.levels:
+    if sum(map(len, changes)) < FEW_CHANGES or len(np.unique(values)) < FEWEST_LEVELS:
         return []
     time, at = columns["time"], np.concatenate([piece[1:] for piece in own])
     flat = [np.pad(change == 0, 1, constant_values=True) for change in changes]
     still = np.concatenate([one[:-2] & one[2:] for one in flat])
     jump = _unexplained(values, time, own)
     # a rounded corner leaves less
-    usual = float(np.quantile(np.abs(np.concatenate(changes)), given.most))
+    usual = float(np.quantile(np.abs(np.concatenate(changes)), USUAL_CHANGES_SHARE))
     parts = np.split(jump, np.cumsum([len(change) for change in changes])[:-1])
     noise = np.concatenate([np.full(len(part), _usual(part)) for part in parts])  # of each stretch
-    least = max(given.unlike_least, given.held_step * rounding_step(values), _usual(jump), usual)
+    least = max(UNLIKE_DEGREES, HELD_STEPS * rounding_step(values), _usual(jump), usual)
     chosen = (jump > np.maximum(least, noise)) & ~still
     if chosen.any():
         others = {
@@ -258,7 +331,7 @@ def _jumps(
         )
         chosen &= ~followed | set_anew
     rows = np.setdiff1d(at[chosen], leaps(values, own))
-    if not len(rows) or len(rows) > given.leap_share * len(values):
+    if not len(rows) or len(rows) > LEAP_SHARE * len(values):
         return []
     said = (
         f"goes on from another level, {jump[np.isin(at, rows)].max():.2g} °C away, from one reading to the next, and "
@@ -285,23 +358,22 @@ def _unexplained(values: np.ndarray, time: np.ndarray, own: Sequence[np.ndarray]
 
 def _usual(sizes: np.ndarray) -> float:
     """What noise makes of sizes, at the most."""
-    given = recording()
-    noise = given.leap_noise * 1.4826 * float(np.median(sizes))
-    return max(noise, given.end_excess * float(np.quantile(sizes, given.most)))
+    noise = LEAP_NOISE_SD * 1.4826 * float(np.median(sizes))
+    return max(noise, END_RATIO * float(np.quantile(sizes, USUAL_CHANGES_SHARE)))
 
 
 def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
     """Readings in a row exactly at an extreme, of a column that hardly repeats elsewhere: a converter at its end."""
-    given, found = recording(), []
+    found = []
     same = np.zeros(len(values), bool)
     for piece in own:
         same[piece[1:]] = values[piece[1:]] == values[piece[:-1]]
     for end, level in (("maximum", values.max()), ("minimum", values.min())):
         at = values == level
         there, elsewhere = (_longest(same & chosen, own) for chosen in (at, ~at))
-        if there < max(given.saturated, given.stuck_excess * elsewhere):
+        if there < max(SATURATED_READINGS, STUCK_RATIO * elsewhere):
             continue
-        if np.mean(same[~at]) > given.repeated:
+        if np.mean(same[~at]) > REPEATED_SHARE:
             continue
         rows = np.flatnonzero(at)
         said = f"stands exactly at its {end} {level:g} in {len(rows)} readings, and hardly still elsewhere: saturated?"
@@ -321,7 +393,7 @@ def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
     Or each does what the other did: they are exchanged there. Siblings are thermometers that go together: on one body,
     or in one chamber, with whatever lag.
     """
-    runs, found, given = _runs(columns), [], recording()
+    runs, found = _runs(columns), []
     if not 2 <= len(names) <= MOST_SIBLINGS or len(runs) > MOST_RUNS:
         return []
     pairs = [
@@ -330,16 +402,14 @@ def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
     for one, other in permutations(names, 2):
         odd, exchanged = {}, False
         for a, b, (here, there) in pairs:
-            if len(here) < max(
-                given.few_changes, given.same_times * min(len(runs[a]), len(runs[b]))
-            ):
+            if len(here) < max(FEW_CHANGES, SAME_TIMES_SHARE * min(len(runs[a]), len(runs[b]))):
                 continue
             apart, its = (_rms(columns[n][here] - columns[n][there]) for n in (one, other))
             pair = (one, other), (other, one)
             crossed = max(_rms(columns[m][here] - columns[n][there]) for m, n in pair)
             repeats_to = min(its, crossed)
-            if repeats_to < given.repeats * float(np.ptp(columns[other])):
-                far = apart > max(given.unlike * repeats_to, given.unlike_least)
+            if repeats_to < REPEATS_RANGE * float(np.ptp(columns[other])):
+                far = apart > max(UNLIKE_RATIO * repeats_to, UNLIKE_DEGREES)
                 odd[a, b] = apart if far else 0.0
                 exchanged |= far and crossed < its
         if not any(odd.values()) or not _siblings(columns, one, other, runs.values()):
@@ -382,9 +452,7 @@ def _of_that_run_alone(
     after = any(begins[r] > begins[run] for r in runs if r not in known)
     for _, _, (here, there) in compared:
         apart, part = columns[name][here] - columns[name][there], max(1, len(here) // 4)
-        quiet = [
-            _rms(end) * recording().unlike < _rms(apart) for end in (apart[:part], apart[-part:])
-        ]
+        quiet = [_rms(end) * UNLIKE_RATIO < _rms(apart) for end in (apart[:part], apart[-part:])]
         if quiet[0] != quiet[1] and (after if quiet[0] else before):
             return False
     return True
@@ -414,7 +482,7 @@ def _told_apart(
         found = np.concatenate([values[runs[r]] for r in rest])
         left[run] = _rms(found - basis / scale @ np.linalg.lstsq(basis / scale, found)[0])
     best, second, *_ = sorted(left, key=left.__getitem__)
-    return [best] if left[second] > recording().unlike * left[best] else suspects
+    return [best] if left[second] > UNLIKE_RATIO * left[best] else suspects
 
 
 def _siblings(columns: Columns, one: str, other: str, runs: Iterable[np.ndarray]) -> bool:
@@ -424,8 +492,8 @@ def _siblings(columns: Columns, one: str, other: str, runs: Iterable[np.ndarray]
     ]
     found = [float(np.corrcoef(columns[one][r], columns[other][r])[0, 1]) for r in moving]
     wide = [float(np.ptp(columns[one][r]) / np.ptp(columns[other][r])) for r in moving]
-    most = recording().as_wide
-    together = bool(found) and float(np.median(found)) > recording().together
+    most = AS_WIDE_RATIO
+    together = bool(found) and float(np.median(found)) > TOGETHER_CORRELATION
     return together and 1 / most < float(np.median(wide)) < most
 
 
@@ -489,11 +557,11 @@ def refuse_one_temperature(columns: Columns, names: str) -> None:
         names: the files, for the message.
 
     Raises:
-        InputError: the temperatures span less than `RecordSettings.temperature_span`.
+        InputError: the temperatures span less than `Settings.temperature_span`.
     """
     temperature = columns["temperature"]
     low, high = float(temperature.min()), float(temperature.max())
-    if high - low < recording().temperature_span:
+    if high - low < settings().temperature_span:
         seen = f"{low:g}" if low == high else f"{low:g} … {high:g}"
         cure = (
             "At least two are needed, or nothing that depends on temperature can be calibrated: add readings at "
@@ -576,9 +644,7 @@ def flags_of(
         elif number and (stuck := stuck_rows(values, name in thermometers)) is not None:
             first, last = (where(row) for row in stuck)
             share = (stuck[1] - stuck[0] + 1) / len(values)
-            much = (
-                f", {100 * share:.0f} % of all readings" if share > recording().stuck_share else ""
-            )
+            much = f", {100 * share:.0f} % of all readings" if share > STUCK_SHARE else ""
             flags.append(
                 f"{names}: column {name!r} stands still at {values[stuck[0]]:g} from {first} to {last}{much}: was it "
                 "stuck?"
@@ -598,7 +664,7 @@ def one_plateau_a_run(columns: Columns, thermometers: Collection[str]) -> list[s
         means = np.bincount(codes, values) / count
         within = float(np.sqrt(np.mean((values - means[codes]) ** 2)))
         apart = float(np.diff(np.sort(means)).min())
-        if apart > max(recording().plateau * within, recording().temperature_span):
+        if apart > max(PLATEAU_SD * within, settings().temperature_span):
             found.append(name)
     return found
 
@@ -617,11 +683,11 @@ def stuck_rows(values: np.ndarray, thermometer: bool = False) -> tuple[int, int]
     if not others.size:
         return None
     again = int(np.sum(others - 1))  # readings outside that repeat the one before
-    longest, given = int(np.max(others, initial=1)), recording()
-    rounded = again > given.repeated * int(np.sum(others))
-    if rounded and thermometer and length >= given.stuck_share * len(values):
+    longest = int(np.max(others, initial=1))
+    rounded = again > REPEATED_SHARE * int(np.sum(others))
+    if rounded and thermometer and length >= STUCK_SHARE * len(values):
         rounded = False
-    if rounded or length < max(given.stuck, given.stuck_excess * longest):
+    if rounded or length < max(STUCK_READINGS, STUCK_RATIO * longest):
         return None
     return int(ends[worst]) - length + 1, int(ends[worst])
 
@@ -654,12 +720,12 @@ def clip_levels(values: np.ndarray) -> list[tuple[str, float]]:
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) < 3:
         return []
-    found, given = [], recording()
+    found = []
     for end, beside, name in ((-1, -2, "maximum"), (0, 1, "minimum")):
-        enough = max(given.clipped, given.clipped_share * len(values))
+        enough = max(CLIPPED_READINGS, CLIPPED_SHARE * len(values))
         with np.errstate(over="ignore"):
-            near = abs(levels[end] - levels[beside]) < given.clipped_gap * (levels[-1] - levels[0])
-        if near and counts[end] >= enough and counts[end] > given.clipped_excess * counts[beside]:
+            near = abs(levels[end] - levels[beside]) < CLIPPED_GAP * (levels[-1] - levels[0])
+        if near and counts[end] >= enough and counts[end] > CLIPPED_RATIO * counts[beside]:
             found.append((name, float(levels[end])))
     return found
 
@@ -675,7 +741,7 @@ def odd_numbers(columns: Columns, units: Mapping[str, str | None], output: str) 
     found = _of_size(columns[output], units[output] or "1", output) if output in columns else []
     if "time" in columns:
         found += [*_of_time(columns), *_of_pauses(columns)]
-    if "run" in columns and len(columns["run"]) >= recording().counted_runs:
+    if "run" in columns and len(columns["run"]) >= COUNTED_RUNS:
         runs = columns["run"]
         if len(set(runs.tolist())) == len(runs):
             found.append(
@@ -690,7 +756,7 @@ def odd_numbers(columns: Columns, units: Mapping[str, str | None], output: str) 
 def _of_size(values: np.ndarray, unit: str, name: str) -> list[str]:
     with np.errstate(over="ignore"):
         reach = float(np.ptp(values))
-    for base, least, most in recording().resolved:
+    for base, least, most in OUTPUT_RANGES:
         if unit == "any" or base_unit(unit) != base_unit(base):
             continue
         with np.errstate(over="ignore"):
@@ -709,7 +775,7 @@ def _of_time(columns: Columns) -> list[str]:
     time, codes = columns["time"], record_codes(columns)
     same = (time[1:] == time[:-1]) & (codes[1:] == codes[:-1])
     share = float(np.mean(same)) if len(same) else 0.0
-    if share < recording().same_tick:
+    if share < SAME_TICK_SHARE:
         return []
     steps = np.diff(np.unique(time))
     step = f" Its values are {np.min(steps):.3g} s apart at the least." if len(steps) else ""
@@ -727,7 +793,7 @@ def _of_pauses(columns: Columns) -> list[str]:
     for name, rows in records.items():
         steps = np.diff(time[rows])
         usual = float(np.median(steps)) if len(steps) else 0.0
-        pauses[name] = set(np.flatnonzero(steps > recording().pause * usual).tolist())
+        pauses[name] = set(np.flatnonzero(steps > PAUSE_STEPS * usual).tolist())
     for name, rows in records.items():
         alike = [pauses[n] for n, own in records.items() if n != name and len(own) == len(rows)]
         alone = pauses[name].difference(*alike) if alike else set()

@@ -13,9 +13,28 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayescal._core.settings import settings
 from bayescal._data import dataset_checks as checks
+from bayescal._data.dataset_checks import FEW_CHANGES
 from bayescal._data.measurements import Measurements
-from bayescal._data.record_settings import recording
+
+# Robust standard deviations of a reading's distance from the line through its neighbours; of a million normal readings
+# none.
+SPIKE_SD = 8.0
+# Readings of a stretch, below which its scatter is not known well enough to call one a spike.
+SPIKE_FEWEST = 50
+# Share of all readings; where more stand out, the noise may be heavy-tailed, and its tail is asked.
+SPIKE_SHARE = 0.005
+SPIKE_MOST_SHARE = 0.05  # share of all readings; more are no spikes, whatever the tail
+TAIL_SD = 4.0  # robust standard deviations, from which a distance is in the tail
+# Exponent of a tail before it is seen, and how many distances that counts as: Student's t with two degrees of freedom,
+# the heaviest for which laws of noise are asked.
+USUAL_TAIL = (2.0, 5.0)
+TAIL_P = 0.01  # probability that a tail without spikes has a gap like that before one
+# Share of the hold-out data that occur among the readings; more is no chance where each is one of its kind.
+NOT_NEW_SHARE = 0.1
+# Share of the readings that differ in their numbers from all others, from which that can be said.
+ONE_OF_ITS_KIND_SHARE = 0.5
 
 
 def set_aside(
@@ -131,12 +150,12 @@ def _can_go(columns: checks.Columns, odd: checks.Oddity, begun: int) -> bool:
     """Whether enough is left without what is wrong: half of the readings; of a held column, each value once."""
     count = len(columns[odd.column])
     kept, held = np.setdiff1d(np.arange(count), odd.wrong), len(odd.wrong) < len(odd.rows)
-    least = recording().few_changes if held and count == begun else 0.5 * begun
+    least = FEW_CHANGES if held and count == begun else 0.5 * begun
     if not len(odd.wrong) or len(kept) < least:
         return False
     labels = [n for n in checks.RECORD if n != "run" and n in columns]
     whole = all(set(columns[n][kept]) == set(columns[n]) for n in labels)
-    return whole and bool(np.ptp(columns[odd.column][kept]) > recording().temperature_span)
+    return whole and bool(np.ptp(columns[odd.column][kept]) > settings().temperature_span)
 
 
 def _without_spikes(readings: Measurements) -> Measurements:
@@ -158,18 +177,18 @@ def find_spikes(readings: Measurements) -> np.ndarray:
     Only records in time have neighbours: without a column `time` there are no spikes. Where more readings stand out
     than spikes would, the noise may have heavy tails: what lies beyond a gap that such a tail lacks is a spike there.
     """
-    none, given = np.zeros(0, dtype=int), recording()
+    none = np.zeros(0, dtype=int)
     if not readings.has("time"):
         return none
     found, heights, rest = [none], [np.zeros(0)], [np.zeros(0)]
     codes = checks.record_codes({name: readings[name] for name in readings.columns})
-    for piece in checks.stretches(readings["time"], codes, given.spike_fewest):
+    for piece in checks.stretches(readings["time"], codes, SPIKE_FEWEST):
         at, high, others = _standing_out(readings["output"][piece])
         found.append(piece[at])
         heights.append(high)
         rest.append(others)
     rows, high = np.concatenate(found), np.concatenate(heights)
-    if len(rows) > max(1.0, given.spike_share * len(readings)):
+    if len(rows) > max(1.0, SPIKE_SHARE * len(readings)):
         rows = rows[_beyond_the_tail(high, np.concatenate(rest), len(readings))]
     return np.sort(rows)
 
@@ -179,7 +198,7 @@ def _standing_out(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     The worst is taken out and its neighbours are judged anew, until none is left.
     """
-    count, given = len(y), recording()
+    count = len(y)
     before, after = np.arange(count) - 1, np.arange(count) + 1
 
     def height(i: int) -> float:
@@ -191,11 +210,11 @@ def _standing_out(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     heights = np.concatenate([inner[:1], inner, inner[-1:]])
     scale, first, last = 1.4826 * float(np.median(heights)), 0, count - 1
     found, high = [], []
-    while scale > 0 and len(found) <= given.spike_most * count + 1:
+    while scale > 0 and len(found) <= SPIKE_MOST_SHARE * count + 1:
         # A spike at an end and its neighbour stand out alike: then it is the end.
         worst = int(np.argmax(heights))
         worst = next((end for end in (first, last) if heights[end] == heights[worst]), worst)
-        if heights[worst] < given.spike * scale:
+        if heights[worst] < SPIKE_SD * scale:
             break
         found.append(worst)
         high.append(heights[worst])
@@ -225,16 +244,16 @@ def _beyond_the_tail(high: np.ndarray, rest: np.ndarray, count: int) -> np.ndarr
     exponential (A. Rényi, On the theory of order statistics, Acta Math. Hung. 4 (1953) 191); ν is that of the heights
     below the gap (B. Hill, Ann. Stat. 3 (1975) 1163).
     """
-    given, order = recording(), np.argsort(-high)
-    tail = np.concatenate([high[order], np.sort(rest[rest > given.tail])[::-1], [given.tail]])
-    logs = np.log(np.maximum(tail / given.tail, 1.0))
-    most = min(len(high), int(given.spike_most * count))
+    order = np.argsort(-high)
+    tail = np.concatenate([high[order], np.sort(rest[rest > TAIL_SD])[::-1], [TAIL_SD]])
+    logs = np.log(np.maximum(tail / TAIL_SD, 1.0))
+    most = min(len(high), int(SPIKE_MOST_SHARE * count))
     i = np.arange(1, most + 1)
     below, sums = len(tail) - 1 - i, np.cumsum(logs[::-1])[::-1]
-    nu, weight = given.usual_tail
+    nu, weight = USUAL_TAIL
     exponent = (below + weight) / (sums[i] + i * logs[i] + weight / nu)
     gaps = i * exponent * (logs[i - 1] - logs[i])
-    beyond = np.flatnonzero(gaps > np.log(max(most, 1) / given.tail_chance))
+    beyond = np.flatnonzero(gaps > np.log(max(most, 1) / TAIL_P))
     return order[: beyond[-1] + 1] if beyond.size else order[:0]
 
 
@@ -259,10 +278,10 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
         pd.DataFrame({n: r[n] for n in shared}).round(12).drop_duplicates()
         for r in (readings, holdout)
     )
-    if len(mine) < recording().one_of_its_kind * len(readings):
+    if len(mine) < ONE_OF_ITS_KIND_SHARE * len(readings):
         return 0
     both = len(theirs.merge(mine, how="inner", on=shared))
-    return both if both > recording().not_new * len(theirs) else 0
+    return both if both > NOT_NEW_SHARE * len(theirs) else 0
 
 
 def said_of(readings: Measurements, holdout: Measurements) -> str:

@@ -17,7 +17,13 @@ from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import InstrumentLike, Measurements
 from bayescal._data.pose_rows import ACROSS
-from bayescal._data.record_settings import recording
+
+BLOCK_SECONDS = 0.25  # short against a move by hand, long against a filter of 20 Hz
+QUIET_QUANTILE = 0.1  # quantile of the blocks' scatter, that is taken as at rest
+# Times the scatter at rest, up to which a block is still: means of blocks of filtered noise differ by 4 once in 10⁴.
+STILL_RATIO = 6.0
+SHORTEST_SECONDS = 2.0  # of a pose: eight blocks, whose means say how well theirs is known
+BLOCK_SAMPLES = 4  # fewest in a block, from which on their scatter says something
 
 
 class StillStretches(NamedTuple):
@@ -52,22 +58,21 @@ def still_stretches(
     Raises:
         InputError: samples too far apart, or no stretch is still for so long.
     """
-    given = recording()
-    shortest = given.still_shortest if shortest is None else shortest
+    shortest = SHORTEST_SECONDS if shortest is None else shortest
     step = float(np.median(np.diff(time))) if len(time) > 1 else np.inf
-    size = round(given.still_block / step) if step > 0 else 0
-    if size < given.still_samples:
+    size = round(BLOCK_SECONDS / step) if step > 0 else 0
+    if size < BLOCK_SAMPLES:
         raise InputError(
-            f"samples {step:.3g} s apart: still stretches are found in blocks of {given.still_block:g} s, which need "
-            f"{given.still_samples} samples each. If each row is a pose already, calibrate them as they are"
+            f"samples {step:.3g} s apart: still stretches are found in blocks of {BLOCK_SECONDS:g} s, which need "
+            f"{BLOCK_SAMPLES} samples each. If each row is a pose already, calibrate them as they are"
         )
     count = len(time) // size
     blocks = outputs[: count * size].reshape(count, size, -1)
     mean, scatter = blocks.mean(axis=1), blocks.std(axis=1, ddof=1)
-    rest = np.quantile(scatter, given.still_quiet, axis=0)
+    rest = np.quantile(scatter, QUIET_QUANTILE, axis=0)
     rest = np.maximum(rest, np.finfo(float).tiny)
-    still = np.all(scatter <= given.still_scatter * rest, axis=1)
-    moved = np.any(np.abs(np.diff(mean, axis=0)) > given.still_scatter * rest, axis=1)
+    still = np.all(scatter <= STILL_RATIO * rest, axis=1)
+    moved = np.any(np.abs(np.diff(mean, axis=0)) > STILL_RATIO * rest, axis=1)
     label = np.cumsum(np.concatenate([[True], moved | (still[1:] != still[:-1])]))
     first, last = [], []
     for one in np.unique(label[still]):

@@ -6,9 +6,16 @@ import itertools
 
 import numpy as np
 
+from bayescal._data.dataset_checks import PAUSE_STEPS
 from bayescal._data.measurements import Measurements
-from bayescal._data.record_settings import recording
 
+# Changes from one record to the other, a reading, beyond which two lie in one time and neither goes on with the other.
+INTERLEAVED_SHARE = 0.2
+# Windows of a rate (a minute each) without a reading, after which a rate is not known: the change over hours, such as
+# a soak before a tumble, says nothing of the rate now.
+SILENCE_WINDOWS = 10.0
+# Of the usual step, by which others may differ where steps are to be even: time stamps jitter.
+EVEN_STEPS = 0.05
 RATE_WINDOW = 60.0  # s
 
 
@@ -72,11 +79,9 @@ def going_on(fitted: Measurements, later: Measurements) -> tuple[dict[str, np.nd
         merged = np.concatenate([np.zeros(known.size, bool), np.ones(rows.size, bool)])
         merged = merged[np.argsort(np.concatenate([known, at[rows]]), kind="stable")]
         mixed = np.count_nonzero(np.diff(merged)) > max(
-            2.0, recording().interleaved * min(known.size, rows.size)
+            2.0, INTERLEAVED_SHARE * min(known.size, rows.size)
         )
-        if not mixed and first - before[-1] <= recording().pause * float(np.median(steps)) * (
-            1 + 1e-9
-        ):
+        if not mixed and first - before[-1] <= PAUSE_STEPS * float(np.median(steps)) * (1 + 1e-9):
             found[name] = rows
     return found, at
 
@@ -89,7 +94,7 @@ def rate_window(step: np.ndarray) -> float:
 
 def silence(step: np.ndarray) -> float:
     """Time without a reading, s, beyond which it is not known how a quantity went from one to the next."""
-    return recording().silence * rate_window(step)
+    return SILENCE_WINDOWS * rate_window(step)
 
 
 def causal_slope(

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal._core.errors import InputError
+from bayescal._core.settings import settings
 from bayescal._data.column import Column, ConvertedColumns, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
@@ -30,7 +31,6 @@ from bayescal._data.header_matching import (
     unused_options,
 )
 from bayescal._data.measurements import Measurements
-from bayescal._data.record_settings import recording
 from bayescal._data.unit_conversion import base_unit
 from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES, open_table
@@ -408,7 +408,7 @@ def _useless(block: DeviceBlock, instrument: InstrumentLike) -> dict[str, str]:
     if need := need and "temperature" in block.values:
         values = block.values["temperature"]
         span = np.maximum.reduceat(values, block.starts) - np.minimum.reduceat(values, block.starts)
-        bad |= set(np.flatnonzero(span < recording().temperature_span).tolist())
+        bad |= set(np.flatnonzero(span < settings().temperature_span).tolist())
     refused = {}
     for i in sorted(bad):
         columns, file, problems = block.columns(i), f"device {block.names[i]}", Problems()

@@ -26,7 +26,6 @@ from bayescal._data.measurements import Measurements
 from bayescal._fleet.batch_result import EFFECTS, BatchResult
 from bayescal._fleet.devices import Devices
 from bayescal._fleet.fit_devices import FitOptions, fit_together
-from bayescal._fleet.fleet_settings import fleet_settings
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, reference_of
 from bayescal._model.model import Model
@@ -34,6 +33,12 @@ from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior
 from bayescal._search.walk import walk
+
+# Probability from which an effect of a device is kept, and printed of the whole: as that of a noise law.
+KEPT_PROBABILITY = 0.01
+# Nats behind a device's best structure, up to which others are kept: D devices know the odds of a share up to about D,
+# and ln 10⁶ = 13.8: no fleet of a million brings back what is farther behind.
+BEHIND_NATS = 15.0
 
 KEPT = 50  # structures of a device
 
@@ -103,7 +108,7 @@ def search_device(
         sorted(chosen.effects),
         chosen.noise,
         posterior.complete(structures),
-        {n: p for n, p in inclusion.items() if p > fleet_settings().kept},
+        {n: p for n, p in inclusion.items() if p > KEPT_PROBABILITY},
         [list(finding.effects) for finding in posterior.findings],
         {n: float(expit(of_family)) for n, of_family in odds.items()},
         _weighed(posterior, odds),
@@ -120,11 +125,7 @@ def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> list[tuple[
         total[effects] = float(np.logaddexp(total.get(effects, -np.inf), own))
     best = max(total.values())
     order = sorted(total, key=lambda effects: -total[effects])[:KEPT]
-    return [
-        (list(e), round(total[e] - best, 6))
-        for e in order
-        if total[e] > best - fleet_settings().behind
-    ]
+    return [(list(e), round(total[e] - best, 6)) for e in order if total[e] > best - BEHIND_NATS]
 
 
 def find_and_fit(
@@ -263,7 +264,7 @@ def effects_table(
     rows = [
         [name, named[name], possible[name], one.in_fleet, one.expected, *one[1:4]]
         for name, one in found.items()
-        if named[name] or possible[name] or one.expected > fleet_settings().kept
+        if named[name] or possible[name] or one.expected > KEPT_PROBABILITY
     ]
     rows.sort(key=lambda row: (-row[4], -row[1]))
     return pd.DataFrame(rows, columns=EFFECTS), found

@@ -33,7 +33,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.json_shape import parsed_json
 from bayescal._core.progress import note, stage, tell
 from bayescal._core.quoting import one_line
-from bayescal._core.settings_in_force import OutcomeSettings, given_settings, use_settings
+from bayescal._core.settings import Settings, settings, use_settings
 from bayescal._core.version import __version__
 from bayescal._data.header_matching import ReadOptions
 from bayescal._data.measurements import Measurements
@@ -306,7 +306,7 @@ class Request:
     fit_options: FitOptions
     read_options: ReadOptions
     find: Find | None
-    settings: tuple[OutcomeSettings, ...]
+    settings: Settings
 
     @cached_property
     def digest(self) -> str:
@@ -317,7 +317,7 @@ class Request:
         texts = [
             __version__,
             *model_texts(self.model, candidates),
-            *map(shown, (*own, *self.settings)),
+            *map(shown, (*own, self.settings)),
         ]
         return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
@@ -368,7 +368,7 @@ def fit_partition(
         InputError: the results cannot be written.
     """
     begun = time.process_time()
-    with ONE, use_settings(*request.settings):
+    with ONE, use_settings(request.settings):
         path = folder / partition.file
         digest = content_digest(partition, request)
         result = _written(path, digest, elsewhere)
@@ -544,7 +544,7 @@ def fit_fleet(
     for line in first_few(unread, len(unread), "not read: ", f", all in {WHOLE}"):
         note(line.strip())
     read_options = ReadOptions.of(model.instrument, **(columns or {}))
-    request = Request(model, fit_options, read_options, find, given_settings())
+    request = Request(model, fit_options, read_options, find, settings())
     rows = rows or (FIND_ROWS if find else ROWS)
     partitions = partitions_of(paths, rows, read_options.columns.get(DEVICE, DEVICE))
     request = _with_common(request, partitions, engine, bool(population))
@@ -637,13 +637,13 @@ def _odd_values(files: Sequence[Path], table: pd.DataFrame, fitted: int) -> dict
 
 
 def _temperature_sums(request: Request, partition: Partition) -> list[tuple[str, float, int]]:
-    with use_settings(*request.settings):
+    with use_settings(request.settings):
         return temperature_sums(read_partition(partition, request)[0])
 
 
 def _sized_model(request: Request, partition: Partition) -> Model | None:
     """The model, with what it takes from readings taken from the partition's first device that has it."""
-    with use_settings(*request.settings):
+    with use_settings(request.settings):
         model, first = tailored_to_first(request.model, read_partition(partition, request)[0])
         return None if first is None else sized_for(model, first, request.fit_options.reference)
 

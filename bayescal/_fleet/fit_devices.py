@@ -33,7 +33,7 @@ from bayescal._core.errors import BayescalError, InputError, ModelError
 from bayescal._core.importance_weights import smoothed
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._core.jit import compiled
-from bayescal._core.settings_in_force import unusual
+from bayescal._core.settings import unusual
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._fleet.batch_result import BatchPart, BatchResult

@@ -19,10 +19,15 @@ from jaxtyping import Float
 from scipy import stats
 from scipy.optimize import brentq
 
-from bayescal._calibration.settings import searching
 from bayescal._core.formatting import number
+from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
-from bayescal._fleet.fleet_settings import fleet_settings
+
+# Devices of so small a posterior predictive p, expected by chance in the whole fleet, below which a device is said not
+# to be like the others: one fleet in a hundred has such a device by chance.
+STANDS_OUT_EXPECTED = 0.01
+# Share of the devices up to which those that have an effect, or lack one, are named one by one.
+FEW_SHARE = 0.1
 
 NORMAL, EFFICIENCY = (
     0.67449,
@@ -85,7 +90,7 @@ def odd_values(
         values: gives them by name.
         facts: one row a device, by its name: how many readings it has, and its reference temperature T0, °C.
     """
-    least = fleet_settings().stands_out / max(1, len(facts) * (len(names) + 1))
+    least = STANDS_OUT_EXPECTED / max(1, len(facts) * (len(names) + 1))
     odd: dict[str, list[str]] = {}
     known = facts.loc[:, "T0"].dropna()
     p, middle = beyond(known.to_numpy(), np.full(len(known), ROUNDED**2))
@@ -118,7 +123,7 @@ def odd_effects(names: Sequence[str], shares: Mapping[str, Any]) -> dict[str, li
         shares: of each effect: `share` of the devices that have it, and the probability that `each` does.
     """
     odd: dict[str, list[str]] = {}
-    few, found = fleet_settings().few, searching().found
+    few, found = FEW_SHARE, settings().found_probability
     for effect, one in shares.items():
         has, about = np.asarray(one.each), f"{one.expected:.0f} of {len(names)} devices"
         if one.share <= few:

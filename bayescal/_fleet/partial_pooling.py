@@ -17,7 +17,7 @@ from scipy import stats
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._fleet.batch_result import BatchPart, BatchResult, load_batch
 from bayescal._fleet.engine import Engine
-from bayescal._fleet.fleet_settings import fleet_settings
+from bayescal._fleet.odd_devices import STANDS_OUT_EXPECTED
 from bayescal._fleet.population import (
     DeviceEstimates,
     Learned,
@@ -73,7 +73,7 @@ def learn_population(
         place.unlink(missing_ok=True)
     devices = learned.population.devices
     return learned.population, {
-        name: p for p, name in outliers if p * devices < fleet_settings().stands_out
+        name: p for p, name in outliers if p * devices < STANDS_OUT_EXPECTED
     }
 
 

@@ -49,13 +49,18 @@ from bayescal._core.importance_weights import smoothed
 from bayescal._core.jax_setup import configure_jax
 from bayescal._core.parallel import over
 from bayescal._fleet.engine import Engine
-from bayescal._fleet.fleet_settings import fleet_settings
 from bayescal._inference import trust
 from bayescal._inference.laplace import climb, gaussian_fit
 from bayescal._inference.sampling import PriorShare, around_mode, propose
 from bayescal._model.effect import Coefficient
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal
+
+# Devices from which a standard deviation between them can be learned: of two, it is their distance.
+FEWEST_DEVICES = 3
+# Effective draws of a population's standard deviations, from which their means and standard uncertainties are known
+# well enough: to 1/√(2·50), a tenth.
+POPULATION_DRAWS = 50
 
 configure_jax()
 
@@ -368,7 +373,7 @@ def learn(
     """
     engine = engine or Engine()
     count, total = engine.total(number_and_sum, [(part,) for part in parts])
-    if count < (fewest := fleet_settings().fewest_devices):
+    if count < (fewest := FEWEST_DEVICES):
         raise ModelError(
             f"a population is learned from at least {fewest} devices that converge; here {count} did"
         )
@@ -387,7 +392,7 @@ def learn(
             "unit": [c.unit for c, _ in named.values()],
         }
     )
-    why = trust.unevenness(weights, k_hat, enough=fleet_settings().enough_of_population)
+    why = trust.unevenness(weights, k_hat, enough=POPULATION_DRAWS)
     reason = why and f"weights of the between-group standard deviations were uneven ({why})"
     population = Population(table, not why, reason, count, k_hat)
     draws = PopulationDraws(density.centre, density.scale, v, weights, mean, covariance)

@@ -16,6 +16,7 @@ from bayescal._core import deadline
 from bayescal._core.importance_weights import effective_size, resample, smoothed
 from bayescal._core.parallel import over
 from bayescal._core.progress import stage
+from bayescal._core.settings import settings
 from bayescal._inference import nuts_chains, sampled_products, trust
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
@@ -23,6 +24,7 @@ from bayescal._inference.least_squares import LeastSquares, refine
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import PROPOSALS, WeightedDraws, weighted_draws
+from bayescal._inference.trust import FEWEST_DRAWS, K_HAT
 
 TOO_NONLINEAR = "Nonlinearity too strong for the linearised posterior ({}): exact NUTS."
 TOO_HEAVY = "The posterior is not nearly Gaussian given φ ({}): exact NUTS."
@@ -80,7 +82,7 @@ class Marginal(Method):
 
         with stage("sampling"):
             judged = self._sampled(assembly, mode, seed, result)
-            if judged.limit < judged.k_hat <= trust.sampling().k_hat and not layout.row_blocks:
+            if judged.limit < judged.k_hat <= K_HAT and not layout.row_blocks:
                 judged = self._sampled(assembly, mode, seed, result, heavy=True)
         if not judged.why_not:
             return result(judged)
@@ -124,7 +126,7 @@ class Marginal(Method):
             tried = len(judged.weights)
             limit = PROPOSALS if self.proposals is None else 0
             expected = effective_size(judged.weights) / tried * most
-            if judged.k_hat <= judged.limit and expected >= trust.sampling().enough:
+            if judged.k_hat <= judged.limit and expected >= settings().effective_draws:
                 limit = max(limit, most)
             if not judged.why_not or tried >= limit:
                 return judged
@@ -135,9 +137,7 @@ class Marginal(Method):
         """Draws by weights that are sound or, if `why` leaves no time for better ones, as they are."""
         found, weights, k_hat = judged.found, judged.weights, judged.k_hat
         effective, reasons = effective_size(weights), ()
-        if why and trust.unevenness(
-            weights, k_hat, limit=judged.limit, enough=trust.sampling().fewest
-        ):
+        if why and trust.unevenness(weights, k_hat, limit=judged.limit, enough=FEWEST_DRAWS):
             reasons = (NO_MORE.format(judged.why_not, why),)
         elif why:
             notes = (*notes, FEW.format(effective, why))
@@ -190,6 +190,6 @@ def _judged(found: WeightedDraws, heavy: bool = False) -> _Judged:
     weights, k_hat = smoothed(found.log_weight)
     of_phi, _ = smoothed(found.log_weight_phi)
     correction = found.log_weight - found.log_weight_phi
-    limit = trust.sampling().k_hat if heavy else trust.largest_k_hat(correction, of_phi)
+    limit = K_HAT if heavy else trust.largest_k_hat(correction, of_phi)
     why_not = trust.unevenness(weights, k_hat, limit=limit)
     return _Judged(found, weights, k_hat, limit, why_not)

@@ -21,6 +21,7 @@ from scipy.special import gammaln, logsumexp, softmax
 from bayescal._core import deadline
 from bayescal._core.importance_weights import Corrections, effective_size, smoothed
 from bayescal._core.parallel import on_one_thread
+from bayescal._core.settings import settings
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import NOWHERE, Density, about
 from bayescal._inference.gaussian import Drawn, Gram, draw
@@ -28,8 +29,12 @@ from bayescal._inference.joint import FREEDOM, draw_joint, linearise_draws, norm
 from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.noise_on_record import grams
 from bayescal._inference.products import Products
-from bayescal._inference.trust import sampling
+from bayescal._inference.trust import K_HAT
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
+
+# Log density above the mode's, from which on a draw shows that it was not the highest: more than what interpolated
+# products are off by (0.03), less than would matter.
+HIGHER_NATS = 1.0
 
 USUAL = 3  # rounds of adaptation; more only where the last one's weights are unsound
 KERNELS = 256  # draws of the round before, around each of which the next one proposes;
@@ -267,7 +272,7 @@ def adapted(
         none = np.zeros((len(v), 0))
         tried.add(mixture, v, log_proposal, _Placed(v, there, none, none, there))
         mixture = _match(mode, tried.all.v, tried.log_weight)
-        if k + 1 >= USUAL and smoothed(log_weight)[1] <= sampling().k_hat:
+        if k + 1 >= USUAL and smoothed(log_weight)[1] <= K_HAT:
             break
     return mixture
 
@@ -373,7 +378,7 @@ def weighted_draws(
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
     expected = part * FEWER if proposals is None else proposals
     density = ManyPhi(assembly, mode, expected)
-    share, above = _prior_share(assembly), sampling().higher
+    share, above = _prior_share(assembly), HIGHER_NATS
     heavy = heavy or not assembly.noise.gaussian
     known = None if earlier is None else earlier.rounds
     while True:
@@ -385,7 +390,7 @@ def weighted_draws(
         if density.highest <= higher:
             found = pool.drawn(density.mode)
             # A climb costs what all draws of a small part cost.
-            if part < LARGE or not smoothed(found.log_weight)[1] > sampling().k_hat:
+            if part < LARGE or not smoothed(found.log_weight)[1] > K_HAT:
                 return found
             start = found.v[int(np.argmax(found.log_weight_phi))]
         # No draw of a posterior lies above its mode, and one that counts for many more is on a hill that is not
@@ -453,8 +458,8 @@ def _fill(
         log_weight = pool.log_weight
         if k >= halves:
             weights, k_hat = smoothed(log_weight)
-            enough = min(sampling().enough, count // 4)
-            if k_hat <= sampling().k_hat and effective_size(weights) >= enough:
+            enough = min(settings().effective_draws, count // 4)
+            if k_hat <= K_HAT and effective_size(weights) >= enough:
                 break
         mixture = _match(mode, pool.all.v, log_weight)
 

@@ -19,7 +19,7 @@ from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 from scipy import special as on_host
 
-from bayescal._data.record_settings import recording
+from bayescal._data.time_in_runs import EVEN_STEPS
 from bayescal._model.correlated_noise import allan_of_exponential
 from bayescal._model.noise_law import WHITE
 from bayescal._model.prior import LogUniform, Normal, Positive, multiplied
@@ -365,7 +365,7 @@ class ToneTerm(NoiseTerm):
         them is no line that moves, and of one that stays the neighbours are the measure.
         """
         usual = float(np.median(step[step > 0]))
-        even = np.abs(step / usual - 1) < recording().even
+        even = np.abs(step / usual - 1) < EVEN_STEPS
         within = np.convolve(even, np.ones(WINDOW - 1), "valid")[1:] == WINDOW - 1
         begins = np.arange(0, len(left) - WINDOW + 1, WINDOW // 2)
         rows = begins[within[begins]][:, None] + np.arange(WINDOW)

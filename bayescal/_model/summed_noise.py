@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from bayescal._data import unit_conversion
-from bayescal._data.record_settings import recording
 from bayescal._model.correlated_noise import OrnsteinUhlenbeck
 from bayescal._model.frame import Frame
 from bayescal._model.independent_noise import (
@@ -29,6 +28,9 @@ from bayescal._model.noise_terms import TERMS, Bounds, CorrelatedTerm, NoiseTerm
 from bayescal._model.prior import HalfCauchy, Normal, Positive
 from bayescal._model.state_space import States, drawn, filtered, states_of
 from bayescal._model.static import set_once
+
+# Readings of the longest run, below which a second correlated noise is not told from the first.
+SECOND_CORRELATED_READINGS = 150
 
 OFFERED = (  # what measured records show beside white noise (IEEE 952, and a unit on a temperature ramp)
     ("walk",),
@@ -318,7 +320,7 @@ def _of_two_or_more(scale: Positive, frame: Frame) -> list[Noise]:
     """Where runs are long enough."""
     steps = np.asarray(frame.step)
     longest = int(np.max(np.diff(np.append(np.flatnonzero(steps < 0), steps.size))))
-    if longest < recording().second_correlated or not (steps > 0).any():
+    if longest < SECOND_CORRELATED_READINGS or not (steps > 0).any():
         return []
     step, span = float(np.median(steps[steps > 0])), float(np.max(frame.columns["elapsed"]))
     found: list[Noise] = [over_octaves(scale, step, span, terms) for terms in OFFERED]

@@ -16,10 +16,10 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.prior_influence import coefficients_not_measured
-from bayescal._calibration.settings import searching
 from bayescal._calibration.summary import curve_extent, place_of, range_of, summary
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import interval, number, probability, with_error
+from bayescal._core.settings import settings
 from bayescal._data.column import NominalScale
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import convert, same_dimension, unit_label
@@ -320,7 +320,11 @@ def _found(chapter: Chapter) -> str:
     by_subject: dict[str, list[str]] = {}
     for effect in added:
         likely = _probability(chapter, effect)
-        how = "" if likely is None or likely >= searching().found else f"probably ({likely:.2f}) "
+        how = (
+            ""
+            if likely is None or likely >= settings().found_probability
+            else f"probably ({likely:.2f}) "
+        )
         by_subject.setdefault(_subject(effect), []).append(how + _does(chapter.used, effect))
     sentences = (f"{subject} {listed(does)}." for subject, does in by_subject.items())
     return " ".join(s[0].upper() + s[1:] for s in sentences)
@@ -472,7 +476,9 @@ def _error(chapter: Chapter) -> str:
 def _left(chapter: Chapter) -> str:
     """What the residuals look like."""
     c, step = chapter.calibration, chapter.data["steps"][-1]
-    depends = [e.against for e in chapter.check.entries if e.log_bayes_factor > searching().strong]
+    depends = [
+        e.against for e in chapter.check.entries if e.log_bayes_factor > settings().strong_evidence
+    ]
     if depends:
         return f"The residuals still depend on {listed(depends[:3])}."
     law = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
@@ -631,7 +637,7 @@ def unexplained(chapter: Chapter) -> list[str]:
             f"(first model: {measured(first, unit, 3)})."
         )
     for e in chapter.check.entries:
-        if e.log_bayes_factor > searching().strong:
+        if e.log_bayes_factor > settings().strong_evidence:
             size = f"{e.worst.size:+.2g} {unit_label(unit)}".replace("-", "−")
             said.append(
                 f"The residuals still depend on {e.against} (up to {size}; log Bayes factor {e.log_bayes_factor:.1f})."

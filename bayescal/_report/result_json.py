@@ -25,7 +25,7 @@ from bayescal._calibration.summary import null_directions, summary
 from bayescal._core.as_json import as_json, write_json
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.json_shape import read_json
-from bayescal._core.settings_in_force import unusual
+from bayescal._core.settings import unusual
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import GROUPS
 from bayescal._model.model import Model

@@ -23,12 +23,12 @@ from bayescal._calibration.judgement import noiseless, wrong_question
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
-from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.deadline import Handover
 from bayescal._core.errors import InputError, TimeIsUp
 from bayescal._core.formatting import probability
 from bayescal._core.progress import stage, tell
+from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import said_of, set_aside
 from bayescal._data.time_in_runs import going_on
@@ -550,7 +550,7 @@ def _other_path(structures: Structures) -> OtherPath | None:
     best = structures.best
     ends = [w for w in structures.visited.values() if w.structure.noise != best.structure.noise]
     other = max(ends, key=lambda w: w.total, default=None)
-    if other is None or not other.total > best.total - searching().strong:
+    if other is None or not other.total > best.total - settings().strong_evidence:
         return None
     # The same effects under another law are no other conclusion.
     if other.structure.effects == best.structure.effects:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, TimeIsUp
 from bayescal._core.progress import stage
@@ -26,6 +25,7 @@ from bayescal._search.posterior import Search
 from bayescal._search.search_path import SearchPath, Step
 from bayescal._search.shared_shape import FromOthers, ShapeEvidence, SharedShape, said
 from bayescal._search.structures import Structure, Structures
+from bayescal._search.walk import BEAM_STRUCTURES
 
 ROUNDS = 3  # of hearing the others, at most
 
@@ -199,7 +199,7 @@ class _Channel:
             if structure.effects.isdisjoint(news):
                 log_prior = after.log_prior(structure)
                 after.visited[structure] = replace(weighed, log_prior=log_prior)
-        leaders = sorted(before.visited.values(), key=lambda w: -w.total)[: searching().beam]
+        leaders = sorted(before.visited.values(), key=lambda w: -w.total)[:BEAM_STRUCTURES]
         try:
             self._look(after, [w.structure for w in leaders], searched)
         except TimeIsUp:

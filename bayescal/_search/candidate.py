@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc, logsumexp, ndtri
 
 from bayescal._calibration.guards import off_scale
-from bayescal._calibration.settings import searching
+from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.linear_model import learned_size
 from bayescal._model.effect import Effect
@@ -18,6 +18,17 @@ from bayescal._model.unknown_effect import covariate_in
 from bayescal._search.library import Library
 from bayescal._search.scores import ScoredPoint, gain_of
 from bayescal._search.structures import Structures, Weighed
+
+# Probability from which what is not found is named as a lead: odds of 1 to 4, worth a further run.
+LEAD_PROBABILITY = 0.2
+# Cosine of two fitted contributions from which they are one to these readings: 0.95 leaves a tenth of the squares to
+# tell them apart by.
+ALIKE_COSINE = 0.95
+# Share of an effect's information that nuisances leave, below which a plausible size must still be seen.
+VISIBLE_INFORMATION = 0.01
+# Plausible sizes that an effect would need to be seen, beyond which this experiment cannot test it; a plausible size
+# is known to an order of magnitude.
+DETECTABLE_SIZES = 10.0
 
 FINE = np.geomspace(1 / 30, 30, 61)  # amplitudes of a group, about the likeliest of its grid
 
@@ -237,7 +248,7 @@ def _visibility(point: ScoredPoint) -> float:
 
 def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
     """Size found with 80 % power: the log Bayes factor reaches what a finding needs under its prior odds."""
-    found, group = searching().found, library.grouped(point.effect)
+    found, group = settings().found_probability, library.grouped(point.effect)
     structures = library.structures
     forms = structures.forms[structures.family(point.effect)]  # by any of which it is found
     odds = float(logsumexp([structures.log_odds[n] for n in forms]))
@@ -254,7 +265,7 @@ def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:
     # makes z normal about c·√i, which passes the threshold with the power asked for when it stands that quantile
     # beyond.
     threshold = np.sqrt(2 * (needed + 0.5 * np.log1p(i)) * (1 + i) / i)
-    return float((threshold + ndtri(searching().power)) / np.sqrt(i) * point.size.sd[0])
+    return float((threshold + ndtri(settings().power)) / np.sqrt(i) * point.size.sd[0])
 
 
 def _detectable_amplitude(information: np.ndarray, amplitude: float, needed: float) -> float | None:
@@ -268,7 +279,7 @@ def _detectable_amplitude(information: np.ndarray, amplitude: float, needed: flo
         square = normal**2 * (values + values**2 * factor**2)
         weight = factor**2
         gain = 0.5 * square * weight / (1 + values * weight) - 0.5 * np.log1p(values * weight)
-        if np.mean(gain.sum(axis=1) >= needed) >= searching().power:
+        if np.mean(gain.sum(axis=1) >= needed) >= settings().power:
             return float(factor * amplitude)
     return None
 
@@ -289,7 +300,7 @@ def alike(points: Mapping[str, Sequence[ScoredPoint]]) -> dict[str, set[str]]:
     norms = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     cosine = np.abs(gram / np.outer(norms, norms))
     return {
-        name: {names[j] for j in np.flatnonzero(cosine[i] > searching().alike) if j != i}
+        name: {names[j] for j in np.flatnonzero(cosine[i] > ALIKE_COSINE) if j != i}
         for i, name in enumerate(names)
     }
 
@@ -298,7 +309,7 @@ def found_or_lead(candidate: Candidate, found: bool) -> Candidate:
     """The candidate, as a finding or a lead where it is one."""
     if found:
         return replace(candidate, kind="finding")
-    lead = (candidate.probability or 0.0) >= searching().lead
+    lead = (candidate.probability or 0.0) >= LEAD_PROBABILITY
     return replace(candidate, kind="lead") if lead else candidate
 
 
@@ -307,15 +318,15 @@ def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
     candidate = found_or_lead(candidate, found)
     if candidate.kind is not None:
         return candidate
-    if (candidate.log_bayes_factor or 0.0) > searching().strong:
+    if (candidate.log_bayes_factor or 0.0) > settings().strong_evidence:
         return candidate  # to be seen well enough, and explained by what was found
     # Visible means: a plausible size would be found. Where nuisances take all but a hundredth, what is left hangs on
     # their exact form, and the plausible size must be enough by itself.
     least, hidden = (
         candidate.minimum_detectable,
-        (candidate.visibility or 0.0) < searching().visible,
+        (candidate.visibility or 0.0) < VISIBLE_INFORMATION,
     )
-    most = plausible * (1.0 if hidden else searching().detectable)
+    most = plausible * (1.0 if hidden else DETECTABLE_SIZES)
     if least is None or least > most:
         return replace(candidate, kind="not visible", reason="not detectable in this experiment")
     return candidate

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayescal._calibration.settings import searching
 from bayescal._core.formatting import Printed, number, probability, table, with_error
+from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._search.search_path import SearchPath
 from bayescal._search.shared_shape import SharedShape
@@ -113,7 +113,9 @@ def _size(trail: SearchPath, name: str) -> tuple[float | None, float]:
 def _shared_text(s: SharedShape) -> str:
     """One line on what the unit has."""
     middle, low, high = s.posterior
-    showing = ", ".join(n for n in s.says if s.evidence(n) > searching().strong) or "none alone"
+    showing = (
+        ", ".join(n for n in s.says if s.evidence(n) > settings().strong_evidence) or "none alone"
+    )
     unit = unit_label(s.shape.unit)
     return (
         f"{s.effect}: the unit has it with probability {probability(s.probability)}, {s.shape.name} "

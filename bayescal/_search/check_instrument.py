@@ -18,7 +18,6 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._calibration.guards import off_scale
-from bayescal._calibration.settings import guarding
 from bayescal._calibration.summary import null_directions
 from bayescal._core.errors import BayescalError, ModelError
 from bayescal._core.formatting import Printed, number, table, with_error
@@ -34,6 +33,13 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
 from bayescal._search.own_files import in_one_line
+
+# Share of the noise by which a response may depart from its linearisation at plausible sizes.
+BENT_NOISE = 0.1
+# Standard deviations from what was simulated, beyond which a coefficient has not come back.
+BACK_SD = 4.0
+# Contraction below which a coefficient is not identifiable; two that are one have a half each.
+IDENTIFIABLE_CONTRACTION = 0.6
 
 RUNS, ROWS = 4, 60  # of the readings that are made up, where the instrument has no simulator
 SPANS = 5.0  # times the longest median time of an effect, that a run lasts at the least
@@ -320,7 +326,7 @@ class _CheckedInstrument:
         exact = forward.mean(one.layout, one.frame, middle, one.rows, one.hyper)
         linear = one.line.mean + one.line.jacobian @ (middle - one.x)
         departs = float(np.max(np.abs(np.asarray(exact - linear)), initial=0.0))
-        if departs > guarding().bent * self.noise and (kind == "baseline" or not self._is_bent):
+        if departs > BENT_NOISE * self.noise and (kind == "baseline" or not self._is_bent):
             self._is_bent = True
             unit = unit_label(self.instrument.unit)
             self.notes.append(
@@ -364,9 +370,9 @@ class _CheckedInstrument:
     ) -> str:
         if name in zero:
             return "its basis is zero"
-        if size is not None and 1 - (sd / size) ** 2 < guarding().identifiable:
+        if size is not None and 1 - (sd / size) ** 2 < IDENTIFIABLE_CONTRACTION:
             return "not identifiable here"
-        if abs(mean - truth) > guarding().back * sd:
+        if abs(mean - truth) > BACK_SD * sd:
             self.errors.append(
                 f"{name} did not come back: {number(truth)} simulated, {with_error(mean, sd)} found"
             )

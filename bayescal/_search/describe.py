@@ -12,14 +12,19 @@ from jaxtyping import Int
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
-from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
+from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import derived
 from bayescal._search.calibrate import QUICK
 from bayescal._search.draft_effect import DraftShape, draft_effect, shape_of
 from bayescal._search.preview import Preview, Previews
+
+# Share of a covariate's range, below which a selection of readings is said to lie at part of it.
+NARROW_SHARE = 0.8
+# Share of what the best dependence explains in a selection, that another must explain to stand for it.
+STANDS_FOR_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -98,7 +103,7 @@ def _where_and_how_far(calibration: Calibration, rows: Int[np.ndarray, "k"]) -> 
     places = []
     for name, values in derived(readings).items():
         low, high, span = values[rows].min(), values[rows].max(), float(np.ptp(values))
-        if span > 0 and high - low < searching().narrow * span:
+        if span > 0 and high - low < NARROW_SHARE * span:
             measured = unit_label(readings.unit(name) or "") if readings.has(name) else ""
             places.append(f"{name} {number(low, 4)} to {number(high, 4)} {measured}".rstrip())
     levels, codes = readings.groups("run")
@@ -128,10 +133,10 @@ def _explaining(
         with suppress(ModelError):  # not beside this noise law
             one = previews.of(name)
             explained = float(np.sum(residual**2) - np.sum((residual - one.curve[rows]) ** 2))
-            if (one.log_bayes_factor or 0.0) > searching().strong and explained > 0:
+            if (one.log_bayes_factor or 0.0) > settings().strong_evidence and explained > 0:
                 found.append((explained, one))
     # What explains the selection best by squares may be a curve that bends after it: of those nearly as good, the one
     # with the most evidence over all readings.
-    most = searching().stands_for * max((explained for explained, _ in found), default=0.0)
+    most = STANDS_FOR_SHARE * max((explained for explained, _ in found), default=0.0)
     near = [one for explained, one in found if explained >= most]
     return max(near, key=lambda one: one.log_bayes_factor or 0.0, default=None)

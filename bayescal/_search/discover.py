@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.settings import searching
+from bayescal._calibration.sensor_noise import SHOWN_PROBABILITY
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, TimeIsUp
 from bayescal._core.formatting import WIDTH, Printed, number, probability, table, with_error
@@ -124,7 +124,7 @@ class Discovery(Printed):
         """What is missing, and every candidate, the most probable first."""
         lines = _findings(self)
         if self.noise:
-            shown = [n for n in self.noise if n.probability >= searching().shown]
+            shown = [n for n in self.noise if n.probability >= SHOWN_PROBABILITY]
             lines.append(_folded(f"noise law (probability): {', '.join(map(str, shown))}"))
         lines += [self.stopped, *(textwrap.fill(f"unit? {w}", WIDTH) for w in self.off_scale)]
         tested = [c for c in self.candidates if c.kind != "not testable"]
@@ -404,7 +404,7 @@ def _findings(found: Discovery) -> list[str]:
             rivals = [
                 f", or {r.effect} is missing ({probability(r.probability)})"
                 for r in rest
-                if (r.probability or 0.0) >= searching().shown
+                if (r.probability or 0.0) >= SHOWN_PROBABILITY
             ]
             lines.append(
                 f"{c.effect.removesuffix(FREED)} contradicts its prior: its stated value is wrong "

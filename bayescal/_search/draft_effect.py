@@ -15,11 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.settings import searching
 from bayescal._calibration.summary import range_of
 from bayescal._core.errors import ModelError
 from bayescal._core.quoting import identifier, python_string, python_words
 from bayescal._model.frame import derived
+
+SIMPLE_SHARE = 0.97  # share of a free curve's variance, from which a simple formula will do for it
 
 POINTS = 101
 PERIODS = np.geomspace(0.06, 2.0, 1000)  # of a sine, in parts of the range
@@ -141,7 +142,7 @@ def _closest(shape: DraftShape) -> tuple[str, str]:
     shares = [_fitted(shape.mean, [curve])[0] for curve in curves]
     share, (words, basis) = max(shares), forms[int(np.argmax(shares))]
     # Simple forms first: a sine has a free period and resembles almost any curve.
-    if share < searching().simple:
+    if share < SIMPLE_SHARE:
         angles = [2 * math.pi * x / p for p in PERIODS]
         waves = [_fitted(shape.mean, [np.sin(a), np.cos(a)]) for a in angles]
         best = int(np.argmax([one for one, _ in waves]))

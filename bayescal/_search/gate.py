@@ -7,15 +7,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayescal._calibration.judgement import of_noise, of_thermometers, surprising
-from bayescal._calibration.leave_group_out import scheme
-from bayescal._calibration.settings import guarding
+from bayescal._calibration.judgement import CORRELATED_SD, of_noise, of_thermometers, surprising
+from bayescal._calibration.leave_group_out import FEW_IN_GROUP, scheme
 from bayescal._core.formatting import number
+from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.unknown_effect import FREED, JUMP
 from bayescal._search.one_profile import said_of_profiles
-from bayescal._search.search_path import Gate, Step
+from bayescal._search.search_path import WORSE_RATIO, Gate, Step
 from bayescal._search.taken_over import IN_TIME, TakenOver, taken_over
+
+# Probability that the model is complete, below which it is not to be used as it is.
+UNLIKELY_COMPLETE = 0.05
+# Times the scatter that a model expects of hold-out data, beyond which they are of something else.
+EXPECTED_SCATTER_RATIO = 2.0
+# Share of the steps of an input to a value that come from one value, above which it goes through its values in one
+# order: of ten such steps one may be another.
+IN_ORDER_SHARE = 0.9
 
 
 def gate(steps: Sequence[Step]) -> Gate:
@@ -27,7 +35,7 @@ def _gate(steps: Sequence[Step], reasons: Sequence[str]) -> Gate:
     if reasons:
         return Gate(False, " ".join(reasons))
     # Of fewer readings no correlation reaches that many standard deviations.
-    if len(steps[-1].calibration.readings) < int(guarding().correlated_z ** 2) + 1:
+    if len(steps[-1].calibration.readings) < int(CORRELATED_SD**2) + 1:
         return Gate(True, "converged; too few readings to see whether neighbours are correlated")
     return Gate(True, "converged; neighbouring residuals are not correlated")
 
@@ -158,11 +166,8 @@ def in_one_order(step: Step) -> list[str]:
         pairs = np.zeros(2 * (int(level.max()) + 1,))
         np.add.at(pairs, (here[moved], before[moved]), 1)
         visits = pairs.sum(axis=1)
-        again = visits >= guarding().few_in_group
-        if (
-            again.any()
-            and pairs[again].max(axis=1).sum() > guarding().in_order * visits[again].sum()
-        ):
+        again = visits >= FEW_IN_GROUP
+        if again.any() and pairs[again].max(axis=1).sum() > IN_ORDER_SHARE * visits[again].sum():
             found.append(
                 f"Not decidable from these readings: whether {effect.name} is of the sensor, or the output is late or "
                 f"smoothed: {column} goes through its values in one order. Take them in another order in one run."
@@ -192,7 +197,7 @@ def _undecided(step: Step) -> list[str]:
     found = step.discovery
     if found is None or found.nothing_missing is None or found.sets or found.unnamed:
         return []
-    if found.nothing_missing >= guarding().unlikely:
+    if found.nothing_missing >= UNLIKELY_COMPLETE:
         return []
     leads = [c for c in found.candidates if c.probability is not None][:3]
     named = ", ".join(f"{c.effect} ({c.probability:.2f})" for c in leads)
@@ -211,7 +216,7 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
     noise = last.calibration.model.noise
     alike = [s for s in earlier if s.calibration.model.noise == noise and noise.independent]
     before = min((s.rmse_fitted for s in alike), default=math.inf)
-    if last.added is not None and last.rmse_fitted > guarding().worse * before:
+    if last.added is not None and last.rmse_fitted > WORSE_RATIO * before:
         reasons.append(
             f"Step {last.title!r} raises the error as fitted, {before:.3g} → {last.rmse_fitted:.3g} {unit}: do not use "
             "it."
@@ -236,12 +241,12 @@ def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     if last.left_out is None or not known:
         return None
     error, best = min(known, key=lambda one: one[0])
-    if last.left_out.rmse <= guarding().worse * error or best.left_out is None:
+    if last.left_out.rmse <= WORSE_RATIO * error or best.left_out is None:
         return None
     # Of densities of whole groups, joint over their readings: correlated noise makes readings of one group no
     # separate evidence.
     ratio = float(np.sum(best.left_out.log_score - last.left_out.log_score))
-    return None if ratio <= -math.log(guarding().chance) else best
+    return None if ratio <= -math.log(settings().holdout_p) else best
 
 
 def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
@@ -250,12 +255,12 @@ def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     if last.holdout_rmse is None or not known:
         return None
     error, best = min(known, key=lambda one: one[0])
-    if last.holdout_rmse <= guarding().worse * error:
+    if last.holdout_rmse <= WORSE_RATIO * error:
         return None
     # Of steps without a test the error alone decides.
     if last.holdout_test is None or best.holdout_test is None:
         return best
-    return best if last.holdout_test.worse_than(best.holdout_test) < guarding().chance else None
+    return best if last.holdout_test.worse_than(best.holdout_test) < settings().holdout_p else None
 
 
 def _contradicted(step: Step) -> list[str]:
@@ -265,14 +270,14 @@ def _contradicted(step: Step) -> list[str]:
         return []
     found, unit = step.holdout_test.against, unit_label(step.calibration.unit)
     other = "They are of another device or condition, or the model is wrong."
-    if found.p < guarding().chance and found.share > guarding().worse:
+    if found.p < settings().holdout_p and found.share > WORSE_RATIO:
         of = f", {found.most} before all" if found.most else ""
         return [
             f"The hold-out data contradict the last model: its error there, {number(error)} {unit}, would be "
             f"{number(error / found.share)} with other coefficients{of}, and a right model is so far off with "
             f"probability {found.p:.2g}. {other}"
         ]
-    if found.scatter > guarding().expected:
+    if found.scatter > EXPECTED_SCATTER_RATIO:
         return [
             "The last model predicts the hold-out data worse than it claims: they scatter "
             f"{found.scatter:.1f} times as much as expected. {other}"

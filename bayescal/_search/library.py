@@ -16,7 +16,7 @@ from bayescal._inference.assembly import put
 from bayescal._inference.terms import ColumnsOf
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.instrument import factor_of
-from bayescal._search.structures import Structures, factors
+from bayescal._search.structures import SIZE_FACTORS, Structures
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
 SEVERAL_SHAPES = 32  # of several at once, a Sobol sequence
@@ -138,7 +138,7 @@ def _sizes(effect: Effect, at: np.ndarray) -> list[Size]:
             hint = {f"{effect.coefficient_name(i)}.group_sd": math.log(z) for i in learned}
             made.append(Size(sd, hint, {}, -math.log(LEVELS)))
         return made
-    return [Size(plain * factor, {}, {}, math.log(p)) for factor, p in factors().items()]
+    return [Size(plain * factor, {}, {}, math.log(p)) for factor, p in SIZE_FACTORS.items()]
 
 
 def _grid(shapes: Sequence[Shape]) -> np.ndarray:

@@ -17,7 +17,6 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
-from bayescal._calibration.settings import searching
 from bayescal._core.errors import ModelError
 from bayescal._core.formatting import table
 from bayescal._core.parallel import on_one_thread
@@ -28,6 +27,10 @@ from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.noise_on_record import whitening
 from bayescal._model.effect import Effect
 from bayescal._model.frame import build_frame
+
+# Nats from which a log Bayes factor settles a question: odds of a hundred and fifty (Kass and Raftery, J. Am. Stat.
+# Assoc. 90 (1995) 773).
+VERY_STRONG_NATS = 5.0
 
 DRAWS = 300
 MOST = 1500  # readings of a campaign that are looked at, evenly spread: their covariances are n × n
@@ -76,10 +79,10 @@ class NextExperiment:
             f"to tell apart: {', '.join(self.members)}",
             table(["experiment", "log Bayes factor", "least expected for"], rows, fold=25),
         ]
-        if self.experiments[0].worst < searching().very_strong:
+        if self.experiments[0].worst < VERY_STRONG_NATS:
             lines.append(
                 "None of these is expected to tell them apart (a log Bayes factor of "
-                f"{searching().very_strong:g} would)."
+                f"{VERY_STRONG_NATS:g} would)."
             )
         return "\n".join(lines)
 

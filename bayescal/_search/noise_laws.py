@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
-from bayescal._calibration.settings import searching
 from bayescal._core.parallel import on_one_thread
+from bayescal._core.settings import settings
 from bayescal._inference.gaussian import LOG_2PI
 from bayescal._inference.laplace import NOTHING_KNOWN, curvature
 from bayescal._inference.noise_on_record import Whitening, total_log_density
@@ -24,6 +24,9 @@ from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
 from bayescal._model.model import Model
 from bayescal._model.noise_law import OFFERS, WHITE, Noise
+
+# Readings from which a noise law can be told at all: a fourth moment is then known to a half.
+FEWEST_FOR_NOISE = 30
 
 LEVELS = (
     -2.0,
@@ -47,11 +50,11 @@ def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
     # weighed.
     together = any(c.per == "reading" for e in model.effects for c in e.coefficients)
     fixed = any(name.startswith("noise.") for name, _ in model.fixed)
-    if together or fixed or frame.size < searching().fewest_for_noise or not model.noise.first:
+    if together or fixed or frame.size < FEWEST_FOR_NOISE or not model.noise.first:
         return {}
     scale = model.noise.parameters()[WHITE]
     laws = [law for offer in OFFERS for law in offer(scale, frame)]
-    laws = [law for law in laws if not law.refines or searching().finer_noise]
+    laws = [law for law in laws if not law.refines or settings().finer_noise]
     return {law.name: law for law in (*laws, *model.instrument.noise_laws)}
 
 

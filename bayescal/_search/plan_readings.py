@@ -17,7 +17,6 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.prior_influence import not_measured
-from bayescal._calibration.settings import searching
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number, table
 from bayescal._core.progress import stage
@@ -26,6 +25,9 @@ from bayescal._data.pose_rows import ACROSS
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
 from bayescal._search.next_experiment import expected_readings
 from bayescal._use.conformity import StatedLimit, limited_quantity, stated_limit
+
+# Share of a standard uncertainty that a campaign must take off to be worth it: no printed digit moves below.
+WORTH_SHARE = 0.05
 
 AGAIN = "the same again"
 OF_SCATTER = (
@@ -95,7 +97,7 @@ class ReadingPlan:
     @property
     def enough(self) -> bool:
         """Whether no campaign is worth it."""
-        return self.gain < searching().worth
+        return self.gain < WORTH_SHARE
 
     def __str__(self) -> str:
         """Campaigns by what they leave, the readings of the best one, and whether any is worth it."""
@@ -112,7 +114,7 @@ class ReadingPlan:
         lines.append(table(head, rows, fold=30))
         if self.enough:
             lines.append(
-                f"Enough: none of these is expected to take off {100 * searching().worth:.0f} %."
+                f"Enough: none of these is expected to take off {100 * WORTH_SHARE:.0f} %."
             )
             return "\n".join(lines)
         best = self.campaigns[0]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bayescal._calibration.settings import searching
+from bayescal._core.settings import settings
 from bayescal._search.structures import Structure, Structures, Weighed
 
 SHOWN = 20  # structures kept of a search
@@ -133,12 +133,12 @@ class Posterior:
         # far.
         for name in self.families(self.best.effects) - self.families(self.given):
             members = [name]
-            while self.inclusion(*members) < searching().found:
+            while self.inclusion(*members) < settings().found_probability:
                 further = self._substitute(members)
                 if further is None:
                     break
                 members.append(further)
-            if self.inclusion(*members) >= searching().found:
+            if self.inclusion(*members) >= settings().found_probability:
                 order = sorted(members, key=lambda n: -self.inclusion(n))
                 found.append(Found(tuple(order), self.inclusion(*members)))
         return tuple(sorted(found, key=lambda f: (-self.inclusion(f.effects[0]), len(f.effects))))

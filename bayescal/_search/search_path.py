@@ -14,14 +14,18 @@ from bayescal._calibration.check_result import Check
 from bayescal._calibration.guards import doubts_of_the_mode
 from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
-from bayescal._calibration.settings import guarding, searching
 from bayescal._core.formatting import Printed, number, probability, table
+from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import Discovery
 from bayescal._search.posterior import OtherPath, Search
 from bayescal._search.structure_average import StructureShare
+
+# Error against that of an earlier step, or of other coefficients, above which it matters: below a twentieth no use of
+# a result changes.
+WORSE_RATIO = 1.05
 
 RESUMED = (
     "The search was resumed from {} structures of one that was ended early: its probabilities may differ slightly from "
@@ -87,7 +91,7 @@ class Step:
     def raises_holdout(self, before: Step) -> bool:
         """Whether its hold-out error is more than a twentieth above that of the step before."""
         now, then = self.holdout_rmse, before.holdout_rmse
-        return now is not None and then is not None and now > guarding().worse * then
+        return now is not None and then is not None and now > WORSE_RATIO * then
 
     def errors(self) -> dict[str, Any]:
         """Title and errors as plain data, output unit: what result.json says of them, and what pictures show."""
@@ -214,7 +218,7 @@ class SearchPath(Printed):
         rows = [list(row) for row in zip(*cells.values(), strict=True)]
         lines = [table(list(cells), rows) + (note if any(rises) else "")]
         found = [n for n, p in self.added.items() if p is not None]
-        sure = [n for n in found if (self.added[n] or 0.0) >= searching().found]
+        sure = [n for n in found if (self.added[n] or 0.0) >= settings().found_probability]
         likely = [f"{n} ({probability(self.added[n])})" for n in found if n not in sure]
         lines += [f"found: {', '.join(sure)}"] if sure else []
         lines += [f"more probable than not: {', '.join(likely)}"] if likely else []
@@ -257,9 +261,11 @@ class SearchPath(Printed):
 def _nearest(best: Candidate, added: int) -> str:
     """The most probable candidate that was not added."""
     it = f"{best.effect}, probability {probability(best.probability)}"
-    if (best.probability or 0.0) >= searching().found:
+    if (best.probability or 0.0) >= settings().found_probability:
         return f"Still missing: {it}."
     more = "Nothing more" if added else "Nothing"
     if best.kind == "lead":
-        return f"{more} is found: {it}: a lead, below the {searching().found:g} asked for."
-    return f"{more} is found: the likeliest candidate is {it}, below the {searching().found:g} asked for."
+        return (
+            f"{more} is found: {it}: a lead, below the {settings().found_probability:g} asked for."
+        )
+    return f"{more} is found: the likeliest candidate is {it}, below the {settings().found_probability:g} asked for."

@@ -17,12 +17,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
-from bayescal._calibration.settings import searching
 from bayescal._inference.density import Density
 from bayescal._model.effect import CENTRAL_95, Shape
 from bayescal._search.library import Library
 from bayescal._search.scores import View
-from bayescal._search.structures import Structures, Weighed
+from bayescal._search.structures import OTHER_LAW_NATS, Structures, Weighed
 
 SHARES = (np.arange(10) + 0.5)[:, None] / 10  # of the channels that show what their unit has
 REACH, STEP = 3.5, 0.25  # of the shape's grid, prior standard deviations
@@ -184,7 +183,7 @@ def said(structures: Structures, name: str, shape: Shape) -> ShapeEvidence:
     u = np.array([own.prior.coordinate(float(shape.prior.value(x))) for x in v])
     fine = Library(structures, {name: u[:, None]})
     # Where it was not worth a refit, it is as improbable as makes none worth while.
-    with_it = [np.full(len(v), structures.best.total - searching().other_law)]
+    with_it = [np.full(len(v), structures.best.total - OTHER_LAW_NATS)]
     for weighed in holding:
         # A refit knows the integral over v, the score its form: the form is scaled so that its prior mean is the
         # refit's evidence. Of structures without the effect, to which no refit adds it, the score stands for both.

@@ -17,11 +17,11 @@ from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fitted import named
-from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
+from bayescal._core.settings import settings
 from bayescal._inference.assembly import Point
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import CHAINS, Draws
@@ -95,7 +95,11 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
             # last model.
             mass[s.effects] = mass.get(s.effects, 0.0) + float(probability)
     barred = structures.barred(Structure(noise=noise))
-    kept = {e: p for e, p in mass.items() if p >= searching().averaged and e.isdisjoint(barred)}
+    kept = {
+        e: p
+        for e, p in mass.items()
+        if p >= settings().averaged_probability and e.isdisjoint(barred)
+    }
     order = sorted(kept, key=lambda e: -kept[e])
     total = sum(kept.values())
     return tuple(StructureShare(tuple(sorted(e)), kept[e] / total) for e in order)

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
-from bayescal._calibration.settings import searching
+from bayescal._core.settings import settings
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import condition
@@ -29,6 +29,18 @@ from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import Layout
 from bayescal._search.noise_laws import OnResiduals, log_prior, on_residuals
+
+# Share of the prior weight of what is missing, for what no named effect describes: a formula that is known beforehand
+# is likelier than one that is not.
+UNKNOWN_SHARE = 0.1
+# Share of the noise, rms, that a description without a name may explain, and the model still count as complete: it
+# makes the noise by a fiftieth larger.
+NAMELESS_RMS = 0.2
+# Nats behind the best, from which a structure under another noise law is not refitted.
+OTHER_LAW_NATS = 100.0
+# Factors on a candidate's plausible size, which is known to an order of magnitude, and their prior probabilities: real
+# coefficients on the chamber ramp stood 3 to 8 such sizes out.
+SIZE_FACTORS = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}
 
 WIDE = (-6.0, 6.0)  # coordinates of a noise's size
 STILL = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
@@ -123,14 +135,14 @@ class Structures:
         forms = self.forms.values()
         unknown = [f for f in forms if self.candidates[f[0]].is_placeholder]
         named = [f for f in forms if not self.candidates[f[0]].is_placeholder]
-        share = searching().unknown_share if named else 1.0
+        share = UNKNOWN_SHARE if named else 1.0
         each = {}
         for families, part in ((unknown, share), (named, 1 - share if unknown else 1.0)):
             for names in families:
                 # k candidates of odds o, each in or out by itself, are all out with probability (1 + o)⁻ᵏ. That this
                 # is `nothing` to the power of the group's part gives o = nothing^(−part/k) − 1, and the product over
                 # both groups is `nothing`.
-                odds = math.expm1(-math.log(searching().nothing) * part / len(families))
+                odds = math.expm1(-math.log(settings().prior_complete) * part / len(families))
                 for name in names:
                     each[name] = self.odds.get(name, math.log(odds / len(names)))
         return each
@@ -290,7 +302,7 @@ class Structures:
             white = line.whiten(line.contribution(name)[:, None])[:, 0]
             left = line.beyond(white, ~own)
             share = math.sqrt(float(left @ left) / line.size)
-            if share > searching().matters or self._moves_coefficients(line, own, white):
+            if share > NAMELESS_RMS or self._moves_coefficients(line, own, white):
                 found.add(name)
         return frozenset(found)
 
@@ -393,11 +405,6 @@ def starts(
     return [np.array([start[n] for n in names]) for start in found]
 
 
-def factors() -> dict[float, float]:
-    """Factors on a plausible size, and their probabilities."""
-    return dict(searching().factors)
-
-
 def has_size(effect: Effect) -> bool:
     """Whether its size is a prior's standard deviation, and not learned."""
     return not effect.is_placeholder and any(
@@ -442,7 +449,7 @@ def averaged(
     log_evidence = mode.log_evidence
     for name in chosen:
         gains = at_sizes.of(name, chosen)
-        here = gains[chosen[name]] - math.log(factors()[chosen[name]])
+        here = gains[chosen[name]] - math.log(SIZE_FACTORS[chosen[name]])
         log_evidence += float(np.logaddexp.reduce(list(gains.values()))) - here
     return assembly, mode, log_evidence
 
@@ -464,7 +471,7 @@ class _AtSizes:
     def of(self, name: str, chosen: Mapping[str, float]) -> dict[float, float]:
         """For each size of one effect, the others as chosen."""
         found = {}
-        for factor, probability in factors().items():
+        for factor, probability in SIZE_FACTORS.items():
             sd = self.prior.sd.copy()
             for other, places in self.places.items():
                 share = (factor if other == name else chosen[other]) / self.made_at[other]

@@ -18,10 +18,17 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.settings import guarding
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model import unknown_effect
 from bayescal._model.effect import Effect
+
+# Share of a term's squares that what was added leaves to it, below which its variance grows tenfold (a variance
+# inflation factor of 10: D. Belsley, E. Kuh and R. Welsch, Regression Diagnostics, 1980).
+LEFT_SHARE = 0.1
+# Share of a coefficient's former value: a correction leaves more than this while the term stays what it was.
+CORRECTED_SHARE = 0.5
+# Former standard uncertainties of a coefficient, beyond which chance does not move it.
+MOVED_SD = 4.0
 
 IN_TIME = ("time", *unknown_effect.IN_TIME)  # of which what repeats from run to run is no function
 
@@ -54,10 +61,10 @@ class TakenOver(NamedTuple):
         """
         # Estimates with and without further columns, whose effect is zero, differ by √(1/left − 1) former standard
         # uncertainties by chance (J. Hausman, Econometrica 46 (1978) 1251): below 1/√left.
-        by_chance = self.moved**2 * min(self.left, 1.0) <= guarding().moved ** 2
+        by_chance = self.moved**2 * min(self.left, 1.0) <= MOVED_SD**2
         if self.unnamed:
             return by_chance and not self.confounded
-        return by_chance or not (self.confounded or self.kept < guarding().corrected)
+        return by_chance or not (self.confounded or self.kept < CORRECTED_SHARE)
 
     @property
     def unnamed(self) -> bool:
@@ -67,7 +74,7 @@ class TakenOver(NamedTuple):
     @property
     def confounded(self) -> bool:
         """Whether the readings hardly tell the term from what was added."""
-        return self.left < guarding().left
+        return self.left < LEFT_SHARE
 
     def __str__(self) -> str:
         """Why the term's coefficient is not measured, or what its uncertainty holds, a sentence or two."""
@@ -79,7 +86,7 @@ class TakenOver(NamedTuple):
                 f"standard uncertainties hold both. Vary {column} otherwise in another run."
             )
         said = f"{by} can stand for it, as the profiles are"
-        if self.kept < guarding().corrected:
+        if self.kept < CORRECTED_SHARE:
             said = f"{column} no longer explains the output, {by} stands for it"
         return (
             f"The coefficient {name} is not measured: {said}, and these readings cannot tell which it is ({name} is "

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._calibration.settings import searching
 from bayescal._calibration.summary import null_vectors, untold
 from bayescal._core.formatting import Printed
 from bayescal._data.measurements import Measurements
@@ -28,6 +27,12 @@ from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import Model
 from bayescal._model.parameters import bind
 from bayescal._model.vector import Vector
+
+# Information on a combination of coefficients, in units of its prior's, that poses to add must come to: its standard
+# deviation is then below 0.7 of the prior's.
+DETERMINED_INFORMATION = 1.0
+# Share of the log volume that the best pose takes off, from which one that is easier to set does as well.
+PLAINER_SHARE = 0.5
 
 DIRECTIONS = np.array(
     sorted((d for d in product((1, 0, -1), repeat=3) if any(d)), key=lambda d: sum(map(abs, d))),
@@ -175,16 +180,18 @@ def _greedy(columns: Float[np.ndarray, "c r k"], effort: list[int]) -> tuple[lis
         columns: whitened, of each candidate's readings by each direction.
         effort: of setting each: those of less are taken where they add nearly as much.
     """
-    k, given = columns.shape[2], searching()
+    k = columns.shape[2]
     information, chosen = np.zeros((k, k)), list[int]()
     while True:
         weights, vectors = np.linalg.eigh(information)
-        open_ = columns @ vectors[:, weights < given.determined]  # of what is not determined yet
+        open_ = (
+            columns @ vectors[:, weights < DETERMINED_INFORMATION]
+        )  # of what is not determined yet
         inner = open_ @ open_.transpose(0, 2, 1)
         gain = np.linalg.slogdet(np.eye(columns.shape[1]) + inner)[1]
         gain[chosen] = 0.0
-        if not gain.max() > np.log1p(given.determined):
+        if not gain.max() > np.log1p(DETERMINED_INFORMATION):
             return chosen, open_.shape[2]
-        near = [i for i in range(len(gain)) if gain[i] > given.plainer * gain.max()]
+        near = [i for i in range(len(gain)) if gain[i] > PLAINER_SHARE * gain.max()]
         chosen.append(min(near, key=lambda i: (effort[i], i)))
         information = information + columns[chosen[-1]].T @ columns[chosen[-1]]

@@ -10,14 +10,22 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._core.deadline import Deadline
 from bayescal._core.parallel import on_one_thread
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import log_prior
 from bayescal._search.scores import HINTS, ScoredPoint, View, gain_of
-from bayescal._search.structures import Structure, Structures, Weighed
+from bayescal._search.structures import OTHER_LAW_NATS, Structure, Structures, Weighed
+
+# Most probable structures whose neighbours are looked at before the walk ends; with 4 it finds what enumeration finds
+# in tests/search/test_structures.py.
+BEAM_STRUCTURES = 4
+# Nats behind the best, up to which a structure is refitted: e⁻⁶ = 0.0025, a quarter of a hundredth.
+NEAR_NATS = 6.0
+# Neighbours that are refitted of each structure looked at, at least and at most.
+REFITTED_NEIGHBOURS = (2, 10)
+REFITTED_PAIRS = 4  # pairs of effects among them, for those that show together alone
 
 LIKELIEST = 2  # finer noise laws that are weighed beside fewer effects than the best structure has
 
@@ -122,9 +130,9 @@ def _next(structures: Structures, looked: set[Structure], among: Scope) -> Weigh
     of_law = {w.structure.noise: w for w in reversed(ordered)}
     for i, w in enumerate(ordered):
         # Farther behind than `near` a structure has no part of the probability that is printed: it is left alone.
-        if w.total <= ordered[0].total - searching().near:
+        if w.total <= ordered[0].total - NEAR_NATS:
             return None
-        in_beam = i < searching().beam or of_law[w.structure.noise] is w
+        in_beam = i < BEAM_STRUCTURES or of_law[w.structure.noise] is w
         if in_beam and w.structure not in looked:
             return w
     return None
@@ -174,7 +182,7 @@ def _look_around(
         other = here.under(law)
         other = other.minus(*structures.barred(other))
         rough = structures.roughly(other, at)
-        if rough > structures.best.total - searching().other_law:
+        if rough > structures.best.total - OTHER_LAW_NATS:
             structures.weigh(other, at)
         else:
             structures.expect(other, rough)
@@ -198,9 +206,9 @@ def _look_around(
     # The first ones are refitted whatever is expected of them, since a score at φ̂ of a model that lacks an effect
     # (its noise too large, its shapes elsewhere) may be far too low.
     moves.sort(key=lambda m: -m.total)
-    for i, move in enumerate(moves[: searching().refitted[1]]):
-        near = move.total > structures.best.total - searching().near
-        if (i < searching().refitted[0] or near) and not end.over:
+    for i, move in enumerate(moves[: REFITTED_NEIGHBOURS[1]]):
+        near = move.total > structures.best.total - NEAR_NATS
+        if (i < REFITTED_NEIGHBOURS[0] or near) and not end.over:
             _weigh_forms(structures, structures.weigh(move.to, at, move.hints), end)
     _weigh_forms(structures, at, end)
     # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
@@ -215,7 +223,7 @@ def _weigh_forms(structures: Structures, at: Weighed, end: Deadline) -> None:
 
     Where the structure is so improbable that no form could make it anything else they are left alone.
     """
-    if not at.total > structures.best.total - searching().other_law:
+    if not at.total > structures.best.total - OTHER_LAW_NATS:
         return
     for name in sorted(at.structure.effects):
         for to in structures.other_forms(at.structure, name):
@@ -243,7 +251,7 @@ def _refine(structures: Structures, end: Deadline) -> bool:
 
     What an effect explains under plain noise a finer law may explain without it.
     """
-    best, fewest = structures.best, structures.best.total - searching().near
+    best, fewest = structures.best, structures.best.total - NEAR_NATS
     moves = sorted(_finer_laws(structures, best), key=lambda m: -m.total)
     chosen = [(move, best) for move in moves if move.total > best.total]
     plain = Structure(noise=best.structure.noise)
@@ -257,7 +265,7 @@ def _refine(structures: Structures, end: Deadline) -> bool:
     for move in (*moves, *(move for move, _ in chosen)):
         structures.expect(move.to, move.total)
     chosen = [(move, at) for move, at in chosen if move.to not in structures.visited]
-    for move, at in sorted(chosen, key=lambda c: -c[0].total)[: searching().refitted[1]]:
+    for move, at in sorted(chosen, key=lambda c: -c[0].total)[: REFITTED_NEIGHBOURS[1]]:
         if not end.over:
             structures.weigh(move.to, at, move.hints)
     return bool(chosen)
@@ -317,7 +325,7 @@ def _moves(view: View, max_effects: int, among: Scope) -> Iterator[Move]:
             yield _addition(here.plus(name), at.total + odds[name], points)
         if room > 1:
             named = {n: p for n, p in found.items() if not structures.candidates[n].is_placeholder}
-            for gain, a, b in rest.pairs(named)[: searching().pairs]:
+            for gain, a, b in rest.pairs(named)[:REFITTED_PAIRS]:
                 total = at.total + gain + odds[a.effect] + odds[b.effect]
                 yield Move(here.plus(a.effect, b.effect), total, ({**a.hint, **b.hint},))
     # Dropping and exchanging start from what is left without the effect; a drop costs no column's volume.

@@ -26,8 +26,7 @@ from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
 from bayescal._core.quoting import html_text, identifier, number_text, one_line, python_string
-from bayescal._data.record_settings import recording
-from bayescal._data.time_in_runs import RATE_WINDOW
+from bayescal._data.time_in_runs import RATE_WINDOW, SILENCE_WINDOWS
 from bayescal._data.unit_conversion import unit_label
 from bayescal._use.compensation_program import (
     PAST,
@@ -306,5 +305,5 @@ def _record(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str
         "rates": [(columns[i.column], fields[i.name]) for i in rates],
         "elapsed": [fields[i.name] for i in past if i.kind == "elapsed"],
         "window": window * (1 + 1e-9),  # as the rate of a record has it
-        "silence": recording().silence * window,
+        "silence": SILENCE_WINDOWS * window,
     }

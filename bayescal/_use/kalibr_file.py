@@ -9,8 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from bayescal._calibration.sensor_noise import SensorNoise
-from bayescal._calibration.settings import guarding
+from bayescal._calibration.sensor_noise import FILTER_QUANTILE, SensorNoise
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import c_comment
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse
@@ -37,7 +36,7 @@ def kalibr_yaml(
     Raises:
         InputError: a channel is neither, or their rates differ, the quantile is no probability, or the topic no name.
     """
-    quantile = guarding().filter_quantile if quantile is None else quantile
+    quantile = FILTER_QUANTILE if quantile is None else quantile
     if not 0 < quantile < 1:
         raise InputError(f"the quantile {quantile:g} must be between 0 and 1, such as 0.95")
     if not TOPIC.fullmatch(topic):

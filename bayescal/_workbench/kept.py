@@ -62,7 +62,7 @@ SHAPE = {  # of an `Origin`
     "average": OneOf(None, str),
     "keep_spikes": bool,
 }
-SETTINGS_SHAPE = {  # of `Settings.data`
+SETTINGS_SHAPE = {  # of `SearchOptions.data`
     "method": OneOf(None, {str: ANY}),
     **{"max_effects": int, "seed": int, "widen_noise": bool, "keep_spikes": bool},
     "reference": OneOf(None, {str: OneOf(float, {str: float})}),
@@ -218,7 +218,7 @@ class Origin:
 
 
 @dataclass(frozen=True)
-class Settings:
+class SearchOptions:
     """What `calibrate` is asked with, apart from model and readings; see there."""
 
     method: Method | None = None
@@ -231,7 +231,7 @@ class Settings:
     accept_conflicts: Collection[str] = ()
 
     @classmethod
-    def of(cls, **given: Any) -> Settings:
+    def of(cls, **given: Any) -> SearchOptions:
         """Of keywords as `calibrate` takes them.
 
         Raises:
@@ -251,7 +251,7 @@ class Settings:
         return {**vars(self), "method": method, "accept_conflicts": conflicts}
 
     @classmethod
-    def from_data(cls, told: Mapping[str, Any]) -> Settings:
+    def from_data(cls, told: Mapping[str, Any]) -> SearchOptions:
         """What `data` gave.
 
         Raises:
@@ -383,7 +383,7 @@ def keep_state(folder: Path, state: State, script: str) -> None:
     to_disk(folder)
 
 
-def keep_session(folder: Path, of: Origin, settings: Settings, current: int) -> None:
+def keep_session(folder: Path, of: Origin, settings: SearchOptions, current: int) -> None:
     """Keep what the session is about, and which state is current.
 
     Raises:
@@ -419,7 +419,7 @@ def session_in(folder: Path) -> dict[str, Any]:
             raise ValueError(f"its schema is {told.get('schema')!r}, expected {SCHEMA!r}")
         if said := mismatch(told, SESSION_SHAPE):
             raise ValueError(said)
-        settings = Settings.from_data(told["settings"])
+        settings = SearchOptions.from_data(told["settings"])
         return {**told, "origin": Origin.from_data(told["origin"]), "settings": settings}
     except (OSError, ValueError, TypeError, InputError) as error:
         raise InputError(
@@ -513,7 +513,7 @@ print(final)
 """
 
 
-def script(path: Sequence[State], origin: Origin, settings: Settings, folder: Path) -> str:
+def script(path: Sequence[State], origin: Origin, settings: SearchOptions, folder: Path) -> str:
     """The script that leads from the first state of a path to its last.
 
     Args:

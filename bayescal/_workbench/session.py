@@ -54,7 +54,7 @@ from bayescal._use.compensator import compensator
 from bayescal._use.decide import Decisions, decide
 from bayescal._use.firmware_parameters import AUTOPILOTS, axis_of, firmware_parameters
 from bayescal._workbench import kept
-from bayescal._workbench.kept import Origin, Settings, State, path_to, script
+from bayescal._workbench.kept import Origin, SearchOptions, State, path_to, script
 
 KINDS = {"add": 1, "take_out": 1, "fix": 2, "free": 1, "resize": 2, "noise": 1}
 
@@ -140,7 +140,7 @@ class Session:
     readings: Measurements
     holdout: Measurements | None
     folder: Path
-    settings: Settings
+    settings: SearchOptions
     origin: Origin
     own: dict[str, Effect]
     on_change: list[Callable[[], None]] = field(default_factory=list)
@@ -175,13 +175,13 @@ class Session:
             model, readings, holdout, effects: as of `calibrate`.
             folder: where every state is kept; None: a temporary one.
             origin: where all this comes from; None: readings are written to the folder.
-            settings: of `calibrate`; see `Settings`.
+            settings: of `calibrate`; see `SearchOptions`.
 
         Raises:
             ModelError: the readings lack what the model needs.
             InputError: the folder cannot be written to, or holds a session.
         """
-        asked = Settings.of(**settings)
+        asked = SearchOptions.of(**settings)
         spikes, apart = asked.keep_spikes, None
         model.require(readings)
         if holdout is not None:

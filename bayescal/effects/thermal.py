@@ -13,11 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._data.measurements import Measurements
-from bayescal._data.record_settings import recording
 from bayescal._data.time_in_runs import run_codes
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.prior import Known, Normal
+
+# Share of the readings during which a temperature must rise, and fall, for a hysteresis to show.
+DIRECTION_SHARE = 0.02
 
 WINDOWS = (
     2.0,
@@ -266,7 +268,7 @@ def _one_way(column: str, readings: Measurements) -> str | None:
     """Why a temperature that does not go both ways shows no hysteresis, if so."""
     frame = build_frame(readings, reference_of(readings))
     turned = np.asarray(frame.direction(jnp.asarray(math.sqrt(math.prod(WIDTHS))), column)[0])
-    least = recording().direction
+    least = DIRECTION_SHARE
     warmed, cooled = (turned > 0.5).mean() >= least, (turned < -0.5).mean() >= least
     if warmed and cooled:
         return None

@@ -14,7 +14,7 @@ from bayescal._model.frame import reference_of
 from bayescal._model.parameters import Hyper, Layout
 from bayescal._model.prior import HalfCauchy, HalfNormal
 from bayescal._search.discover import structures_over
-from bayescal._search.structures import Structure, Structures, factors
+from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
 
 WANDER = OrnsteinUhlenbeck.law
 
@@ -56,7 +56,7 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
     """What effects add to the expected output at the fitted baseline."""
     base = structures.weigh(Structure())
     model = structures.model(Structure(frozenset(names)))
-    sizes, shares = list(factors()), list(factors().values())
+    sizes, shares = list(SIZE_FACTORS), list(SIZE_FACTORS.values())
     spread = {n: float(rng.choice(sizes, p=shares)) for n in names}
     spread = {n: f for n, f in spread.items() if not structures.candidates[n].is_placeholder}
     assembly = Assembly(Layout(model, structures.layout.counts), structures.record, spread)

@@ -32,11 +32,11 @@ def test_workers_give_the_same_numbers(client, lot_folder, tmp_path) -> None:
 @pytest.mark.nightly
 def test_settings_in_force_hold_on_the_workers(client, lot_folder, tmp_path) -> None:
     given = {"out": tmp_path / "out", "client": client, "partition_rows": SMALL}
-    with bc.use_settings(bc.RecordSettings(temperature_span=1.0)):
+    with bc.use_settings(bc.Settings(temperature_span=1.0)):
         found = bc.fit_batch(MODEL, lot_folder, **given)
         assert found.fitted == 24 and found.about["settings"] == {"temperature_span": 1.0}
     with (
-        bc.use_settings(bc.RecordSettings(temperature_span=500.0)),
+        bc.use_settings(bc.Settings(temperature_span=500.0)),
         pytest.raises(InputError, match="one temperature only"),
     ):
         bc.fit_batch(MODEL, lot_folder, **given)

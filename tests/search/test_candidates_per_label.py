@@ -70,7 +70,7 @@ def test_readings_without_the_labels_cannot_test_it() -> None:
 @pytest.mark.slow
 def test_the_average_holds_labels_that_only_other_structures_know() -> None:
     """Little is hidden at the stations: the last model has no coefficient for them, some of the average has."""
-    with bc.use_settings(bc.SearchSettings(averaged=1e-6)):
+    with bc.use_settings(bc.Settings(averaged_probability=1e-6)):
         path = bc.calibrate(
             AT_STATIONS.baseline(), at_stations(0.015), method=bc.LeastSquares(draws=100)
         )

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._calibration.settings import searching
 from bayescal._core import deadline
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
@@ -21,7 +20,7 @@ from bayescal._search.library import Library
 from bayescal._search.noise_laws import on_residuals
 from bayescal._search.posterior import Posterior
 from bayescal._search.scores import View, gain_of
-from bayescal._search.structures import Structure, Structures, factors
+from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
 from bayescal._search.walk import path, walk
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 
@@ -93,7 +92,7 @@ def test_evidence_is_averaged_over_the_plausible_sizes() -> None:
         + find_mode(
             Assembly(layout, made.record, {"bias.temperature_quadratic": factor})
         ).log_evidence
-        for factor, share in factors().items()
+        for factor, share in SIZE_FACTORS.items()
     ]
     found = made.visited[structure].log_evidence
     assert found == pytest.approx(np.logaddexp.reduce(each), abs=0.02)
@@ -149,7 +148,7 @@ def test_what_cannot_be_told_apart_is_one_finding() -> None:
     posterior = Posterior.of(made)
     (found,) = posterior.findings
     assert set(found.effects) == {"bias.thermal_lag", "bias.twin"}
-    assert found.probability >= searching().found
+    assert found.probability >= bc.Settings().found_probability
     assert len(posterior.chosen.effects) == 1
 
 
@@ -264,7 +263,7 @@ def test_the_noise_law_is_found_beside_the_effect(law: str, seed: int) -> None:
     kind = made.laws[law].law
     assert made.noise(posterior.best).law == kind
     of_kind = [n for n, other in made.laws.items() if other.law == kind]
-    assert sum(posterior.noise(n) for n in of_kind) > searching().found
+    assert sum(posterior.noise(n) for n in of_kind) > bc.Settings().found_probability
     assert any("bias.thermal_lag" in found.effects for found in posterior.findings)
 
 

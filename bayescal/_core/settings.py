@@ -1,0 +1,80 @@
+"""Settings: the few numbers that a user may have a reason to change, and which of them hold for what runs here.
+
+They hold for everything that runs inside `with use_settings(Settings(found_probability=0.99)):`; what differs from the
+usual ones is written into `result.json`. Every other threshold stands beside the check that uses it, with its reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import asdict, dataclass
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a search reports, what a gate refuses, when draws are enough.
+
+    Attributes:
+        found_probability: from which an effect, or one of a set, is said to be missing: odds of 19, the level of every
+            interval here.
+        prior_complete: prior probability that the model is complete: neither answer is favoured (docs/mathematics.md).
+        strong_evidence: nats from which a log Bayes factor is evidence: odds of twenty (Kass and Raftery, J. Am. Stat.
+            Assoc. 90 (1995) 773).
+        power: share of repeated campaigns in which an effect of the minimum detectable size would be found; the usual
+            0.8 of the design of experiments (J. Cohen, Statistical Power Analysis, 1988).
+        averaged_probability: from which a structure takes part in the average: all others together move a standard
+            uncertainty by less than the digits that are printed.
+        finer_noise: whether sums of noise terms are weighed where correlated noise is probable. On the chamber ramp
+            they open gates which one Ornstein–Uhlenbeck process leaves shut; searches of thousands of readings take
+            three to five times as long, those of hundreds as long as without.
+        outlier_sd: leave-one-out standard deviations beyond which a reading is named; a thousand normal readings have
+            none.
+        holdout_p: p-value below which hold-out data contradict a result, two or three tests of it each time, so that
+            chance refuses a few right results in a hundred; `python -m benchmarks holdout` counts them.
+        temperature_span: °C, below which a record has one temperature; what a good chamber holds.
+        effective_draws: below which more are made: a standard deviation is then known to 3.5 %.
+    """
+
+    found_probability: float = 0.95
+    prior_complete: float = 0.5
+    strong_evidence: float = 3.0
+    power: float = 0.8
+    averaged_probability: float = 0.01
+    finer_noise: bool = True
+    outlier_sd: float = 4.0
+    holdout_p: float = 0.01
+    temperature_span: float = 0.1
+    effective_draws: int = 400
+
+
+USUAL = Settings()
+_IN_FORCE: ContextVar[Settings] = ContextVar("settings", default=USUAL)
+
+
+def settings() -> Settings:
+    """The settings that hold here: those of `use_settings`, else the usual ones."""
+    return _IN_FORCE.get()
+
+
+@contextmanager
+def use_settings(chosen: Settings) -> Iterator[None]:
+    """Let other settings hold for what runs inside, in this thread.
+
+    Raises:
+        TypeError: something else was given.
+    """
+    if not isinstance(chosen, Settings):
+        raise TypeError(f"use_settings takes bayescal.Settings(…), not {chosen!r}")
+    token = _IN_FORCE.set(chosen)
+    try:
+        yield
+    finally:
+        _IN_FORCE.reset(token)
+
+
+def unusual() -> dict[str, float]:
+    """Settings that differ from the usual ones, by name."""
+    usual = asdict(USUAL)
+    return {name: value for name, value in asdict(settings()).items() if value != usual[name]}
