@@ -2,13 +2,13 @@
 
 A page holds a comment where such a part belongs, so that nothing is written twice:
 
-    <!-- data sheet: mems_gyro -->      the docstring of that instrument's model.py
+    <!-- data sheet: mems_gyro -->      the docstring of that instrument's model.py, and the table of its effects
     <!-- in NumPyro: mems_gyro -->      that instrument's as_numpyro.py
     <!-- tour: 3 -->                the third step of tour.py: its comments as prose, its code as code
     <!-- commands -->                   every command and option, from the command line itself
     <!-- names: fit fit_batch load -->  public names, for mkdocstrings to document
 
-Nothing here loads JAX: docstrings are read from the source, and `bayescal --help` is light.
+Docstrings are read from the source, and `bayescal --help` is light; of the instruments the effects alone are loaded.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Callable
+from importlib import import_module
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -46,30 +47,32 @@ def in_numpyro(instrument: str) -> str:
 
 
 def data_sheet(instrument: str) -> str:
-    """An instrument's docstring as Markdown: aligned columns become tables, a source's name leads to its title."""
+    """An instrument's docstring as Markdown, and the table of its effects; a source's name leads to its title."""
     title, _, body = docstring(instrument).partition("\n")
-    paragraphs = re.split(r"\n\s*\n", body.strip("\n"))
-    text = "\n\n".join([f"**{title}**", *(_aligned(p) or p for p in paragraphs)])
+    text = "\n\n".join([f"**{title}**", body.strip("\n"), table_of_effects(instrument)])
     return re.sub(r"\bsource [0-4]\b", r"[\g<0>](../sources.md)", text)
 
 
-def _aligned(paragraph: str) -> str | None:
-    """A table whose columns are aligned by spaces under a head, as a Markdown table; None for all else."""
-    lines = paragraph.splitlines()
-    starts = [0, *(m.end() for m in re.finditer(r"\S {2,}(?=\S)", lines[0]))]
-    if len(lines) < 3 or len(starts) < 3 or lines[0].startswith((" ", "|")):
-        return None
-    if any(
-        line[s - 1 : s].strip() and line[s : s + 1].strip() for line in lines for s in starts[1:]
+def table_of_effects(instrument: str) -> str:
+    """The table that the instrument's code is made of: a row for each effect, with its size and source."""
+    from bayescal._data.unit_conversion import unit_label
+
+    made = import_module(f"bayescal_models.{instrument}.model").INSTRUMENT
+    in_models = {e.name: e for _, model in made.structures for e in model().effects}
+    rows, seen = ["| effect | | form | plausible size | source |", "|---|---|---|---|---|"], set()
+    for kind, effects in (
+        ("baseline", made.effects),
+        ("candidate", made.candidates),
+        ("named models", in_models.values()),
     ):
-        return None  # a cell runs into the next
-    ends = [*starts[1:], None]
-    rows = [
-        [line[a:b].strip().replace("|", "\\|") for a, b in zip(starts, ends, strict=True)]
-        for line in lines
-    ]
-    rows.insert(1, ["---"] * len(starts))
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
+        for e in (e for e in effects if e.name not in seen):
+            seen.add(e.name)
+            sizes = dict.fromkeys(
+                f"{c.size:g} {unit_label(c.unit)}".strip() for c in e.coefficients
+            )
+            cells = (f"`{e.name}`", kind, e.equation, ", ".join(sizes), e.source)
+            rows.append(f"| {' | '.join(_cell(cell) for cell in cells)} |")
+    return "\n".join(rows)
 
 
 # The tour.

@@ -18,7 +18,7 @@ from bayescal_models import (
 )
 from bayescal_models.mems_gyro.reference_problem import TURNING
 from bayescal_models.ng_accelerometer import reference_problem as ng_problem
-from bayescal_models.ng_accelerometer.rig.geometry import accelerations
+from bayescal_models.ng_accelerometer.model import accelerations
 from bayescal_models.still_sensor import reference_problem as still_problem
 from benchmarks.instruments.compensation_trial import Trial
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayescal_models import ng_accelerometer as ng
-from bayescal_models.ng_accelerometer.sizes import DEGREE
+from bayescal_models.simulated import DEGREE
 from benchmarks.instruments.ng_fit import fitted
 from benchmarks.intervals import credible_interval
 

@@ -13,7 +13,7 @@ from bayescal_models.differential_pair.simulator import columns_and_truth
 from bayescal_models.inclinometer.campaign import X, Y
 from bayescal_models.inclinometer.simulator import MEAN_TEMPERATURE
 from bayescal_models.ng_accelerometer.campaign import TRUTH_A
-from bayescal_models.quartz_beam_accelerometer.device import CUBIC
+from bayescal_models.quartz_beam_accelerometer.simulator import CUBIC
 from benchmarks.spoilt_records.subject import Columns, Shift, Subject
 
 

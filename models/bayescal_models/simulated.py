@@ -1,25 +1,22 @@
-"""What simulators share: plausible sizes, random numbers by what they are for, bodies of first order, refusals."""
+"""What simulators share: random numbers by what they are for, a clock, bodies of first order, noise, refusals."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial, wraps
-from typing import Any, NamedTuple, ParamSpec
+from typing import Any, ParamSpec
 
 import numpy as np
 from numpy.typing import NDArray
 
 import bayescal as bc
 
+MINUTE, HOUR = 60.0, 3600.0  # s
+DEGREE = math.pi / 180  # rad
+ARCSEC = DEGREE / 3600  # rad
 Array = NDArray[np.floating[Any]]
 P = ParamSpec("P")
-
-
-class Size(NamedTuple):
-    """A plausible size: prior standard deviation (of a learned spread: its prior's scale) and its unit."""
-
-    value: float
-    unit: str = ""
 
 
 def generators(names: Sequence[str], seed: int) -> dict[str, np.random.Generator]:
@@ -74,6 +71,28 @@ def refuse_options(
     for name, known in choices.items():
         if (value := getattr(campaign, name)) not in known:
             raise ValueError(f"Campaign({name}={value!r}): choose one of {', '.join(known)}.")
+
+
+class Clock:
+    """The time in which a world is made, and what each reading is the mean of.
+
+    Attributes:
+        step: of the grid, s.
+        time: of its points, s, (m,).
+        samples: points that are averaged into each reading, (n, samples).
+    """
+
+    step: float
+    time: Array
+    samples: NDArray[np.intp]
+
+    def average(self, values: Array) -> Array:
+        """Mean of a quantity over the samples of each reading, (n,), in its own unit."""
+        return values[self.samples].mean(axis=1)
+
+    def body(self, drive: Array, time_constant: float, start: float | None = None) -> Array:
+        """A body of first order that follows `drive` in `time_constant`, s."""
+        return first_order_body(drive, time_constant, self.step, start)
 
 
 def first_order_body(

@@ -22,7 +22,7 @@ from scipy import stats
 import bayescal as bc
 from bayescal._calibration.fitted import Fitted
 from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
-from bayescal_models.mems_gyro.effects import THERMOMETER
+from bayescal_models.mems_gyro.model import THERMOMETER
 from tests.support.tiers import slow_but
 
 GROUPS = {

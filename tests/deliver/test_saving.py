@@ -20,7 +20,7 @@ from bayescal._core.atomic_file import write_sealed
 from bayescal._core.netcdf_bytes import netcdf_bytes, netcdf_tree
 from bayescal._model.parameters import bind
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
-from bayescal_models.mems_gyro.effects import THERMOMETER
+from bayescal_models.mems_gyro.model import THERMOMETER
 from tests.support.resealed import described, resealed
 
 SQUARE = bc.Effect(

@@ -16,7 +16,7 @@ from bayescal._inference.sampling import weighted_draws
 from bayescal._model.frame import build_frame
 from bayescal._model.parameters import bind
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
-from bayescal_models.mems_gyro.effects import THERMOMETER
+from bayescal_models.mems_gyro.model import THERMOMETER
 
 BASELINE = INSTRUMENT.baseline()
 

@@ -13,7 +13,7 @@ from scipy.stats import norm
 import bayescal as bc
 from bayescal_models import INSTRUMENTS
 from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
-from bayescal_models.mems_gyro.effects import THERMOMETER
+from bayescal_models.mems_gyro.model import THERMOMETER
 from benchmarks.accuracy import coverage
 from benchmarks.accuracy.chunks import collect
 from benchmarks.accuracy.ranks import Posterior, band, drawn, judge, ranks

@@ -12,7 +12,7 @@ import bayescal as bc
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable as can_test
 from bayescal_models import inclinometer
-from bayescal_models.inclinometer import effects, reference_problem
+from bayescal_models.inclinometer import model, reference_problem
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
 
 INSTRUMENT = inclinometer.INSTRUMENT
@@ -127,7 +127,7 @@ def test_simulated_laws_are_the_catalogues_but_for_their_physics(name: str) -> N
     effect = INSTRUMENT.effect(name)
     frame = build_frame(readings, {**reference_of(readings), "T0": 20.0})  # as of the simulator
     slots = {s.name: jnp.zeros(len(readings)) for s in INSTRUMENT.slots}
-    unit = effects.ARCSEC_PER[effect.coefficients[0].unit]
+    unit = model.ARCSEC_PER[effect.coefficients[0].unit]
     share = np.where(readings["axis"] == "x", 1.0, -0.6)
     own = 1.0 if effect.coefficients[0].per is None or effect.slot == "base_tilt" else share
     added = size * unit * own * effect.evaluate(frame, {}).sum(axis=1)
@@ -147,15 +147,15 @@ def test_hysteresis_needs_both_directions() -> None:
 
 
 def test_the_spline_table_goes_through_its_knots() -> None:
-    angles = np.concatenate([effects.KNOTS, np.deg2rad([-60.0, 60.0, 10.0])])
+    angles = np.concatenate([model.KNOTS, np.deg2rad([-60.0, 60.0, 10.0])])
     readings = bc.Measurements.from_arrays(
         INSTRUMENT, placement_angle=angles, output=np.arange(10.0)
     )
     frame = build_frame(readings, reference_of(readings))
-    basis = np.asarray(effects.TABLE.evaluate(frame, {}))
+    basis = np.asarray(model.EFFECTS["zero.table"].evaluate(frame, {}))
     np.testing.assert_allclose(basis[:7], np.eye(7), atol=1e-12)
     np.testing.assert_allclose(
-        basis @ effects.KNOTS, angles, atol=1e-12
+        basis @ model.KNOTS, angles, atol=1e-12
     )  # lines stay lines, beyond the table too
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayescal_models import ng_accelerometer as ng
-from bayescal_models.ng_accelerometer.sizes import DEGREE
+from bayescal_models.simulated import DEGREE
 
 NO_SCATTER = {f"{slot}.cell": 0.0 for slot in ("bias", "scale", "fixture_tilt", "base_tilt")}
 EXACT = replace(ng.INSTRUMENT_A, noise=0.0, thermometer_noise=0.0, chamber_wander=0.0)

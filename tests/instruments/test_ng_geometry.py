@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from bayescal_models import ng_accelerometer as ng
-from bayescal_models.ng_accelerometer.rig.geometry import accelerations
+from bayescal_models.ng_accelerometer.model import accelerations
 from bayescal_models.ng_accelerometer.simulator import gravity, simulate_arrays
-from bayescal_models.ng_accelerometer.sizes import ARCSEC, DEGREE
+from bayescal_models.simulated import ARCSEC, DEGREE
 
 IDEAL = dict.fromkeys(ng.INSTRUMENT_A.truth, 0.0)
 STILL = replace(

@@ -10,7 +10,6 @@ import pytest
 import bayescal as bc
 from bayescal_models import ng_accelerometer as ng
 from bayescal_models.ng_accelerometer import reference_problem
-from bayescal_models.ng_accelerometer.sizes import BASELINE_SIZES
 
 LINE = ("bias.constant", "bias.temperature", "scale.constant", "scale.temperature")
 
@@ -52,7 +51,7 @@ def test_the_reference_problems_model_is_the_baseline_with_proper_priors() -> No
     for effect in model.effects:
         for coefficient in effect.coefficients:
             assert not coefficient.flat
-            assert coefficient.size <= BASELINE_SIZES[effect.name].value
+            assert coefficient.size <= ng.INSTRUMENT.effect(effect.name).coefficients[0].size
 
 
 def test_hysteresis_needs_both_directions() -> None:

@@ -11,7 +11,6 @@ from bayescal._core import null_space
 from bayescal._data import unit_conversion
 from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import quartz_beam_accelerometer as quartz
-from bayescal_models.quartz_beam_accelerometer import effects as catalogue
 
 # 5 temperatures twice, three ramps a reading every 2.5 min: 159 rows, one shape for every fit here.
 SMALL = {"temperatures": (-40.0, -10.0, 20.0, 45.0, 70.0), "interval": 150.0}
@@ -37,6 +36,11 @@ def design(readings: bc.Measurements, effects, slot: str) -> np.ndarray:
     return (np.stack(columns) * np.array(factors)[:, None] * weight).T
 
 
+def fifteen(slot: str, crossed_by: str = "head") -> list[bc.Effect]:
+    """The document's columns for one slot."""
+    return [e for e in quartz.two_thermometers(crossed_by).effects if e.slot == slot]
+
+
 def rank(columns: np.ndarray) -> int:
     return int(np.linalg.matrix_rank(columns / np.linalg.norm(columns, axis=0), tol=1e-10))
 
@@ -55,7 +59,7 @@ def two(readings: bc.Measurements) -> bc.Calibration:
 def test_the_fifteen_columns_have_rank_twelve(slot: str) -> None:
     ramps = quartz.simulate(seed=5)
     for by in ("head", "circuit"):
-        effects = catalogue.two_thermometers(slot, by)
+        effects = fifteen(slot, by)
         columns = design(ramps, effects, slot)
         assert columns.shape[1] == 15
         assert rank(columns) == 12
@@ -71,7 +75,7 @@ def test_soaked_points_have_rank_four_for_all_that_is_not_a_rate() -> None:
     world = quartz.Campaign(attitudes=(), soak=6 * 3600.0, thermometer_noise=0.0)
     everything = quartz.simulate(seed=5, campaign=world)
     soaked = everything.select(~np.isnan(everything["temperature_point"]))
-    effects = [e for e in catalogue.two_thermometers("bias") if "rate" not in e.name]
+    effects = [e for e in fifteen("bias") if "rate" not in e.name]
     assert rank(design(soaked, effects, "bias")) == 4
 
 
@@ -79,7 +83,7 @@ def test_soaked_points_leave_rates_unidentified() -> None:
     everything = quartz.simulate(seed=5, campaign=quartz.Campaign(attitudes=()))
     soaked = everything.select(~np.isnan(everything["temperature_point"]))
     for readings, known in ((soaked, False), (quartz.simulate(seed=5), True)):
-        effects = catalogue.two_thermometers("bias")
+        effects = fifteen("bias")
         sd = np.array([e.coefficients[0].size for e in effects])
         white = design(readings, effects, "bias") * sd / 5.0  # µg of noise
         alone = null_space.weak(white, null_space.exact(white), 0.1, 0.99)
@@ -97,7 +101,7 @@ def test_the_three_null_combinations_are_named(two: bc.Calibration) -> None:
 
 
 def test_with_the_circuit_in_the_products_the_third_is_another() -> None:
-    effects = catalogue.two_thermometers("bias", "circuit")
+    effects = fifteen("bias", "circuit")
     found = null_space.exact(design(quartz.simulate(seed=5), effects, "bias"))
     third = dict(zip([e.name for e in effects], null_space.simple(found[2]), strict=True))
     signs = {"− ": -1, "+ ": 1}
@@ -112,7 +116,7 @@ def test_truth_of_the_model_class_is_recovered(readings: bc.Measurements) -> Non
     random = np.random.default_rng(8)
     truth, output = {}, readings["acceleration"].copy()
     for slot in ("bias", "scale"):
-        effects = catalogue.two_thermometers(slot)
+        effects = fifteen(slot)
         values = [e.coefficients[0].size * random.standard_normal() for e in effects]
         truth |= dict(zip([e.name for e in effects], values, strict=True))
         output = output + design(readings, effects, slot) @ np.array(values)

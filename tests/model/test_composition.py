@@ -19,7 +19,7 @@ from bayescal._inference.nuts import program
 from bayescal._inference.record import Record
 from bayescal._model import forward
 from bayescal_models.mems_gyro import INSTRUMENT
-from bayescal_models.mems_gyro.effects import THERMOMETER
+from bayescal_models.mems_gyro.model import THERMOMETER
 from tests.support.made_up.rich_gyro import RICH, bound, readings
 
 GAUSSIAN = {

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayescal_models.mems_gyro import INSTRUMENT
 from bayescal_models.mems_gyro.campaign import Campaign
-from bayescal_models.mems_gyro.laws import LAWS, SIZES, UNLISTED_SIZES
 from bayescal_models.mems_gyro.simulator import (
+    LAWS,
     SimulatedCampaign,
     simulate_arrays,
     simulated_columns,
@@ -18,13 +19,16 @@ from bayescal_models.mems_gyro.simulator import (
 
 DEFAULT = Campaign()
 RATES = (0.0, 100.0, -100.0)
-ALL = {**SIZES, **UNLISTED_SIZES}
-HIDDEN = [name for name in ALL if name != "bias.temperature"]
+SIZES = {e.name: e.coefficients[0].size for e in INSTRUMENT.candidates}
+SIZES["bias.rate"] = INSTRUMENT.effect("bias.rate").coefficients[0].size  # a form of the lag
+UNLISTED = {"unlisted.periodic": 0.1, "unlisted.step": 0.2, "unlisted.humidity": 0.02}
+ALL = {**SIZES, **UNLISTED}
+HIDDEN = list(ALL)
 
 
 def hidden(name: str, campaign: Campaign = DEFAULT, seed: int = 1) -> SimulatedCampaign:
     """One effect of its plausible size, hidden alone."""
-    return simulate_arrays(campaign, {name: ALL[name].value}, seed=seed)
+    return simulate_arrays(campaign, {name: ALL[name]}, seed=seed)
 
 
 def in_run(sim: SimulatedCampaign, run: str, values: np.ndarray) -> np.ndarray:
@@ -39,7 +43,7 @@ def test_an_effect_changes_the_output_by_its_contribution_alone(name: str) -> No
     change = with_it.columns["output"] - without.columns["output"]
     np.testing.assert_allclose(change, with_it.contributions[name], atol=1e-10)
     np.testing.assert_allclose(sum(with_it.contributions.values()), with_it.noise_free)
-    twice = simulate_arrays(turning, {name: 2 * ALL[name].value}, seed=5)
+    twice = simulate_arrays(turning, {name: 2 * ALL[name]}, seed=5)
     np.testing.assert_allclose(twice.contributions[name], 2 * with_it.contributions[name])
     assert np.ptp(change) > 0.02
 
@@ -53,7 +57,7 @@ def test_curvature_leads_with_its_coefficient(degree: int, name: str) -> None:
     name = f"bias.temperature_{name}"
     sim = hidden(name)
     change = sim.columns["temperature"] - 55.0
-    leading, part = ALL[name].value * change**degree, sim.contributions[name]
+    leading, part = ALL[name] * change**degree, sim.contributions[name]
     np.testing.assert_allclose(part, leading, atol=0.1 * np.abs(leading).max())
     assert np.abs(part - leading).max() > 0.02 * np.abs(leading).max()
     near = np.abs(change) < 5.1

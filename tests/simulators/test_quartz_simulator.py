@@ -10,8 +10,8 @@ import bayescal as bc
 from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import quartz_beam_accelerometer as quartz
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID
-from bayescal_models.quartz_beam_accelerometer.laws import CHANCE, LAWS, SIZES
-from bayescal_models.quartz_beam_accelerometer.thermal import make_world
+from bayescal_models.quartz_beam_accelerometer.simulator import CHANCE, LAWS
+from bayescal_models.quartz_beam_accelerometer.world import World
 from bayescal_models.simulated import first_order_body
 
 CANDIDATES = {e.name: e for e in quartz.INSTRUMENT.candidates}
@@ -58,7 +58,7 @@ def test_uncompensated_change_is_what_the_source_names() -> None:
 
 def test_circuit_and_head_follow_the_chamber_and_each_other() -> None:
     plan = quartz.Campaign(thermometer_noise=0.0)
-    world = make_world(plan)
+    world = World(plan)
     soaked = world.cell >= 0
     t1, t2 = world.average(world.circuit), world.average(world.head)
     # Soaked: circuit warmer by its own heat, head by its share of that; both still.
@@ -85,7 +85,7 @@ def test_a_body_follows_a_ramp_behind_by_its_time_constant() -> None:
 
 def test_the_beams_lag_so_that_up_and_down_ramps_differ() -> None:
     plan = quartz.Campaign(repeats=0, attitudes=(0.0,), device="beams")
-    true, head = quartz.true_values(plan).bias, make_world(plan)
+    true, head = quartz.true_values(plan).bias, World(plan)
     t2, rate = head.average(head.head), head.average(head.head_rate)
     up, down = (true[(abs(t2) < 5) & (np.sign(rate) == s)].mean() for s in (1, -1))
     assert abs(up - down) > 100  # µg: hysteresis that temperature alone cannot tell
@@ -121,5 +121,5 @@ def test_refusals_of_the_simulator() -> None:
 def test_sizes_are_those_of_the_data_sheet() -> None:
     assert CANDIDATES["bias.temperature_circuit"].coefficients[0].size == 50.0
     assert CANDIDATES["scale.temperature_circuit"].coefficients[0].size == 5.0
-    assert SIZES["gradient_cubic"].value == 0.1
+    assert CANDIDATES["bias.gradient_cubic"].coefficients[0].size == 0.1
     assert isinstance(CANDIDATES["second_order"].coefficients[0].prior, bc.Normal)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,19 +53,13 @@ def order_names(effect: str) -> list[str]:
     return [f"{effect}[order {n}]" for n in range(ORDERS)]
 
 
-def _stack(columns: list[Any]) -> Any:
-    import jax.numpy as jnp  # the simulator and the selection need no JAX
-
-    return jnp.stack(columns, axis=1)
-
-
 def _shared(r: bc.Frame) -> Any:
     parts = polynomials(r.progress)
-    return _stack([1.0 + 0.0 * parts[0], *parts])
+    return jnp.stack([1.0 + 0.0 * parts[0], *parts], axis=1)
 
 
 def _departure(r: bc.Frame) -> Any:
-    return _stack(polynomials(r.progress))
+    return jnp.stack(polynomials(r.progress), axis=1)
 
 
 def _departure_sizes(share: Any, falling: Any) -> Any:

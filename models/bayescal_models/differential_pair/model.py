@@ -6,18 +6,9 @@ commanded acceleration along the arm (µg, outward):
 
     output = s·(1 + κ)·[a·(1 + ρ) − δ·da/dt] + bias + ε·(g + r·dΩ/dt) + λd·u + v,       a = Ω²·r
 
-| coefficient | slot, its unit | plausible size (ours; the equation is source 3's) |
-|---|---|---|
-| `scale.device`, baseline | `scale` κ, 1 | 5000 ppm: one per device, spread learned |
-| `environment.shared[order 0]` … `[order 5]`, baseline | `environment` u, µg | 1 mg rms together |
-| `environment.shared[sensitivity]`, baseline | `sensitivity` λd, 1 | 0.2 about 1: one per device, spread learned |
-| `departure.device[order 0]` … `[order 5]`, baseline | `departure` v, µg | 0.05 of u; size and spectrum learned |
-| `environment.temperature` | `environment` | 100 µg/°C |
-| `scale.second_order` | `scale`: K2·s·a + K3·a² + K2'·s·var(a)/a, of a reading | 1000 ppm/g, 1 ppm/g², per device |
-| `misalignment.device` | `misalignment` ε, rad | 5 mrad per device; its g is an alias of a bias, r·dΩ/dt is not |
-| `input.radius` | `input` ρ = δr/r, 1 | 10⁻² per device; an exact alias of `scale.device`, hence untestable |
-| `timing.skew` | `timing` δ, s | 10 ms per device |
-| `bias.device`, `bias.drift` | `bias`, µg | 10 mg; 100 µg over the record; both per device |
+κ is `scale`, ρ `input`, δ `timing`, ε `misalignment`; u is `environment`, λd `sensitivity`, v `departure`. Sizes
+are ours, the equation is source 3's. g of `misalignment.device` is an alias of a bias, r·dΩ/dt is not; `input.radius`
+is an exact alias of `scale.device`, hence untestable.
 
 The radius of the arm, where dΩ/dt is needed, is 1 m (`RADIUS`). Noise: white, 100 µg; or, where the readings say so,
 larger while the arm changes its speed (`noise.py`).
@@ -31,21 +22,32 @@ Pairs are chosen by `pairing/selection.py` (`bayescal pairs FILE`), and used by 
 
 from __future__ import annotations
 
+from typing import Any
+
+import jax.numpy as jnp
+
 import bayescal as bc
+from bayescal_models import catalogue
+from bayescal_models.catalogue import EffectTable, Maker, effect, one, progress
 from bayescal_models.differential_pair import COLUMNS, NOMINAL_SCALE
-from bayescal_models.differential_pair.campaign import G
-from bayescal_models.differential_pair.effects import (
-    BASELINE,
-    BIAS,
-    CANDIDATES,
-    direction,
-    slope,
-    tangential,
-)
-from bayescal_models.differential_pair.environment import DEPARTURE
-from bayescal_models.differential_pair.noise import NoiseWhileChanging
+from bayescal_models.differential_pair.campaign import GRAVITY, RADIUS, G
+from bayescal_models.differential_pair.environment import DEPARTURE, SHARED
+from bayescal_models.differential_pair.noise import NoiseWhileChanging, ends, slope
 from bayescal_models.differential_pair.simulator import simulated_columns
 from bayescal_models.simulated import readings_of
+
+SOURCE = "source 3; size ours"
+
+
+def direction(r: bc.Frame) -> Any:
+    """+1 for the outer group, −1 for the inner."""
+    return r.has_label("group", "outer") - r.has_label("group", "inner")
+
+
+def tangential(r: bc.Frame) -> Any:
+    """r·dΩ/dt from the commanded acceleration, µg."""
+    speed = jnp.sqrt(jnp.maximum(r["acceleration"], 1e-6) * (RADIUS * G / GRAVITY))
+    return slope(r, speed)  # r·Ω in units such that its derivative is in µg
 
 
 def _response(slots, r):
@@ -59,6 +61,71 @@ def _response(slots, r):
         + slots["departure"]
     )
 
+
+def _softening(r: bc.Frame) -> Any:
+    """What a spring that softens with its deflection adds to a scale: x/(1 − kx) = x + kx² + k²x³ + …"""
+    outward = direction(r) * r["acceleration"]
+    # Of a reading, which is a mean, k·⟨a²⟩ = k·(⟨a⟩² + var a). Between its ends a parabola of that mean has the
+    # variance (a₁ − a₀)²/12 + (3·(a₁ + a₀) − 6·⟨a⟩)²/180; how long a reading is of its step is a share of it.
+    before, after = ends(r, r["acceleration"])
+    bend = 3.0 * (before + after - 2.0 * r["acceleration"])
+    varies = (after - before) ** 2 / 12.0 + bend**2 / 180.0
+    within = direction(r) * varies / jnp.maximum(r["acceleration"], 1.0)
+    return jnp.stack([outward, outward**2, within], axis=1)
+
+
+def _as_scale(readings: bc.Measurements) -> str:
+    return (
+        "is the same thing as scale.device: on an arm, a device at another radius reads as one of another "
+        "scale factor. Measure the radii, or swap devices between places"
+    )
+
+
+def _device(equation: str, *columns: str, basis: Any = one, **more: Any) -> Maker:
+    """One coefficient for each device, their spread learned; the acceleration must vary unless it is said otherwise."""
+    own = {"per": "device", "learned": bc.HalfNormal, "varies": ("acceleration",)}
+    return effect(basis, equation, "device", *columns, **{**own, **more})
+
+
+# Third order beside second: at 10 g that of 650 ppm/g is 40 ppm of the scale factor, four times its uncertainty, and
+# too little to be found by itself. K2' is K2 by the square of a reading's length over the time between two.
+SECOND_ORDER = bc.Effect(
+    "scale.second_order",
+    "scale",
+    _softening,
+    coefficients=tuple(
+        bc.Coefficient(unit, bc.Normal(0.0, size), part, None, "device", bc.HalfNormal(size))
+        for part, unit, size in (
+            ("", "ppm/g", 1000.0),
+            ("third", "ppm/g^2", 1.0),
+            ("within", "ppm/g", 1000.0),
+        )
+    ),
+    columns=("device", "group", "time", "acceleration"),
+    varies=("acceleration",),
+    equation="K2[device]·s·a + K3[device]·a² + K2'[device]·s·var(a)/a in the scale, var(a) within a reading",
+    source=SOURCE,
+)
+
+ARM = ("time", "acceleration")
+TILTED = _device("ε[device]·(g + r·dΩ/dt)", *ARM)
+LATE = _device("−δ[device]·da/dt", *ARM)
+FARTHER = _device("a·δr[device]/r", "acceleration", varies=(), untestable=_as_scale)
+AGEING = _device("d[device]·(t − t̄)/(tmax − tmin)", "time", basis=progress, varies=())
+
+EFFECTS = EffectTable.of(
+    SOURCE,
+    baseline=(("scale.device", catalogue.deviation, 5000.0, "ppm"), SHARED, DEPARTURE),
+    candidates=(
+        ("environment.temperature", catalogue.linear, 100.0, "ug/degC"),
+        SECOND_ORDER,
+        ("misalignment.device", TILTED, 5.0, "mrad"),
+        ("input.radius", FARTHER, 1e4, "ppm"),
+        ("timing.skew", LATE, 10.0, "ms"),
+        ("bias.drift", AGEING, 100.0, "ug"),
+        ("bias.device", catalogue.deviation, 10000.0, "ug"),
+    ),
+)
 
 INSTRUMENT = bc.Instrument(
     name="differential_pair",
@@ -75,14 +142,14 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("misalignment", "rad", "tilt of the input axis"),
     ),
     response=_response,
-    effects=BASELINE,
-    candidates=CANDIDATES,
+    effects=EFFECTS.baseline,
+    candidates=EFFECTS.candidates,
     noise=bc.White(bc.HalfCauchy(100.0)),
     noise_laws=(NoiseWhileChanging(),),
     nominal_scale=NOMINAL_SCALE,
     structures=(
         ("shared", lambda: INSTRUMENT.baseline()),
-        ("shared, biases", lambda: INSTRUMENT.baseline() + BIAS),
+        ("shared, biases", lambda: INSTRUMENT.baseline() + "bias.device"),
         ("no departures", lambda: INSTRUMENT.baseline() - DEPARTURE),
     ),
     simulator=simulated_columns,

@@ -1,19 +1,61 @@
-"""Noise of readings that were taken while the arm changed its speed.
+"""What happens within a reading, a mean over some time: a column at its ends, its slope, and noise while it changes.
 
-A reading is a mean over some time. What is of second order in the acceleration has there another mean than the mean
+What is of second order in the acceleration has there another mean than the mean
 acceleration says, by the variance of the acceleration within the reading: so what such a reading says of a scale
 factor is worth less than what those on a plateau say, by a share that is learned.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
 
 import bayescal as bc
 from bayescal_models.differential_pair.campaign import G
-from bayescal_models.differential_pair.effects import ends
 
+SPLINE = math.sqrt(3.0) - 2.0
+REACH = 12  # neighbours to either side: the next one counts 10⁻⁷
 SHARE = "noise.while_changing"
+
+
+def slope(r: bc.Frame, values: Any) -> Any:
+    """Mean time derivative of a column within each reading, unit/s: its change over the reading, by how long that is.
+
+    A reading lasts from half way to the one before it to half way to the next.
+    """
+    back = jnp.where(r.step > 0, r.step, 0.0)
+    ahead = jnp.append(back[1:], 0.0)
+    sides = (back > 0).astype(float) + (ahead > 0)
+    lasts = jnp.zeros_like(back).at[r.order].set((back + ahead) / jnp.maximum(sides, 1.0))
+    before, after = ends(r, values)
+    return (after - before) / jnp.where(lasts > 0, lasts, 1.0)
+
+
+def ends(r: bc.Frame, values: Any) -> tuple[Any, Any]:
+    """A column at the beginning and at the end of each reading, where a reading is its mean over the time between.
+
+    These are the slopes e of the cubic spline through the integral of the column, which the means give exactly: of a
+    record of even steps eₖ₋₁ + 4·eₖ + eₖ₊₁ = 3·(mean before + mean after), so that e is a mean of neighbours' means
+    with weights z^|j|, z = √3 − 2. Beyond its ends a record goes on as it stood there.
+    Source: C. de Boor, A Practical Guide to Splines (1978), ch. VIII (area matching).
+    """
+    ordered, place = jnp.asarray(values)[r.order], jnp.arange(r.size)
+    begins = r.step <= 0
+    first = jax.lax.cummax(jnp.where(begins, place, 0))
+    last = jax.lax.cummin(jnp.where(jnp.append(begins[1:], True), place, r.size - 1), reverse=True)
+
+    def at(shift: int) -> Any:
+        return ordered[jnp.clip(place + shift, first, last)]
+
+    weights = {j: SPLINE ** abs(j) for j in range(-REACH, REACH + 1)}
+    total = 2.0 * sum(weights.values())
+    before = sum(w * (at(j - 1) + at(j)) for j, w in weights.items()) / total
+    after = sum(w * (at(j) + at(j + 1)) for j, w in weights.items()) / total
+    empty = jnp.zeros_like(ordered)
+    return empty.at[r.order].set(before), empty.at[r.order].set(after)
 
 
 class NoiseWhileChanging(bc.Noise):

@@ -19,23 +19,6 @@ over the move along a direction a(t) that turns with the unit; in pose or move
 with the means of a_a, a_a·ω_j, a_a·f_j, a_a·ω_a² and w as columns. `moved()` is the baseline there: no mounting, and
 `earth.rotation` is unknown.
 
-| effect | coefficients | plausible size |
-|---|---|---|
-| `bias.constant` (baseline) | x, y, z | 3 °/s |
-| `scale.constant` (baseline) | x, y, z | 2 % |
-| `misalignment.constant` (baseline) | xy, xz, yz, yx, zx, zy | 20 mrad |
-| `turn.mounting` (baseline) | x, y, z of each mounting | `pose_uncertainty` |
-| `bias.temperature` | x, y, z | 0.03 °/s/°C |
-| `scale.temperature` | x, y, z | 200 ppm/°C |
-| `misalignment.temperature` | xy, xz, yz, yx, zx, zy | 20 µrad/°C |
-| `bias.temperature_quadratic` | x, y, z | 0.3 m°/s/°C² |
-| `bias.g_sensitivity` | nine | 0.1 °/s/g |
-| `bias.thermal_lag` | x, y, z, one time | 0.03 °/s/°C |
-| `square.constant` (K2) | x, y, z | 10 ppm/(°/s) |
-| `earth.rotation` (baseline of moves) | along the first pose's axes, of each run | 15.04 °/h |
-| `bias.drift` | x, y, z | 0.05 °/s |
-| `bias.run` | x, y, z for each run, learned | 0.1 °/s |
-
 One effect on a family is one effect: its coefficients are found or dropped together.
 
 **What readings determine.** At rest: bias alone and, in poses of which gravity is known, its g-sensitivity. About one
@@ -54,12 +37,32 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 import bayescal as bc
-from bayescal_models.gyro_triad import COLUMNS, OUTPUTS, effects
+from bayescal_models.catalogue import EffectTable, family, one
+from bayescal_models.gyro_triad import COLUMNS, OUTPUTS
 from bayescal_models.gyro_triad.simulator import simulated_columns
 from bayescal_models.simulated import readings_of
 from bayescal_models.triad.columns import AROUND, PULLED, SQUARED, TURNED
-from bayescal_models.triad.equation import BIAS, FIRST, SQUARE, equation, slots
+from bayescal_models.triad.equation import (
+    AXES,
+    BIAS,
+    FIRST,
+    LOWER,
+    SCALE,
+    SQUARE,
+    UPPER,
+    equation,
+    slots,
+)
 from bayescal_models.triad.experiments import RATES
+from bayescal_models.triad.families import behind, constant, of_run, over_temperature, with_time
+
+GRAVITY = tuple(f"gravity_{a}" for a in AXES)
+SENSITIVITY = tuple(f"sensitivity_{a}{j}" for a in AXES for j in AXES)
+TURN = tuple(f"turn_{a}" for a in AXES)
+DIRECTION = tuple(f"direction_{a}" for a in AXES)
+EARTH = tuple(f"earth_{a}" for a in AXES)
+ACROSS = tuple(f"across_{a}" for a in AXES)
+ANGLES = (*UPPER, *LOWER)
 
 
 def _stacked(values, names):
@@ -67,16 +70,16 @@ def _stacked(values, names):
 
 
 def _acting(r):
-    rate = r["rate"][:, None] * _stacked(r, effects.DIRECTION)
-    return rate + _stacked(r, effects.EARTH) if effects.EARTH[0] in r.columns else rate
+    rate = r["rate"][:, None] * _stacked(r, DIRECTION)
+    return rate + _stacked(r, EARTH) if EARTH[0] in r.columns else rate
 
 
 def _equation(slots, r):
     outputs = equation(slots, r)
-    if effects.GRAVITY[0] not in r.columns:
+    if GRAVITY[0] not in r.columns:
         return outputs
-    each = _stacked(slots, effects.SENSITIVITY).reshape(r.size, 3, 3)
-    by_gravity = jnp.sum(each * _stacked(r, effects.GRAVITY)[:, None, :], axis=2)
+    each = _stacked(slots, SENSITIVITY).reshape(r.size, 3, 3)
+    by_gravity = jnp.sum(each * _stacked(r, GRAVITY)[:, None, :], axis=2)
     return lambda rate: outputs(rate) + by_gravity
 
 
@@ -85,8 +88,8 @@ VECTOR = bc.Vector(
     equation=_equation,
     acting=_acting,
     common_scale=0.03,
-    rig=(*effects.TURN, *AROUND),
-    beside=effects.GRAVITY,
+    rig=(*TURN, *AROUND),
+    beside=GRAVITY,
 )
 
 
@@ -94,9 +97,9 @@ def _in_moves(slots, r):
     """Means along directions that turn with the unit, as moves between poses give them: linear in all slots."""
     identity = jnp.eye(3).ravel()
     levers = (
-        (effects.ACROSS, BIAS),
+        (ACROSS, BIAS),
         (TURNED, FIRST),
-        (PULLED, effects.SENSITIVITY),
+        (PULLED, SENSITIVITY),
         (SQUARED, SQUARE),
         (AROUND, AROUND),
     )
@@ -109,14 +112,77 @@ def _in_moves(slots, r):
 def _response(slots, r):
     if TURNED[0] in r.columns:
         return _in_moves(slots, r)
-    aside = jnp.cross(_stacked(slots, effects.TURN), _stacked(r, effects.DIRECTION))
+    aside = jnp.cross(_stacked(slots, TURN), _stacked(r, DIRECTION))
     beside = r["rate"][:, None] * aside
-    return VECTOR.response(slots, r) + jnp.sum(_stacked(r, effects.ACROSS) * beside, axis=1)
+    return VECTOR.response(slots, r) + jnp.sum(_stacked(r, ACROSS) * beside, axis=1)
+
+
+def _at_each_mounting(r):
+    return r["pose_uncertainty"]
+
+
+SHEETS = "data sheets of BMI088, ICM-20948 and ADXRS645, zero-rate offset, sensitivity and cross axis; size ours"
+TEMPCO = "the same data sheets, change with temperature; size ours"
+PLASTIC = "ours: 1 mrad in 50 °C, of a package's plastic"
+MOUNTED = family(
+    TURN,
+    _at_each_mounting,
+    "c[mounting]·u(mounting),  c ~ N(0, 1)",
+    *("mounting", "pose_uncertainty"),
+    per="mounting",
+    varies=(),
+)
+TOWARD_GRAVITY = family(SENSITIVITY, one, "Σ_j c_aj·g_j", *GRAVITY, along="", varies=())
+EARTH_ROTATION = family(
+    AROUND,
+    one,
+    "ω_E along the axes of the body in the first pose of a run",
+    *AROUND,
+    per="run",
+    varies=(),
+)
+
+# Sizes are those of consumer MEMS parts.
+EFFECTS = EffectTable.of(
+    SHEETS,
+    baseline=(
+        ("bias.constant", constant(BIAS), 3.0, "deg/s"),
+        ("scale.constant", constant(SCALE), 20000.0, "ppm"),
+        ("misalignment.constant", constant(ANGLES), 20.0, "mrad"),
+        (
+            *("turn.mounting", MOUNTED, 1.0, "1"),
+            "the standard uncertainty of the mounting, as given with the readings",
+        ),
+    ),
+    candidates=(
+        ("bias.temperature", over_temperature(BIAS), 0.03, "deg/s/degC", TEMPCO),
+        ("scale.temperature", over_temperature(SCALE), 200.0, "ppm/degC", TEMPCO),
+        ("misalignment.temperature", over_temperature(ANGLES), 0.02, "mrad/degC", PLASTIC),
+        ("bias.temperature_quadratic", over_temperature(BIAS, 2), 3e-4, "deg/s/degC^2", TEMPCO),
+        (
+            *("bias.g_sensitivity", TOWARD_GRAVITY, 0.1, "deg/s/g"),
+            "IEEE Std 1431-2004, acceleration-sensitive drift; data sheet of BMI088; size ours",
+        ),
+        ("bias.thermal_lag", behind(BIAS), 0.03, "deg/s/degC", TEMPCO),
+        (
+            *("square.constant", constant(SQUARE, "K2·ω²"), 10.0, "ppm*s/deg"),
+            "IEEE Std 1431-2004, scale-factor nonlinearity; size ours, 0.1 % at 100 °/s",
+        ),
+        ("bias.drift", with_time(BIAS), 0.05, "deg/s", "ours"),
+        ("bias.run", of_run(BIAS), 0.1, "deg/s", "ours; turn-on to turn-on of consumer parts"),
+    ),
+    others=(
+        (
+            *("earth.rotation", EARTH_ROTATION, 15.041 / 3600 / 3**0.5, "deg/s"),
+            "15.041 °/h in an unknown direction",
+        ),
+    ),
+)
 
 
 def moved() -> bc.Model:
     """The baseline of moves between poses: no mounting on a table, and the Earth's rotation is unknown."""
-    return INSTRUMENT.baseline() - "turn.mounting" + effects.EARTH_ROTATION
+    return INSTRUMENT.baseline() - "turn.mounting" + EFFECTS["earth.rotation"]
 
 
 INSTRUMENT = bc.Instrument(
@@ -126,13 +192,10 @@ INSTRUMENT = bc.Instrument(
     slots=(
         *slots("deg/s", "rate"),
         *(bc.Slot(n, "s/deg", f"of axis {n[-1]}, times its own input squared") for n in SQUARE),
-        *(
-            bc.Slot(n, "rad", f"of the mounting on the table, about axis {n[-1]}")
-            for n in effects.TURN
-        ),
+        *(bc.Slot(n, "rad", f"of the mounting on the table, about axis {n[-1]}") for n in TURN),
         *(
             bc.Slot(n, "deg/s/g", f"of axis {n[-2]} to the specific force along {n[-1]}")
-            for n in effects.SENSITIVITY
+            for n in SENSITIVITY
         ),
         *(
             bc.Slot(n, "deg/s", f"the Earth's rotation, along axis {n[-1]} of the first pose")
@@ -140,18 +203,8 @@ INSTRUMENT = bc.Instrument(
         ),
     ),
     response=_response,
-    effects=(effects.CONSTANT, effects.FACTOR, effects.TURNED, effects.MOUNTING),
-    candidates=(
-        effects.BIAS_TEMPERATURE,
-        effects.SCALE_TEMPERATURE,
-        effects.TURNED_TEMPERATURE,
-        effects.BIAS_QUADRATIC,
-        effects.G_SENSITIVITY,
-        effects.LAG,
-        effects.SQUARES,
-        effects.DRIFT,
-        effects.RUN,
-    ),
+    effects=EFFECTS.baseline,
+    candidates=EFFECTS.candidates,
     noise=bc.White(bc.HalfCauchy(0.03)),
     simulator=simulated_columns,
     structures=(("moves", moved),),

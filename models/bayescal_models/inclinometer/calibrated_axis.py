@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal_models.inclinometer.effects import ARCSEC_PER
 from bayescal_models.inclinometer.geometry import ARCSEC
+from bayescal_models.inclinometer.model import ARCSEC_PER
 
 ACTING = ("zero", "scale", "cross_axis")  # slots of the instrument itself
 

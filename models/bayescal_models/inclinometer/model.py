@@ -23,32 +23,9 @@ reading_x) and the same for y: `Verification.readings()`. The column `true_angle
 **Sign.** reading = truth + zero. Source 4's S is a *correction*; `inclinometer.read(…, corrections=True)` negates.
 
 Slots: `zero` (arcsec), `scale` = κ, `cross_axis` = m (arcsec); of the test rig only, and not acting in use:
-`dividing`, `base_tilt` (arcsec; added to the tilt). "Per axis": every accelerometer has its own. A *run* is one
-mounting of one axis, its label unique to it (x1, y1, …): `accelerometers` makes labels so.
-
-| effect | slot | form | plausible size |
-|---|---|---|---|
-| `zero.constant` (baseline, per axis) | zero | c | 1000″ |
-| `zero.placement` (baseline, per axis) | zero | c·ω | 2″/deg |
-| `zero.run` (baseline) | zero | one for each run, spread learned | 2″ |
-| `zero.placement_quadratic` (per axis) | zero | c·ω² | 0.005″/deg² |
-| `zero.projection` (per axis) | zero | S_p·cos ω, S_d·sin ω | 100″ (up to 1000″) |
-| `zero.temperature` (per axis) | zero | c·(T − T0) | 2″/°C |
-| `zero.hysteresis` (per axis) | zero | +c forward, −c backward | 2″ |
-| `zero.cross_axis` (per axis) | cross_axis | m | 100″ |
-| `zero.electrical_tilt` (per axis) | zero | S_e·(1/cos x − 1) | 100″ |
-| `zero.exact_placement` (per axis) | zero | c·(ω_exact − y) | 2″/deg |
-| `scale.constant` (per axis) | scale | κ | 100 ppm |
-| `dividing.wobble` | dividing | cos mω, sin mω, m = 1, 2 | 2″ |
-| `dividing.face` | dividing | c | 2″ |
-| `base_tilt.drift` (per axis) | base_tilt | (t − t̄)/(tmax − tmin) | 2″ |
-| `zero.placement_cubic` (structure) | zero | c·ω³ | 10⁻⁴″/deg³ |
-| `zero.table` (structure) | zero | spline through 7 departures from the line | 20″ |
-| `zero.electrical` (structure, per axis) | zero | S_e/cos x | 1000″ |
-| `zero.projection_exact` (structure, per axis) | zero | the projection, exact ω | 100″ |
-| `zero.mean`, `zero.placement_mean` (structure) | zero | c, c·ω of a population | 1000″, 2″/deg |
-| `zero.axis`, `zero.placement_axis` (structure) | zero | deviation of an axis, spread learned | 100″, 1″/deg |
-| `zero.device`, `zero.placement_device` (structure) | zero | deviation of a device, spread learned | 100″, 1″/deg |
+`dividing`, `base_tilt` (arcsec; added to the tilt). Every accelerometer has coefficients of its own, so that effects
+on the instrument have one for each axis; the dividing table is one and the same for all. A *run* is one mounting of
+one axis, its label unique to it (x1, y1, …): `accelerometers` makes labels so.
 
 **Aliases.** `dividing.face` is a constant as S_e is, exactly; so is `dividing.wobble` of m = 1 the projection of one
 axis (a second axis on the same table, with projections of its own, tells them apart). `zero.cross_axis` is S_d·sin ω
@@ -63,14 +40,22 @@ Sizes are prior standard deviations for a first calibration, ours where no sourc
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import jax.numpy as jnp
+import numpy as np
+from scipy.interpolate import CubicSpline
 
 import bayescal as bc
-from bayescal_models.inclinometer import COLUMNS, effects
+from bayescal_models.catalogue import EffectTable, Maker, centred, effect, one, progress
+from bayescal_models.inclinometer import COLUMNS
 from bayescal_models.inclinometer.campaign import Campaign
-from bayescal_models.inclinometer.geometry import ARCSEC, sensed
+from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement, sensed
 from bayescal_models.inclinometer.simulator import simulated_columns
 from bayescal_models.simulated import experiments, readings_of
+
+KNOTS = np.deg2rad(np.arange(-45.0, 46.0, 15.0))  # of the spline table
 
 
 def _response(slots, r):
@@ -84,26 +69,182 @@ def _response(slots, r):
     return jnp.arcsin(jnp.clip(sine, -1.0, 1.0)) / ARCSEC
 
 
-def _with(*more: bc.Effect) -> bc.Model:
-    return INSTRUMENT.baseline() + more
+# Bases.
 
 
-def _projection() -> bc.Model:
-    """S_e of each axis, and its projections in place of the line."""
-    return INSTRUMENT.baseline() - effects.LINE + effects.PROJECTION
+def _angle_to(power: int, r: bc.Frame) -> Any:
+    return r["placement_angle"] ** power
 
 
-def _exact_projection() -> bc.Model:
-    """The whole equation of verification data: exact placement angle, S_e not tilted, scale factor."""
-    bare = INSTRUMENT.baseline() - effects.CONSTANT - effects.LINE
-    return bare + (effects.ELECTRICAL_ZERO, effects.EXACT_PROJECTION, effects.SCALE)
+def _sweep(r: bc.Frame) -> Any:
+    return r.has_label("direction", "forward") - r.has_label("direction", "backward")
 
 
-def _hierarchy(devices: bool = False) -> bc.Model:
-    """Accelerometers (and devices) drawn from one population, between-group standard deviations estimated."""
-    bare = INSTRUMENT.baseline() - effects.CONSTANT - effects.LINE
-    made = bare + (effects.MEAN, effects.MEAN_LINE, effects.AXIS, effects.AXIS_LINE)
-    return made + (effects.DEVICE, effects.DEVICE_LINE) if devices else made
+def _of_tilt(r: bc.Frame) -> Any:
+    return 1 / jnp.cos(r["true_angle"])
+
+
+def _of_tilt_from_level(r: bc.Frame) -> Any:
+    return _of_tilt(r) - 1
+
+
+def _exact_less_linear(r: bc.Frame) -> Any:
+    return exact_placement(r["true_angle"], r["placement_angle"], jnp) - r["placement_angle"]
+
+
+def _waves(orders: tuple[int, ...], r: bc.Frame) -> Any:
+    angle = r["placement_angle"]
+    return jnp.stack([f(m * angle) for m in orders for f in (jnp.cos, jnp.sin)], axis=1)
+
+
+def _exact_waves(r: bc.Frame) -> Any:
+    angle = exact_placement(r["true_angle"], r["placement_angle"], jnp)
+    return jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
+
+
+def _spline(r: bc.Frame) -> Any:
+    """Values of the natural cubic splines that are 1 at one knot and 0 at the others; straight lines beyond."""
+    angle = r["placement_angle"]
+    spline = CubicSpline(KNOTS, np.eye(KNOTS.size), bc_type="natural")
+    low, high = KNOTS[0], KNOTS[-1]
+    inside = jnp.clip(angle, low, high)
+    step = KNOTS[1] - KNOTS[0]
+    piece = jnp.clip(jnp.floor((inside - low) / step).astype(int), 0, KNOTS.size - 2)
+    h = (inside - low - piece * step)[:, None]
+    c = jnp.asarray(spline.c)[:, piece]
+    slope = jnp.where((angle < low)[:, None], spline(low, 1), spline(high, 1))
+    return c[3] + h * (c[2] + h * (c[1] + h * c[0])) + (angle - inside)[:, None] * slope
+
+
+def _one_way(readings: bc.Measurements) -> str | None:
+    """Why the directions of these readings show no hysteresis, if so."""
+    found = set(readings.groups("direction")[0])
+    if {"forward", "backward"} <= found:
+        return None
+    return f"needs sweeps forward and backward; these readings have {', '.join(sorted(found))} only"
+
+
+# Families of this instrument: one coefficient for each accelerometer, for the table one in all, or drawn from a
+# population of accelerometers ("axis"), devices or mountings ("run") whose spread is learned.
+
+
+def _each(basis: Any, equation: str, *columns: str, **more: Any) -> Maker:
+    return effect(basis, equation, *columns, **{"per": "axis", **more})
+
+
+def _drawn(per: str, equation: str = "", basis: Any = one, *columns: str) -> Maker:
+    """Deviations of the members of a group from what all have; a constant unless a basis is given."""
+    needed, varies = (columns, None) if columns else ((per,), ())
+    said = equation or f"d[{per}]" + ("" if per == "device" else ",  d ~ N(0, s²)")
+    return effect(basis, said, *needed, per=per, learned=bc.HalfNormal, varies=varies)
+
+
+def _of_placement(power: int) -> tuple[Any, ...]:
+    return partial(_angle_to, power), f"c·ω{('', '²', '³')[power - 1]}", "placement_angle"
+
+
+FORWARD = _each(
+    _sweep,
+    "+c in forward sweeps, −c in backward ones",
+    "direction",
+    varies=(),
+    untestable=_one_way,
+)
+PROJECTED = _each(
+    partial(_waves, (1,)),
+    "S_p·cos ω + S_d·sin ω",
+    "placement_angle",
+    parts=("pendulum", "door"),
+)
+PROJECTED_EXACTLY = _each(
+    _exact_waves,
+    "S_p·cos ω + S_d·sin ω,  ω = atan2(sin y, √(1 − sin²x − sin²y))",
+    *("true_angle", "placement_angle"),
+    parts=("pendulum", "door"),
+)
+EXACT_LESS_Y = _each(
+    _exact_less_linear,
+    "c·(atan2(sin y, √(1 − sin²x − sin²y)) − y)",
+    *("true_angle", "placement_angle"),
+)
+SPLINE = _each(
+    _spline,
+    "natural cubic spline through departures from the line at −45°, −30° … 45°",
+    "placement_angle",
+    parts=tuple(f"{k:g}" for k in np.rad2deg(KNOTS).round()),
+)
+SPINDLE = effect(
+    partial(_waves, (1, 2)),
+    "Σ_m a_m·cos mω + b_m·sin mω,  m = 1, 2",
+    "placement_angle",
+    parts=("cos1", "sin1", "cos2", "sin2"),
+)
+LEAK = _each(one, "m·sin ω", "placement_angle", slot="cross_axis")
+S_E_TILT = _each(_of_tilt_from_level, "S_e·(1/cos x − 1)", "true_angle")
+S_E = _each(_of_tilt, "S_e/cos x", "true_angle", varies=())
+SETTLING = _each(progress, "c·(t − t̄)/(tmax − tmin)", "time")
+WARM = _each(centred, "c·(T − T0)", "temperature")
+AXIS_LINE, DEVICE_LINE = (
+    _drawn(per, _of_placement(1)[1], _of_placement(1)[0], "placement_angle")
+    for per in ("axis", "device")
+)
+ZERO, FACE = "source 4: 3 to 5 mg of bias", "source 4: face vertical within 2″"  # 619 to 1031″
+TWO_LINES = "source 4: its two lines have 0.72 and 0.07″/deg"
+
+EFFECTS = EffectTable.of(
+    "source 4; size ours",
+    baseline=(
+        ("zero.constant", _each(one, "c[axis]"), 1000.0, "arcsec", ZERO),
+        ("zero.placement", _each(*_of_placement(1)), 2.0, "arcsec/deg", TWO_LINES),
+        ("zero.run", _drawn("run"), 2.0, "arcsec"),
+    ),
+    candidates=(
+        ("zero.placement_quadratic", _each(*_of_placement(2)), 0.005, "arcsec/deg^2"),
+        ("zero.projection", PROJECTED, 100.0, "arcsec"),
+        ("zero.temperature", WARM, 2.0, "arcsec/degC"),
+        ("zero.hysteresis", FORWARD, 2.0, "arcsec"),
+        ("zero.cross_axis", LEAK, 100.0, "arcsec"),
+        ("zero.electrical_tilt", S_E_TILT, 100.0, "arcsec"),
+        ("zero.exact_placement", EXACT_LESS_Y, 2.0, "arcsec/deg"),
+        ("scale.constant", _each(one, "κ", "true_angle"), 100.0, "ppm"),
+        ("dividing.wobble", SPINDLE, 2.0, "arcsec", FACE),
+        ("dividing.face", effect(one, "c"), 2.0, "arcsec", FACE),
+        ("base_tilt.drift", SETTLING, 2.0, "arcsec"),
+    ),
+    others=(
+        ("zero.placement_cubic", _each(*_of_placement(3)), 1e-4, "arcsec/deg^3"),
+        ("zero.table", SPLINE, 20.0, "arcsec"),
+        ("zero.electrical", S_E, 1000.0, "arcsec"),
+        ("zero.projection_exact", PROJECTED_EXACTLY, 100.0, "arcsec"),
+        ("zero.mean", effect(one, "c"), 1000.0, "arcsec", ZERO),
+        ("zero.placement_mean", effect(*_of_placement(1)), 2.0, "arcsec/deg"),
+        ("zero.axis", _drawn("axis"), 100.0, "arcsec"),
+        ("zero.placement_axis", AXIS_LINE, 1.0, "arcsec/deg"),
+        ("zero.device", _drawn("device"), 100.0, "arcsec"),
+        ("zero.placement_device", DEVICE_LINE, 1.0, "arcsec/deg"),
+    ),
+)
+ARCSEC_PER = {  # what a coefficient of 1 adds to its slot: arcsec (per rad, rad², rad³), or 1
+    "arcsec": 1.0,
+    "arcsec/degC": 1.0,
+    "arcsec/deg": np.rad2deg(1.0),
+    "arcsec/deg^2": np.rad2deg(1.0) ** 2,
+    "arcsec/deg^3": np.rad2deg(1.0) ** 3,
+    "ppm": 1e-6,
+}
+
+# Named models: accelerometers (and devices) drawn from one population; the whole equation of verification data, with
+# the exact placement angle, S_e not tilted, and the scale factor.
+LINE, BOTH = ("zero.placement",), ("zero.constant", "zero.placement")
+AXES = ("zero.mean", "zero.placement_mean", "zero.axis", "zero.placement_axis")
+EXACT = ("zero.electrical", "zero.projection_exact", "scale.constant")
+
+
+def _with(*more: str, without: tuple[str, ...] = ()) -> bc.Model:
+    made = INSTRUMENT.baseline()
+    for name in without:
+        made = made - name
+    return made + tuple(EFFECTS[name] for name in more)
 
 
 INSTRUMENT = bc.Instrument(
@@ -118,30 +259,21 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("base_tilt", "arcsec", "tilt of the table's base"),
     ),
     response=_response,
-    effects=(effects.CONSTANT, effects.LINE, effects.RUN),
-    candidates=(
-        effects.QUADRATIC,
-        effects.PROJECTION,
-        effects.TEMPERATURE,
-        effects.HYSTERESIS,
-        effects.CROSS_AXIS,
-        effects.ELECTRICAL,
-        effects.EXACT,
-        effects.SCALE,
-        effects.WOBBLE,
-        effects.FACE,
-        effects.DRIFT,
-    ),
+    effects=EFFECTS.baseline,
+    candidates=EFFECTS.candidates,
     noise=bc.White(bc.HalfCauchy(2.0)),
     structures=(
         ("line", lambda: INSTRUMENT.baseline()),
-        ("quadratic", lambda: _with(effects.QUADRATIC)),
-        ("cubic", lambda: _with(effects.QUADRATIC, effects.CUBIC)),
-        ("projection", _projection),
-        ("spline table", lambda: _with(effects.TABLE)),
-        ("line, hierarchy of axes", _hierarchy),
-        ("line, hierarchy of axes and devices", lambda: _hierarchy(devices=True)),
-        ("projection, exact geometry", _exact_projection),
+        ("quadratic", lambda: _with("zero.placement_quadratic")),
+        ("cubic", lambda: _with("zero.placement_quadratic", "zero.placement_cubic")),
+        ("projection", lambda: _with("zero.projection", without=LINE)),
+        ("spline table", lambda: _with("zero.table")),
+        ("line, hierarchy of axes", lambda: _with(*AXES, without=BOTH)),
+        (
+            "line, hierarchy of axes and devices",
+            lambda: _with(*AXES, "zero.device", "zero.placement_device", without=BOTH),
+        ),
+        ("projection, exact geometry", lambda: _with(*EXACT, without=BOTH)),
     ),
     simulator=simulated_columns,
     experiments=experiments(

@@ -11,30 +11,25 @@ body that of the sensor z. All three scale factors hang together with the local 
 (column `magnitude`, `--local-field`), it is taken as the magnetometers read it, the mean radius of their ellipsoid: the
 ratios of the scale factors alone are measured, and headings do not depend on it.
 
-| effect | coefficients | plausible size |
-|---|---|---|
-| `bias.constant` (baseline) | x, y, z | 50 µT |
-| `scale.constant` (baseline) | x, y, z | 30 % |
-| `misalignment.constant` (baseline) | xy, xz, yz | 100 mrad |
-| `bias.temperature` | x, y, z | 0.1 µT/°C |
-| `scale.temperature` | x, y, z | 500 ppm/°C |
-| `misalignment.temperature` | xy, xz, yz | 100 µrad/°C |
-| `bias.temperature_quadratic` | x, y, z | 1 nT/°C² |
-| `misalignment.frame` | yx, zx, zy | 100 mrad |
-| `bias.drift` | x, y, z | 1 µT |
-| `bias.run` | x, y, z for each run, learned | 1 µT |
-
 Noise: white, one standard deviation for all three axes.
 """
 
 from __future__ import annotations
 
 import bayescal as bc
-from bayescal_models.magnetometer_triad import COLUMNS, OUTPUTS, effects
+from bayescal_models.catalogue import EffectTable
+from bayescal_models.magnetometer_triad import COLUMNS, OUTPUTS
 from bayescal_models.magnetometer_triad.simulator import simulated_columns
 from bayescal_models.simulated import readings_of
-from bayescal_models.triad.equation import equation, slots
+from bayescal_models.triad.equation import BIAS, LOWER, SCALE, UPPER, equation, slots
 from bayescal_models.triad.experiments import experiments
+from bayescal_models.triad.families import (
+    constant,
+    frame_of_sensors,
+    of_run,
+    over_temperature,
+    with_time,
+)
 
 # Sensitivities by data sheets of RM3100, LIS3MDL and BMM150; what iron adds differs from axis to axis.
 VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation, common_scale=0.05)
@@ -44,22 +39,39 @@ def _response(slots, r):
     return VECTOR.response(slots, r)
 
 
+IRON = "ours: hard and soft iron of a small vehicle"
+TEMPCO = "data sheets of RM3100, LIS3MDL and BMM150, change with temperature; size ours"
+FIELD = "ours: a battery's or a motor's field that changes"
+
+EFFECTS = EffectTable.of(
+    IRON,
+    baseline=(
+        ("bias.constant", constant(BIAS), 50.0, "uT"),
+        ("scale.constant", constant(SCALE), 300000.0, "ppm"),
+        ("misalignment.constant", constant(UPPER), 100.0, "mrad"),
+    ),
+    candidates=(
+        ("bias.temperature", over_temperature(BIAS), 0.1, "uT/degC", TEMPCO),
+        ("scale.temperature", over_temperature(SCALE), 500.0, "ppm/degC", TEMPCO),
+        (
+            *("misalignment.temperature", over_temperature(UPPER), 0.1, "mrad/degC"),
+            "ours: 5 mrad in 50 °C",
+        ),
+        ("bias.temperature_quadratic", over_temperature(BIAS, 2), 0.001, "uT/degC^2", TEMPCO),
+        ("misalignment.frame", frame_of_sensors(LOWER), 100.0, "mrad"),
+        ("bias.drift", with_time(BIAS), 1.0, "uT", FIELD),
+        ("bias.run", of_run(BIAS), 1.0, "uT", "ours: hard iron from one session to the next"),
+    ),
+)
+
 INSTRUMENT = bc.Instrument(
     name="magnetometer_triad",
     title="three magnetometers in a constant field: hard iron, soft iron",
     columns=COLUMNS,
     slots=slots("uT", "field"),
     response=_response,
-    effects=(effects.CONSTANT, effects.FACTOR, effects.SHEAR),
-    candidates=(
-        effects.BIAS_TEMPERATURE,
-        effects.SCALE_TEMPERATURE,
-        effects.SHEAR_TEMPERATURE,
-        effects.BIAS_QUADRATIC,
-        effects.TURNED,
-        effects.DRIFT,
-        effects.RUN,
-    ),
+    effects=EFFECTS.baseline,
+    candidates=EFFECTS.candidates,
     noise=bc.White(bc.HalfCauchy(0.3)),
     simulator=simulated_columns,
     experiments=experiments(50.0),

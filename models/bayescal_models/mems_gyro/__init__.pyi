@@ -3,9 +3,9 @@
 import bayescal as bc
 
 from .campaign import Campaign as Campaign
-from .effects import RESONANCE as RESONANCE
-from .effects import RESONANCE_FORCE as RESONANCE_FORCE
 from .model import INSTRUMENT as INSTRUMENT
+from .model import RESONANCE as RESONANCE
+from .model import RESONANCE_FORCE as RESONANCE_FORCE
 from .model import simulate as simulate
 from .tables import TABLE as TABLE
 from .tables import TABLE_VOLTS as TABLE_VOLTS

@@ -1,16 +1,20 @@
-"""Simulated campaigns of a MEMS gyro in a stepped chamber.
+"""Simulated campaigns of a MEMS gyro in a stepped chamber, made by physics of their own.
 
     sim = simulate_arrays(Campaign(), {"bias.thermal_lag": 0.05}, seed=1)
     sim.columns["output"], sim.noise_free, sim.contributions["bias.thermal_lag"]
 
-The world is made second by second (`chamber.py`), each hidden effect is a physical law in that
-world (`laws.py`), and the logger's samples are averaged into readings at the end.
+The world is made second by second over the whole test, pauses included, so that what a run finds at its start is what
+the run before it and the pause have left. Three bodies of first order hang on the chamber's air: the package (tens of
+seconds), the die's surroundings (minutes) and the electronics board (minutes, with its own heat). Each hidden effect
+is a law in that world, and the logger's samples are averaged into readings at the end.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,11 +22,168 @@ from numpy.typing import NDArray
 
 from bayescal_models import simulated
 from bayescal_models.mems_gyro.campaign import GRID, Campaign
-from bayescal_models.mems_gyro.chamber import World, make_world
-from bayescal_models.mems_gyro.laws import LAWS
-from bayescal_models.simulated import Array
+from bayescal_models.simulated import Array, Clock, correlated
 
 NOISE_LAWS = ("white", "student_t", "ornstein_uhlenbeck")
+SILICON_TEMPERATURE = (
+    500.0  # K, characteristic temperature of the modulus in Varshni's law; ours, about silicon's
+)
+SATURATION = 60.0  # °C, temperature change over which a built-in compensation saturates; ours
+
+
+class World(Clock):
+    """What happens in a test, second by second; arrays have one value per grid point.
+
+    Attributes:
+        plan: of the test.
+        since: time since the last power-on, s.
+        powered: whether the gyro is on.
+        ambient: air at the ambient thermometer, °C: steps, no faster than the ramp, then first order.
+        turn_on: one standard normal number per run, held through that run and the pause after it.
+        humidity: relative humidity in the chamber, %.
+        run: run of each reading, counted from 0.
+    """
+
+    step = GRID
+
+    def __init__(self, plan: Campaign, generators: Mapping[str, np.random.Generator]) -> None:
+        self.plan, starts = plan, plan.run_starts
+        length = round((starts[-1] + plan.run_duration) / GRID) + 1
+        self.time = GRID * np.arange(length)
+        # A run owns the samples in (start, end], as does a step: the sample on the hour closes it.
+        self._run = np.maximum(np.searchsorted(starts, self.time, side="left") - 1, 0)
+        self.since = self.time - starts[self._run]
+        self.powered = (self.since > 0) & (self.time <= starts[self._run] + plan.run_duration)
+        self.ambient = self.body(_set_point(plan, self.time), plan.chamber_time)
+        self.turn_on = generators["run"].standard_normal(plan.runs)[self._run]
+        moist = 45.0 + 5.0 * correlated(generators["humidity"], length, 2400.0, GRID)
+        self.humidity = np.clip(moist, 2.0, 98.0)
+        taken = round(plan.run_duration / plan.logging_interval)
+        taken_at = starts[:, None] + plan.logging_interval * np.arange(1, taken + 1)
+        points = np.rint(taken_at / GRID).astype(np.intp)
+        self.samples = points.reshape(-1, round(plan.average / plan.logging_interval))
+        self.run = self._run[self.samples[:, 0]]
+
+    @cached_property
+    def package(self) -> Array:
+        """Of the package, through which heat flows, °C."""
+        return self.body(self.ambient, self.plan.package_time)
+
+    @cached_property
+    def board(self) -> Array:
+        """Of the electronics board, °C."""
+        around = self.ambient + self.plan.board_heating * self.powered
+        return self.body(around, self.plan.board_time, start=self.ambient[0])
+
+    @cached_property
+    def rate(self) -> Array:
+        """Of the turntable, °/s, cycled over the steps of all runs; 0 without one."""
+        rates = np.asarray(self.plan.rate_input or (0.0,), dtype=float)
+        at = np.ceil(self.since / self.plan.dwell).astype(int) - 1
+        turning = rates[(self._run * len(self.plan.temperatures) + at) % len(rates)]
+        return np.where(self.powered, turning, 0.0)
+
+
+def _set_point(plan: Campaign, time: Array) -> Array:
+    """What the chamber is led to, °C: from goal to goal, the first held from the beginning, no faster than the ramp."""
+    starts: list[float] = []
+    goals: list[float] = []
+    for k, start in enumerate(plan.run_starts):
+        starts += [start + plan.dwell * i for i in range(len(plan.temperatures))]
+        goals += plan.set_points(k)
+        if k + 1 < plan.runs and plan.pause > 0:
+            starts.append(start + plan.run_duration)
+            goals.append(plan.set_points(k + 1)[0])
+    return ramp_limited(time, starts, goals, plan.chamber_ramp)
+
+
+def ramp_limited(
+    time: Array, starts: Sequence[float], goals: Sequence[float], ramp: float
+) -> Array:
+    """A set point, °C, that goes from goal to goal, each set at its start, s, no faster than a ramp, °C/min."""
+    knots, values = [float(starts[0])], [float(goals[0])]
+    per_second = ramp / 60.0
+    for start, end, goal in zip(starts, [*starts[1:], float(time[-1])], goals, strict=True):
+        reach = per_second * (end - start)
+        move = float(np.clip(goal - values[-1], -reach, reach))
+        knots += [start, start + abs(move) / per_second]
+        values += [values[-1], values[-1] + move]
+    return np.interp(time, knots, values)
+
+
+# Laws: what one unit of an effect adds to the output, °/s. None uses the columns from which a candidate effect builds
+# its basis, so a fitted model is an approximation here as it is in life.
+
+
+def _quadratic(w: World) -> Array:
+    """Modulus after Varshni, `E = E0 − s/(e^(Θ/T)−1)`, less its tangent at T0: about ΔT².
+
+    Source: Y. P. Varshni, Phys. Rev. B 2 (1970) 3952.
+    """
+    theta, kelvin = SILICON_TEMPERATURE, w.plan.T0 + 273.15
+    change = w.ambient - w.plan.T0
+    e = np.exp(theta / kelvin)
+    at_T0 = 1.0 / (e - 1.0)
+    slope = theta / kelvin**2 * e / (e - 1.0) ** 2
+    curvature = slope * (theta / kelvin**2 * (e + 1.0) / (e - 1.0) - 2.0 / kelvin) / 2.0
+    softening = 1.0 / np.expm1(theta / (kelvin + change)) - at_T0 - slope * change
+    return _mixed(w, change**2, softening / curvature)
+
+
+def _cubic(w: World) -> Array:
+    """What a compensation saturating as tanh leaves of a line: ΔT³ and a little less."""
+    change = w.ambient - w.plan.T0
+    left = 3.0 * SATURATION**3 * (change / SATURATION - np.tanh(change / SATURATION))
+    return _mixed(w, change**3, left)
+
+
+def _drift(w: World) -> Array:
+    """Ageing, logarithmic in time, one over the whole test: mildly curved."""
+    share = w.time / w.time[-1]
+    return _mixed(w, share, np.log2(1.0 + share))
+
+
+def _mixed(w: World, leading: Array, law: Array) -> Array:
+    """The leading term of a law, plus a share of what the law has beyond it."""
+    return leading + w.plan.nonlinearity * (law - leading)
+
+
+def _step(w: World) -> Array:
+    """A step at a share of the logged time (so never within a pause)."""
+    plan = w.plan
+    run, within = divmod(plan.step_fraction * plan.runs, 1.0)
+    at = run * (plan.run_duration + plan.pause) + within * plan.run_duration
+    return 1.0 * (w.time > at)
+
+
+LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
+    {
+        "bias.temperature_quadratic": _quadratic,
+        "bias.temperature_cubic": _cubic,
+        # stress from the heat flowing into the package: its true heating rate, °C/min
+        "bias.rate": lambda w: 60.0 * (w.ambient - w.package) / w.plan.package_time,
+        # the die is not at the temperature that the ambient thermometer shows
+        "bias.thermal_lag": lambda w: w.body(w.ambient, w.plan.lag_time) - w.ambient,
+        # the chip that gives the zero level, 1.2 V, has a linear tempco and sits on the board
+        "bias.reference_voltage": lambda w: w.board - w.plan.T0,
+        # electronics are off when cold, and right when they have heated themselves
+        "bias.warm_up": lambda w: (
+            1.0 - w.body(w.powered.astype(float), w.plan.warm_up_time, start=0.0)
+        ),
+        "bias.drift": _drift,
+        # turn-on repeatability: a new offset at each power-on, the size its standard deviation
+        "bias.run": lambda w: w.turn_on,
+        # the scale factor follows the package: κ(T_package)·Ω, nothing at rest
+        "scale.temperature": lambda w: 1e-6 * (w.package - w.plan.T0) * w.rate,
+        "scale.constant": lambda w: 1e-6 * w.rate,
+        # three that no catalogue holds: pick-up of a compressor, the size its amplitude; a step;
+        # leakage that grows with the relative humidity, about 45 %, in °/s/%
+        "unlisted.periodic": lambda w: np.sin(2.0 * np.pi * w.time / w.plan.period),
+        "unlisted.step": _step,
+        "unlisted.humidity": lambda w: w.humidity - 45.0,
+    }
+)
+"""Every effect that can be hidden, by its canonical name."""
 
 
 def simulated_columns(
@@ -79,7 +240,7 @@ def simulate_arrays(
 
     Args:
         campaign: the plan of the test and the world it is made in.
-        effects: canonical name → size, in the unit of `laws.SIZES` or `laws.UNLISTED_SIZES`. The baseline's
+        effects: canonical name → size, in the unit of the effect's coefficient. The baseline's
             constant and slope are options of the campaign.
         seed: seed of every random number.
         noise_law: "white"; "student_t" (same standard deviation, heavier tails);
@@ -92,15 +253,15 @@ def simulate_arrays(
     _check(effects, noise_law)
     names = ("noise", "wander", "thermometer", "run", "humidity")
     generators = simulated.generators(names, seed)
-    world = make_world(campaign, generators)
+    world = World(campaign, generators)
 
     contributions = {"baseline": world.average(_baseline(campaign, world))}
     if campaign.rate_input is not None:
         contributions["rate_input"] = world.average(world.rate)
     for name, size in effects.items():
-        contributions[name] = world.average(size * LAWS[name](campaign, world))
+        contributions[name] = world.average(size * LAWS[name](world))
     noise_free = np.sum(list(contributions.values()), axis=0)
-    output = _rounded(noise_free + _noise(campaign, world, generators, noise_law), campaign)
+    output = _rounded(noise_free + _noise(world, generators, noise_law), campaign)
 
     error = campaign.thermometer_noise * generators["thermometer"].standard_normal(len(output))
     columns: dict[str, NDArray[Any]] = {
@@ -124,9 +285,8 @@ def _check(effects: Mapping[str, float], noise_law: str) -> None:
             f"simulate_arrays(noise_law={noise_law!r}): known are {', '.join(NOISE_LAWS)}; "
             "choose one of them."
         )
-    for name in effects:
-        if name in ("bias.temperature", "bias.constant"):
-            option = "slope" if name == "bias.temperature" else "constant"
+    for name, option in (("bias.temperature", "slope"), ("bias.constant", "constant")):
+        if name in effects:
             raise ValueError(
                 f"simulate_arrays: {name!r} belongs to the baseline, not to the hidden effects; "
                 f"set Campaign({option}=…) instead."
@@ -141,14 +301,9 @@ def _baseline(campaign: Campaign, world: World) -> Array:
     return campaign.constant + campaign.slope * (world.ambient - campaign.T0)
 
 
-def _noise(
-    campaign: Campaign,
-    world: World,
-    generators: Mapping[str, np.random.Generator],
-    noise_law: str,
-) -> Array:
+def _noise(world: World, generators: Mapping[str, np.random.Generator], noise_law: str) -> Array:
     """Noise of each averaged reading, °/s."""
-    generator, readings = generators["noise"], len(world.run)
+    campaign, generator, readings = world.plan, generators["noise"], len(world.run)
     if noise_law == "student_t":
         degrees = campaign.noise_degrees
         unit_variance = np.sqrt((degrees - 2.0) / degrees)
@@ -156,12 +311,10 @@ def _noise(
     white = campaign.noise * generator.standard_normal(readings)
     if noise_law == "white":
         return white
-    slow = np.empty(readings)
+    slow, wander = np.empty(readings), generators["wander"]
     for k in range(campaign.runs):  # the correlated noise starts anew at each power-on
-        record = simulated.correlated(
-            generators["wander"], len(world.time), campaign.wander_time, GRID
-        )
-        slow[world.run == k] = world.average(record)[world.run == k]
+        record = world.average(correlated(wander, len(world.time), campaign.wander_time, GRID))
+        slow[world.run == k] = record[world.run == k]
     return white + campaign.wander * slow
 
 

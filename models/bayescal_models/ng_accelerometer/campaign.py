@@ -15,8 +15,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
-from bayescal_models.ng_accelerometer.sizes import DEGREE, HOUR
-from bayescal_models.simulated import refuse_options
+from bayescal_models.simulated import DEGREE, HOUR, refuse_options
 
 GRID = 10.0
 """Step of the grid on which the test is integrated, s."""

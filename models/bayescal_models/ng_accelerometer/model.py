@@ -4,59 +4,25 @@ Measurement equation, output in µg of nominal scale (volts become µg by the no
 
     output = K0 + (1 + κ)·a + K2·a² + K3·a³ + Kip·a·ap
 
-with a and ap from the exact geometry of `rig/geometry.py`: the table's face is tilted by γ (column `tilt`) and turned
-to θ (column `position_angle`), nominally a = g·sin γ·sin θ; a in µg (mg under K2 and K3), ap in g. K0 is not
-multiplied by 1 + κ.
+The table's face is tilted by γ (column `tilt`) and turned to θ (column `position_angle`), nominally a = g·sin γ·sin θ;
+a in µg (mg under K2 and K3), ap in g. K0 is not multiplied by 1 + κ. Where gravity points is exact, no small-angle
+approximation: in the tilted frame that does not turn (e0 along θ = 0, e90 along θ = 90°, n normal to the face) the
+unit vector "up" and the input axis are
+
+    u = ( sin γ2∥,  cos γ2∥·sin(γ + γ2⊥),  cos γ2∥·cos(γ + γ2⊥) )
+    s = ( cos γ1·cos θ,  cos γ1·sin θ,  sin γ1 )
+
+so that along the input axis acts a = g·u·s, and along the normal, the pendulous axis, ap = g·u·n (source 0, sections 2
+and 3; formulas of the exact form ours).
 
 Slots: `bias` = K0, µg; `scale` = κ; `fixture_tilt` = γ1, rad; `base_tilt_parallel` = γ2∥ and `base_tilt_perp` =
 γ2⊥, rad; `second_order` = K2, µg/mg²; `third_order` = K3, µg/mg³; `cross_coupling` = Kip, 1/g; `rotation`, added
-to θ, rad. A *cell* is a run × temperature point. Prior standard deviations, ours unless said:
-
-Baseline                      slot            form                              size
-`bias.constant`               bias            c                                 5 mg
-`bias.temperature`            bias            b0·(T−T0)                         50 µg/°C
-`bias.cell`                   bias            one for each cell, spread learned 10 µg
-`scale.constant`              scale           c                                 1 %
-`scale.temperature`           scale           b1·(T−T0)                         1000 ppm/°C
-`scale.cell`                  scale           one for each cell, spread learned 100 ppm
-`fixture_tilt.constant`       fixture_tilt    c                                 1′ = 291 µrad (source 0: 2′ at most)
-`fixture_tilt.cell`           fixture_tilt    one for each cell, spread learned 5 µrad
-`base_tilt.constant`          base_tilt ∥, ⊥  c                                 1″ (source 0: the table's angles)
-`base_tilt.cell`              base_tilt ∥, ⊥  one for each cell, spread learned 1 µrad
-`rotation.constant`           rotation        azimuth δ of the input axis       0.1°
-`tilt.setting`                base_tilt ⊥     error of the tilt that was set    1″ (source 0)
+to θ, rad. A *cell* is a run × temperature point.
 
 An error of the set tilt γ enters only as γ + γ2⊥, so `tilt.setting` is an exact alias of
 `base_tilt.constant[perp]`; both are kept, because they are two causes with a budget line each and together leave
 the scale factor √2·617 ppm at 0.45°. Within a cell are aliases too: bias with the fixture tilt, scale factor with
 γ2⊥ and with Kip, γ2∥ with δ. Their priors, time, laboratory temperature and other set-ups are all that parts them.
-
-Candidates                    slot            form                              size
-`bias.temperature_quadratic`  bias            c·(T−T0)²                         0.05 µg/°C²
-`bias.temperature_cubic`      bias            c·(T−T0)³                         0.003 µg/°C³
-`scale.temperature_quadratic` scale           c·(T−T0)²                         1 ppm/°C²
-`scale.temperature_cubic`     scale           c·(T−T0)³                         0.1 ppm/°C³
-`bias.drift`                  bias            c·(t−t̄)/(tmax−tmin)               10 µg
-`bias.warm_up`                bias            c·exp(−t/τ) in a run, 2 min…3 h   10 µg
-`bias.run`                    bias            one for each run, spread learned  10 µg
-`scale.run`                   scale           one for each run, spread learned  100 ppm
-`bias.rate`                   bias            c·dT/dt                           2 µg per °C/h
-`bias.thermal_lag`            bias            c·(T̃−T), τ 1 min…3 h              10 µg/°C; start of a run 5 µg
-`bias.hysteresis`             bias            c·sign(T − previous cell's)       10 µg
-`fixture_tilt.temperature`    fixture_tilt    c·(T−T0)                          5 µrad/°C
-`fixture_tilt.run`            fixture_tilt    one for each run (set-up)         20 µrad
-`fixture_tilt.run_temperature` fixture_tilt   d[run]·(T−T0), spread learned     2 µrad/°C
-`fixture_tilt.position`       fixture_tilt    (T−T0)·(cos, sin of 2θ, 3θ)       0.3 µrad/°C
-`base_tilt.lab_temperature`   base_tilt ∥, ⊥  c·(L−L0)                          5 µrad/°C (source 0: below 47)
-`base_tilt.temperature`       base_tilt ∥, ⊥  c·(T−T0)                          1 µrad/°C
-`base_tilt.tide`              base_tilt ∥, ⊥  cos, sin of M2 S2 N2 K1 O1        50, 25, 10, 30, 20 nrad
-`base_tilt.drift`             base_tilt ∥, ⊥  c·(t−t̄)/(tmax−tmin)               5 µrad
-`second_order`                second_order    K2                                0.05 µg/mg²
-`third_order`                 third_order     K3                                0.01 µg/mg³
-`cross_coupling`              cross_coupling  Kip                               1e-4 /g
-`cross_coupling.temperature`  cross_coupling  c·(T−T0)                          1e-5 /g/°C
-`rotation.harmonic`           rotation        cos, sin of θ                     1″ (source 0)
-`rotation.wobble`             fixture_tilt    cos, sin of 2θ, 3θ                1″
 
 `base_tilt.temperature[perp]` is an exact alias of b1, `fixture_tilt.temperature` all but one of b0: to add them
 widens those tempcos to what their priors leave, which no number of readings of the same kind narrows.
@@ -69,16 +35,74 @@ Noise: white, of unknown size (0.05 to 5 µg; source 0 gives 3 ng/√Hz for the 
 
 from __future__ import annotations
 
-import bayescal as bc
-from bayescal_models.ng_accelerometer import COLUMNS, NOMINAL_SCALE, effects
-from bayescal_models.ng_accelerometer.campaign import Campaign
-from bayescal_models.ng_accelerometer.rig.geometry import accelerations
-from bayescal_models.ng_accelerometer.simulator import simulated_columns
-from bayescal_models.ng_accelerometer.sizes import DEGREE, HOUR
-from bayescal_models.simulated import experiments, readings_of
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+import bayescal as bc
+from bayescal import effects
+from bayescal_models import catalogue
+from bayescal_models.catalogue import (
+    HOUR,
+    MINUTE,
+    EffectTable,
+    Maker,
+    centred,
+    effect,
+    family,
+    one,
+    progress,
+)
+from bayescal_models.ng_accelerometer import COLUMNS, NOMINAL_SCALE
+from bayescal_models.ng_accelerometer.campaign import Campaign
+from bayescal_models.ng_accelerometer.simulator import simulated_columns
+from bayescal_models.simulated import DEGREE, experiments, readings_of
+
+G = 1e6  # µg
+HARMONICS = (2, 3)  # the first is a base tilt
+LOBES = tuple(f"{wave}{m}" for m in HARMONICS for wave in ("cos", "sin"))
+DEAD_BAND = 1.0  # °C: a chamber that holds its temperature wanders by 0.1 °C (source 0)
+TIDE = {  # constituents: period, h, and size in parts of that of M2
+    "M2": (12.4206012, 1.0),
+    "S2": (12.0, 0.5),
+    "N2": (12.6583475, 0.2),
+    "K1": (23.9344721, 0.6),
+    "O1": (25.8193387, 0.4),
+}
 TILT = 0.45 * DEGREE
 OVER = 180 * DEGREE - TILT
+
+
+class Accelerations(NamedTuple):
+    """What acts on the accelerometer: along the input axis, µg, and along the table's normal, g."""
+
+    along: Float[Array, "n"]
+    normal: Float[Array, "n"]
+
+
+def accelerations(
+    tilt: Float[Array, "n"],
+    angle: Float[Array, "n"],
+    fixture_tilt: Float[Array, "n"],
+    parallel: Float[Array, "n"],
+    perp: Float[Array, "n"],
+) -> Accelerations:
+    """Gravity in the axes of the accelerometer. All angles in rad.
+
+    Args:
+        tilt: γ, of the table's face.
+        angle: θ, to which the face is turned, the azimuth of the input axis included.
+        fixture_tilt: γ1, of the input axis out of the face.
+        parallel, perp: γ2∥ and γ2⊥, of the base along θ = 0 and along θ = 90°.
+    """
+    e0 = jnp.sin(parallel)
+    e90 = jnp.cos(parallel) * jnp.sin(tilt + perp)
+    n = jnp.cos(parallel) * jnp.cos(tilt + perp)
+    in_face = e0 * jnp.cos(angle) + e90 * jnp.sin(angle)
+    return Accelerations(G * (jnp.cos(fixture_tilt) * in_face + jnp.sin(fixture_tilt) * n), n)
 
 
 def _response(slots, r):
@@ -106,6 +130,213 @@ def _in_use(a, slots, r):
     return slots["bias"] + (1 + slots["scale"]) * a + bent
 
 
+# Bases.
+
+
+def turned(r: bc.Frame, share: Float[Array, "n"] | float = 1.0) -> Float[Array, "n 4"]:
+    """cos mθ and sin mθ, m = 2 and 3, times `share`."""
+    angle = r["position_angle"]
+    waves = [wave(m * angle) for m in HARMONICS for wave in (jnp.cos, jnp.sin)]
+    return jnp.stack(waves, axis=1) * jnp.reshape(jnp.asarray(share), (-1, 1))
+
+
+def tides(r: bc.Frame) -> Float[Array, "n 20"]:
+    """cos and sin of every constituent, for one component of the base tilt and then for the other."""
+    phase = [2 * jnp.pi * r["time"] / (hours * HOUR) for hours, _ in TIDE.values()]
+    waves = [wave(p) for p in phase for wave in (jnp.cos, jnp.sin)]
+    return jnp.stack([*waves, *waves], axis=1)
+
+
+def direction(r: bc.Frame) -> Float[Array, "n"]:
+    """Sign of the last change of temperature within the run, 0 before the first.
+
+    A change is one by more than the dead band from where the temperature last stood: between readings at soaked
+    temperature points this is the sign of (this cell − previous cell).
+    """
+    temperature, first = r.record["temperature"][r.order], r.step < 0
+
+    def advance(state, row):
+        stood, sign = state
+        now, begins = row
+        moved = jnp.abs(now - stood) > DEAD_BAND
+        sign = jnp.where(begins, 0.0, jnp.where(moved, jnp.sign(now - stood), sign))
+        return (jnp.where(begins | moved, now, stood), sign), sign
+
+    start = (temperature[0], jnp.zeros(()))
+    _, signs = jax.lax.scan(advance, start, (temperature, first))
+    return jnp.zeros_like(signs).at[r.order].set(signs)
+
+
+def one_direction(readings: bc.Measurements) -> str | None:
+    """Why readings do not show hysteresis: their temperature never rises, or never falls."""
+    rises = falls = False
+    _, run = readings.groups("run")
+    for k in np.unique(run):
+        path = readings["temperature"][run == k][np.argsort(readings["time"][run == k])]
+        stood = path[0]
+        for now in path:
+            if abs(now - stood) > DEAD_BAND:
+                rises, falls = rises or now > stood, falls or now < stood
+                stood = now
+    if rises and falls:
+        return None
+    seen = "only rises" if rises else "only falls" if falls else "stands still"
+    return f"needs temperature to rise and to fall within runs, by over {DEAD_BAND:g} °C; it {seen}"
+
+
+def _laboratory(r: bc.Frame) -> Float[Array, "n"]:
+    return r.centred("lab_temperature")
+
+
+def _turned_by_temperature(r: bc.Frame) -> Float[Array, "n 4"]:
+    return turned(r, r.centred())
+
+
+def _once_round(r: bc.Frame) -> Float[Array, "n 2"]:
+    return jnp.stack([jnp.cos(r["position_angle"]), jnp.sin(r["position_angle"])], axis=1)
+
+
+# Families of this instrument.
+
+SIDES = ("parallel", "perp")
+
+
+def _base(basis: Any, equation: str, *columns: str, **more: Any) -> Maker:
+    """An effect on both components of the base tilt, found or dropped together."""
+    slots = [f"base_tilt_{side}" for side in SIDES]
+    return family(slots, basis, equation, *columns, parts=SIDES, **more)
+
+
+def _tide(name: str, size: float, unit: str, source: str) -> bc.Effect:
+    """Of each constituent a cosine and a sine for each component, in parts of the size of M2's."""
+    return bc.Effect(
+        name,
+        "base_tilt_parallel",
+        basis=tides,
+        coefficients=tuple(
+            bc.Coefficient(
+                unit,
+                bc.Normal(0.0, size * share),
+                part=f"{side},{constituent},{wave}",
+                slot=f"base_tilt_{side}",
+            )
+            for side in SIDES
+            for constituent, (_, share) in TIDE.items()
+            for wave in ("cos", "sin")
+        ),
+        columns=("time",),
+        varies=("time",),
+        equation="Σ c·cos(2πt/P) + s·sin(2πt/P) over M2, S2, N2, K1, O1, for each component",
+        source=source,
+    )
+
+
+# A deviation of each cell has a spread that is known to an order of magnitude or two.
+OF_CELLS = ("d[cell],  d ~ N(0, s²)", "temperature_point")
+LEARNED: dict[str, Any] = {"per": "cell", "learned": bc.HalfCauchy, "varies": ()}
+CELL, CELL_OF_BASE = effect(one, *OF_CELLS, **LEARNED), _base(one, *OF_CELLS, **LEARNED)
+SETTING = effect(one, "c, added to γ as γ2⊥ is", "tilt", slot="base_tilt_perp", varies=())
+LAG = catalogue.thermal_lag(MINUTE, 3 * HOUR, 5.0, "ug", rate=(2.0, "ug/(degC/h)"))
+TURNED = effect(
+    direction,
+    f"c·sign(T − T of the previous cell),  0 in the first; dead band {DEAD_BAND:g} °C",
+    *("time", "temperature"),
+    untestable=one_direction,
+)
+OF_RUNS = effect(
+    centred,
+    "d[run]·(T − T0),  d ~ N(0, s²)",
+    *("run", "temperature"),
+    per="run",
+    learned=bc.HalfNormal,
+    varies=("temperature",),
+)
+POSITION = effect(
+    _turned_by_temperature,
+    "(T − T0)·Σ(c·cos mθ + s·sin mθ),  m = 2, 3",
+    *("position_angle", "temperature"),
+    parts=LOBES,
+)
+LABORATORY = _base(_laboratory, "c·(L − L0), one c for each component", "lab_temperature")
+WARM_BASE = _base(centred, "c·(T − T0), one c for each component", "temperature")
+SETTLING = _base(
+    progress, "c·(t − t̄)/(tmax − tmin), one c for each component", "time", varies=("time",)
+)
+K2, K3, KIP = (effect(one, symbol, "position_angle") for symbol in ("K2", "K3", "Kip"))
+WARM_KIP = effect(centred, "c·(T − T0)", "position_angle", "temperature")
+DIVIDING = effect(
+    _once_round,
+    "c·cos θ + s·sin θ, dividing error of the table",
+    "position_angle",
+    parts=("cos", "sin"),
+)
+WOBBLE = effect(
+    turned,
+    "Σ(c·cos mθ + s·sin mθ),  m = 2, 3, wobble of the spindle",
+    "position_angle",
+    slot="fixture_tilt",
+    parts=LOBES,
+)
+
+EFFECTS = EffectTable.of(
+    "PHYSICS §1 after source 0; size ours",
+    baseline=(
+        ("bias.constant", catalogue.constant, 5000.0, "ug"),
+        ("bias.temperature", catalogue.linear, 50.0, "ug/degC"),
+        ("bias.cell", CELL, 10.0, "ug"),
+        ("scale.constant", catalogue.constant, 10000.0, "ppm"),
+        ("scale.temperature", catalogue.linear, 1000.0, "ppm/degC"),
+        ("scale.cell", CELL, 100.0, "ppm"),
+        (
+            *("fixture_tilt.constant", catalogue.constant, 291.0, "urad"),
+            "source 0: within 2′, taken as 95 %",
+        ),
+        ("fixture_tilt.cell", CELL, 5.0, "urad"),
+        ("base_tilt.constant", _base(one, "c, one for each component"), 1.0, "arcsec"),
+        ("base_tilt.cell", CELL_OF_BASE, 1.0, "urad"),
+        ("rotation.constant", catalogue.constant, 0.1, "deg"),
+        ("tilt.setting", SETTING, 1.0, "arcsec", "source 0: the table's angles are good to 1″"),
+    ),
+    candidates=(
+        ("bias.temperature_quadratic", catalogue.quadratic, 0.05, "ug/degC^2"),
+        ("bias.temperature_cubic", catalogue.cubic, 0.003, "ug/degC^3"),
+        ("scale.temperature_quadratic", catalogue.quadratic, 1.0, "ppm/degC^2"),
+        ("scale.temperature_cubic", catalogue.cubic, 0.1, "ppm/degC^3"),
+        ("bias.drift", catalogue.drift, 10.0, "ug"),
+        ("bias.warm_up", catalogue.warm_up(2 * MINUTE, 3 * HOUR), 10.0, "ug"),
+        ("bias.run", catalogue.deviation, 10.0, "ug"),
+        ("scale.run", catalogue.deviation, 100.0, "ppm"),
+        ("bias.thermal_lag", LAG, 10.0, "ug/degC"),
+        ("bias.hysteresis", TURNED, 10.0, "ug"),
+        ("fixture_tilt.temperature", catalogue.linear, 5.0, "urad/degC"),
+        ("fixture_tilt.run", catalogue.deviation, 20.0, "urad"),
+        ("fixture_tilt.run_temperature", OF_RUNS, 2.0, "urad/degC"),
+        ("fixture_tilt.position", POSITION, 0.3, "urad/degC"),
+        ("base_tilt.lab_temperature", LABORATORY, 5.0, "urad/degC"),  # source 0: below 47
+        ("base_tilt.temperature", WARM_BASE, 1.0, "urad/degC"),
+        (
+            *("base_tilt.tide", _tide, 50.0, "nrad"),
+            "periods: the constituents' own; ±200 nrad in all: source 0; the shares ours",
+        ),
+        ("base_tilt.drift", SETTLING, 5.0, "urad"),
+        ("second_order", K2, 0.05, "ug/mg^2"),
+        ("third_order", K3, 0.01, "ug/mg^3"),
+        ("cross_coupling", KIP, 1e-4, "1/g"),
+        ("cross_coupling.temperature", WARM_KIP, 1e-5, "1/g/degC"),
+        (
+            *("rotation.harmonic", DIVIDING, 1.0, "arcsec"),
+            "source 0: the table's angle is good to 1″",
+        ),
+        ("rotation.wobble", WOBBLE, 1.0, "arcsec"),
+    ),
+)
+THERMOMETER = effects.thermometer(0.002, source="ours: 2 mK of an averaged temperature")
+
+
+def _quadratic() -> bc.Model:
+    return INSTRUMENT.baseline() + "bias.temperature_quadratic" + "scale.temperature_quadratic"
+
+
 INSTRUMENT = bc.Instrument(
     name="ng_accelerometer",
     title="ng accelerometer on a tilted table: bias and scale factor over temperature",
@@ -122,20 +353,15 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("rotation", "rad", "added to θ"),
     ),
     response=_response,
-    effects=effects.BASELINE,
-    candidates=effects.CANDIDATES,
+    effects=EFFECTS.baseline,
+    candidates=EFFECTS.candidates,
     noise=bc.White(bc.HalfCauchy(1.0)),
     nominal_scale=NOMINAL_SCALE,
     structures=(
         ("line", lambda: INSTRUMENT.baseline()),
-        (
-            "quadratic",
-            lambda: (
-                INSTRUMENT.baseline() + "bias.temperature_quadratic" + "scale.temperature_quadratic"
-            ),
-        ),
+        ("quadratic", _quadratic),
         ("line, fixture warms", lambda: INSTRUMENT.baseline() + "fixture_tilt.temperature"),
-        ("line, thermometer error", lambda: INSTRUMENT.baseline() + effects.THERMOMETER),
+        ("line, thermometer error", lambda: INSTRUMENT.baseline() + THERMOMETER),
         (
             "line, base follows the laboratory",
             lambda: INSTRUMENT.baseline() + "base_tilt.lab_temperature",

@@ -1,25 +1,172 @@
-"""Columns of a simulated test, with effects hidden in it.
+"""Columns of a simulated test, with effects hidden in it: one small physical law per effect.
 
     columns = simulated_columns({"base_tilt.tide": 200.0, "second_order": 0.05}, seed=1)
 
-The geometry is done here with rotations of vectors, apart from the closed form that models are fitted with.
+A law takes the world of the test and returns what one unit of the effect adds to its slot, moment by moment. None
+uses the columns from which a candidate builds its basis (set points, the thermometer's record, the clock of the
+readings), and most are not quite of its form, so that a fitted model is an approximation here as it is in life. The
+geometry is done with rotations of vectors, apart from the closed form that models are fitted with.
+
+An effect on the base tilt acts on both components with the size given; `name[parallel]` and `name[perp]` set one
+alone. The size of `base_tilt.tide` is each component's largest tilt of the month, nrad.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bayescal_models import simulated
 from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A, Campaign
-from bayescal_models.ng_accelerometer.laws import BY_CELL, BY_RUN, LAWS
-from bayescal_models.ng_accelerometer.rig.world import Array, World, make_world
+from bayescal_models.ng_accelerometer.world import World
+from bayescal_models.simulated import ARCSEC, DEGREE, Array
 
 G = 1e6  # µg
 STREAMS = ("noise", "thermometer", "chamber", "laboratory", "groups")
+SATURATION = 40.0  # °C, over which a curved law departs from its leading power
+UNEVEN = 0.002  # 1/°C, by which a warming fixture bends more, the warmer it is
+HIGHER = 0.1  # share of the next lobes in what is uneven around a turn
+UNITS = {
+    **dict.fromkeys(("ug", "ug/mg^2", "ug/mg^3", "1/g"), 1.0),
+    **{"ppm": 1e-6, "urad": 1e-6, "nrad": 1e-9, "arcsec": ARCSEC, "deg": DEGREE},
+}
+BY_CELL = ("bias", "scale", "fixture_tilt", "base_tilt_parallel", "base_tilt_perp")
+BY_RUN = ("bias", "scale", "fixture_tilt", "fixture_tilt.temperature")
+
+
+class Law(NamedTuple):
+    """The slot that a law adds to, the unit of the effect, and what one unit of it adds, moment by moment."""
+
+    slot: str
+    unit: str
+    curve: Callable[[World], Array]
+
+    def contribution(self, size: float, world: World) -> Array:
+        """In the slot's own unit, (n, m)."""
+        return size * UNITS[self.unit] * self.curve(world)
+
+
+def _warmer(w: World) -> Array:
+    return w.device - w.plan.T0
+
+
+def _square(w: World) -> Array:
+    """2w²(cosh(ΔT/w) − 1): ΔT² and a little more."""
+    return 2 * SATURATION**2 * (np.cosh(_warmer(w) / SATURATION) - 1)
+
+
+def _cube(w: World) -> Array:
+    """6w³(sinh(ΔT/w) − ΔT/w): ΔT³ and a little more."""
+    ratio = _warmer(w) / SATURATION
+    return 6 * SATURATION**3 * (np.sinh(ratio) - ratio)
+
+
+def _fixture(w: World) -> Array:
+    """Expansion of the fixture, whose coefficient itself grows a little with temperature, °C."""
+    change = w.fixture - w.plan.T0
+    return change + UNEVEN * change**2
+
+
+def _lobed(w: World) -> Array:
+    """Two and three lobes around a turn, and higher ones."""
+    waves = [wave(m * w.angle) for m in (2, 3) for wave in (np.cos, np.sin)]
+    return sum(waves) + HIGHER * (np.cos(4 * w.angle) + np.sin(5 * w.angle))
+
+
+def _settled(w: World) -> Array:
+    """A foundation that settles: fast first, then slower; 1 over the test."""
+    return np.expm1(-2 * w.share) / np.expm1(-2.0)
+
+
+def _eccentric(w: World) -> Array:
+    """Circle of the table mounted off its centre, seen by its reading head, in parts of the error."""
+    small = np.sqrt(2) * ARCSEC
+    angle = w.angle + np.pi / 4
+    return np.arctan2(small * np.sin(angle), 1 + small * np.cos(angle)) / ARCSEC
+
+
+def _ones(w: World) -> Array:
+    return np.ones_like(w.time)
+
+
+def _scatter(what: str, group: str) -> Callable[[World], Array]:
+    """One deviation for each cell or run; the size is their standard deviation."""
+
+    def curve(w: World) -> Array:
+        draws = w.by_cell[what] if group == "cell" else w.by_run[what]
+        return draws * (_fixture(w) if what.endswith("temperature") else np.ones_like(w.time))
+
+    return curve
+
+
+_LAWS = {
+    "bias.constant": Law("bias", "ug", _ones),
+    "bias.temperature": Law("bias", "ug", _warmer),
+    "bias.cell": Law("bias", "ug", _scatter("bias", "cell")),
+    "scale.constant": Law("scale", "ppm", _ones),
+    "scale.temperature": Law("scale", "ppm", _warmer),
+    "scale.cell": Law("scale", "ppm", _scatter("scale", "cell")),
+    "fixture_tilt.constant": Law("fixture_tilt", "urad", _ones),
+    "fixture_tilt.cell": Law("fixture_tilt", "urad", _scatter("fixture_tilt", "cell")),
+    "rotation.constant": Law("rotation", "deg", _ones),
+    "tilt.setting": Law("base_tilt_perp", "arcsec", _ones),
+    "bias.temperature_quadratic": Law("bias", "ug", _square),
+    "bias.temperature_cubic": Law("bias", "ug", _cube),
+    "scale.temperature_quadratic": Law("scale", "ppm", _square),
+    "scale.temperature_cubic": Law("scale", "ppm", _cube),
+    "bias.drift": Law("bias", "ug", lambda w: np.log2(1 + w.share)),  # ageing
+    "bias.warm_up": Law("bias", "ug", lambda w: w.warmth),
+    "bias.run": Law("bias", "ug", _scatter("bias", "run")),
+    "scale.run": Law("scale", "ppm", _scatter("scale", "run")),
+    "bias.rate": Law("bias", "ug", lambda w: w.heating),
+    "bias.thermal_lag": Law("bias", "ug", lambda w: w.element - w.device),
+    "bias.hysteresis": Law("bias", "ug", lambda w: w.direction),
+    "fixture_tilt.temperature": Law("fixture_tilt", "urad", _fixture),
+    "fixture_tilt.run": Law("fixture_tilt", "urad", _scatter("fixture_tilt", "run")),
+    "fixture_tilt.run_temperature": Law(
+        "fixture_tilt", "urad", _scatter("fixture_tilt.temperature", "run")
+    ),
+    "fixture_tilt.position": Law(
+        "fixture_tilt", "urad", lambda w: (w.fixture - w.plan.T0) * _lobed(w)
+    ),
+    "second_order": Law("second_order", "ug/mg^2", _ones),
+    "third_order": Law("third_order", "ug/mg^3", _ones),
+    "cross_coupling": Law("cross_coupling", "1/g", _ones),
+    "cross_coupling.temperature": Law("cross_coupling", "1/g", _warmer),
+    "rotation.harmonic": Law("rotation", "arcsec", _eccentric),
+    "rotation.wobble": Law("fixture_tilt", "arcsec", lambda w: _lobed(w) + 0 * w.time),
+}
+# Of each component of the base tilt, parallel and perp.
+_OF_BASE = {
+    "base_tilt.constant": ("arcsec", (_ones, _ones)),
+    "base_tilt.lab_temperature": ("urad", 2 * (lambda w: w.foundation - w.plan.laboratory,)),
+    "base_tilt.temperature": ("urad", 2 * (lambda w: w.base - w.plan.T0,)),
+    "base_tilt.tide": ("nrad", (lambda w: w.tide[0], lambda w: w.tide[1])),
+    "base_tilt.drift": ("urad", (_settled, _settled)),
+    "base_tilt.cell": (
+        "urad",
+        (_scatter("base_tilt_parallel", "cell"), _scatter("base_tilt_perp", "cell")),
+    ),
+}
+
+
+def _all() -> dict[str, tuple[Law, ...]]:
+    laws = {name: (law,) for name, law in _LAWS.items()}
+    for name, (unit, curves) in _OF_BASE.items():
+        along, across = sides = tuple(
+            Law(f"base_tilt_{side}", unit, curve)
+            for side, curve in zip(("parallel", "perp"), curves, strict=True)
+        )
+        laws |= {name: sides, f"{name}[parallel]": (along,), f"{name}[perp]": (across,)}
+    return laws
+
+
+LAWS: Mapping[str, tuple[Law, ...]] = MappingProxyType(_all())
+"""Every effect that can be in a test, baseline and hidden, by canonical name."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +201,7 @@ def simulated_columns(
 
     Args:
         effects: canonical name → true size, in the unit of the effect's coefficients, all of which take it (see
-            `laws.py` for the two components of the base tilt, and for the tide). The instrument's own line,
+            above for the two components of the base tilt, and for the tide). The instrument's own line,
             constants and scatter are there too, as `campaign.truth` has them unless given here.
         seed: of every random number.
         campaign: plan of the test.
@@ -93,9 +240,9 @@ def simulate_arrays(
     sizes = {**campaign.truth, **(effects or {})}
     simulated.refuse_effects(sizes, LAWS, "a test of the ng accelerometer")
     generators = simulated.generators(STREAMS, seed)
-    world = make_world(campaign, generators, BY_CELL, BY_RUN)
+    world = World(campaign, generators, BY_CELL, BY_RUN)
     contributions = {
-        name: tuple((law.slot, law.contribution(size, world, campaign)) for law in LAWS[name])
+        name: tuple((law.slot, law.contribution(size, world)) for law in LAWS[name])
         for name, size in sizes.items()
     }
     noise_free = respond(world, contributions).mean(axis=1)

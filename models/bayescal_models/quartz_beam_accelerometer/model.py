@@ -16,24 +16,6 @@ with t1 and t2 about one T0 (mean of t2, rounded, stored with the calibration as
 columns have rank 12: c01 − c02, c11 − c12 − cδ1 and c21 − c22 − cδ2 − 2·c×grad leave no trace in any readings; all
 15 are kept, their priors hold these three, and every calibration names them. On soaked points the rank is 4.
 
-| effect, as `bias.…` and `scale.…` | form | plausible size: bias, scale |
-|---|---|---|
-| `constant_circuit`, `constant_head` | 1 | 20 000 µg, 5000 ppm |
-| `temperature_circuit`, `_quadratic`, `_cubic` | (t1 − T0)ⁿ | 50 µg/°C, 0.5, 0.005; a tenth in ppm |
-| (`temperature_circuit_quartic`, `_quintic`) | (t1 − T0)⁴, ⁵ | 5·10⁻⁵, 5·10⁻⁷; a tenth in ppm |
-| `temperature_head`, `_quadratic`, `_cubic` | (t2 − T0)ⁿ | 50 µg/°C, 0.5, 0.005; a tenth in ppm |
-| `gradient`, `_quadratic`, `_cubic` | δtⁿ | 20 µg/°C, 1, 0.1; a tenth in ppm |
-| `rate_circuit`, `rate_head` | dt1/dt, dt2/dt | 10 µg per °C/min; 1 ppm |
-| `temperature_x_rate` (`…_circuit`) | (t2 − T0)·dt2/dt (t1) | 0.2 µg/°C per °C/min; 0.02 ppm |
-| `temperature_x_gradient` (`…_circuit`) | (t2 − T0)·δt (t1) | 0.5 µg/°C²; 0.05 ppm/°C² |
-| `thermal_lag` | t̃2 − t2, τ 1–60 min | 20 µg/°C; 2 ppm/°C |
-| `hysteresis` | direction of the last change of t2 | 20 µg; 2 ppm |
-| `warm_up` | exp(−(t − t_start)/τ), τ 2–60 min | 50 µg; 5 ppm |
-| `drift` | (t − t̄)/(tmax − tmin) | 10 µg; 1 ppm |
-| `run`, `cell` | one deviation each, spread learned | 20, 5 µg; 2, 0.5 ppm |
-| `frequency_sum`, `_quadratic`, `_cubic` | apparent temperatureⁿ | 50 µg/°C, 0.5, 0.005; a tenth in ppm |
-| `second_order` (one, slot of its own) | K2 | 10 µg/g² |
-
 *Baseline*: a constant and a cubic of the head's temperature for b and for κ, which is what a soaked four-position
 tumble can tell (rank 4); what ramps show beyond it is for `discover` to find, or for the structure "two
 thermometers" to hold all at once. What stands in brackets above, and `frequency_sum`, belong to the
@@ -46,11 +28,26 @@ named; a user replaces them with data-sheet values.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
 import bayescal as bc
-from bayescal_models.quartz_beam_accelerometer import COLUMNS, NOMINAL_SCALE, PER_G, effects
+from bayescal_models import catalogue
+from bayescal_models.catalogue import MINUTE, SIGNS, EffectTable, Maker, effect, one
+from bayescal_models.quartz_beam_accelerometer import COLUMNS, NOMINAL_SCALE, PER_G
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
 from bayescal_models.quartz_beam_accelerometer.simulator import simulated_columns
 from bayescal_models.simulated import experiments, readings_of
+
+FREQUENCY_SUM = 80_000.0  # Hz at 15 °C, nominal; ours
+FREQUENCY_TEMPCO = -1.6  # Hz/°C, nominal; ours: turns the sum into an apparent temperature
+SLIP = 1.0  # °C, width of the play
+SEEN = 0.02  # share of the readings that a direction must have to count as one
 
 
 def _response(slots, r):
@@ -58,46 +55,242 @@ def _response(slots, r):
     return slots["bias"] + (1 + slots["scale"]) * a + slots["second_order"] * (PER_G * a) ** 2
 
 
+# Bases: t1 and t2 from T0, their difference, the temperature that the beams show, °C; and how a joint slips.
+
+
+def circuit(r: bc.Frame) -> Any:
+    """t1 − T0, °C."""
+    return r["temperature_circuit"] - r.reference["temperature_head_0"]
+
+
+def head(r: bc.Frame) -> Any:
+    """t2 − T0, °C."""
+    return r.centred("temperature_head")
+
+
+def gradient(r: bc.Frame) -> Any:
+    """δt = t1 − t2, °C."""
+    return r["temperature_circuit"] - r["temperature_head"]
+
+
+def _shown(r: bc.Frame) -> Any:
+    """The temperature that the frequency sum shows, °C from where it is nominal."""
+    return (r["frequency_sum"] - FREQUENCY_SUM) / FREQUENCY_TEMPCO
+
+
+def _power(of: Callable[[bc.Frame], Any], order: int, r: bc.Frame) -> Any:
+    return of(r) ** order
+
+
+def _slope(column: str, r: bc.Frame) -> Any:
+    return r.rate(column)
+
+
+def _times_rate(of: Callable[[bc.Frame], Any], column: str, r: bc.Frame) -> Any:
+    return of(r) * r.rate(column)
+
+
+def _times_gradient(of: Callable[[bc.Frame], Any], r: bc.Frame) -> Any:
+    return of(r) * gradient(r)
+
+
+def _slipped(r: bc.Frame) -> Any:
+    """(t2 − seat)/width, the seat dragged along within ±width, anew in each run: from −1 to 1."""
+    here = r["temperature_head"][r.order]
+    begins = r.step < 0
+
+    def advance(seat, row):
+        now, begin = row
+        seat = jnp.where(begin, now, jnp.clip(seat, now - SLIP, now + SLIP))
+        return seat, (now - seat) / SLIP
+
+    _, strain = jax.lax.scan(advance, here[0], (here, begins))
+    return jnp.zeros_like(strain).at[r.order].set(strain)
+
+
+def _one_way(readings: bc.Measurements) -> str | None:
+    """Why readings cannot show hysteresis: the head's temperature goes one way only."""
+    _, run = readings.groups("run")
+    rises = falls = 0
+    for k in np.unique(run):
+        chosen = np.flatnonzero(run == k)
+        order = chosen[np.argsort(readings["time"][chosen], kind="stable")]
+        change = np.diff(readings["temperature_head"][order])
+        rises, falls = rises + (change > 0.05).sum(), falls + (change < -0.05).sum()
+    if min(rises, falls) >= SEEN * len(readings):
+        return None
+    return "needs temperature_head to rise and to fall within runs; it goes one way only"
+
+
+# Families of this instrument.
+
+T1, T2 = BOTH = ("temperature_circuit", "temperature_head")
+
+
+def _either(basis: Callable[..., Any], equation: str, *columns: str, **more: Any) -> Maker:
+    """An effect on the bias or, where its name says so, on the scale factor, which only an acceleration shows."""
+
+    def made(name: str, size: float, unit: str, source: str) -> bc.Effect:
+        needed = (*columns, "acceleration") if name.startswith("scale") else columns
+        maker = effect(basis, equation, *needed, **{"along": "", **more})
+        return maker(name, size, unit, source)
+
+    return made
+
+
+def _t1(n: int) -> Maker:
+    return _either(partial(_power, circuit, n), f"c·(t1 − T0){SIGNS[n - 1]}", *BOTH, along=T1)
+
+
+def _t2(n: int) -> Maker:
+    return _either(partial(_power, head, n), f"c·(t2 − T0){SIGNS[n - 1]}", T2, along=T2)
+
+
+def _difference(n: int) -> Maker:
+    return _either(partial(_power, gradient, n), f"c·(t1 − t2){SIGNS[n - 1]}", *BOTH)
+
+
+def _of_sum(n: int) -> Maker:
+    nominal = f"F0 = {FREQUENCY_SUM:g} Hz, F' = {FREQUENCY_TEMPCO:g} Hz/°C"
+    equation = f"c·((F − F0)/F'){SIGNS[n - 1]},  {nominal}"
+    return _either(partial(_power, _shown, n), equation, "frequency_sum", along=None)
+
+
+def _rate(column: str, sign: str) -> Maker:
+    basis, along = partial(_slope, column), f"{column} rate"
+    return _either(basis, f"c·d{sign}/dt", "time", column, along=along)
+
+
+def _by_rate(of: Callable[[bc.Frame], Any], column: str, sign: str) -> Maker:
+    basis = partial(_times_rate, of, column)
+    return _either(basis, f"c·({sign} − T0)·d{sign}/dt", "time", *BOTH)
+
+
+def _by_gradient(of: Callable[[bc.Frame], Any], sign: str) -> Maker:
+    return _either(partial(_times_gradient, of), f"c·({sign} − T0)·(t1 − t2)", *BOTH)
+
+
+def _lagging(name: str, size: float, unit: str, source: str) -> bc.Effect:
+    """The body of the head is one for both slots, and a form of the bias's lag."""
+    start, bodies = (20.0, None) if name.startswith("bias") else (20.0 * SHARE, {})
+    body = {"column": T2, "bodies": bodies}
+    lag = catalogue.thermal_lag(MINUTE, 60 * MINUTE, start, unit.partition("/")[0], **body)
+    return lag(name, size, unit, source)
+
+
+CONSTANT = _either(one, "c", along=None)
+SLIPPING = _either(
+    _slipped,
+    f"c·(t2 − s)/w,  s dragged along within ±w = {SLIP:g} °C: the direction of the last change",
+    *("time", T2),
+    untestable=_one_way,
+    along=None,
+)
+
+# Rows of both slots: cause, family, size for the bias, µg, what that is per, and the source where it is another. For
+# the scale factor a tenth, ppm, but for the constants.
+SHARE, OURS = 0.1, "ours"
+CONSTANTS = {"bias": 20_000.0, "scale": 5000.0}  # µg, ppm
+OF_CIRCUIT = (
+    ("temperature_circuit", _t1(1), 50.0, "/degC"),
+    ("temperature_circuit_quadratic", _t1(2), 0.5, "/degC^2"),
+    ("temperature_circuit_cubic", _t1(3), 0.005, "/degC^3"),
+    ("temperature_circuit_quartic", _t1(4), 5e-5, "/degC^4"),
+    ("temperature_circuit_quintic", _t1(5), 5e-7, "/degC^5"),
+)
+OF_HEAD = (
+    ("temperature_head", _t2(1), 50.0, "/degC"),
+    ("temperature_head_quadratic", _t2(2), 0.5, "/degC^2"),
+    ("temperature_head_cubic", _t2(3), 0.005, "/degC^3"),
+)
+BETWEEN = (
+    ("gradient", _difference(1), 20.0, "/degC"),
+    ("gradient_quadratic", _difference(2), 1.0, "/degC^2"),
+    ("gradient_cubic", _difference(3), 0.1, "/degC^3"),
+    ("rate_circuit", _rate(T1, "t1"), 10.0, "/(degC/min)"),
+    ("rate_head", _rate(T2, "t2"), 10.0, "/(degC/min)"),
+)
+PRODUCTS = (
+    ("temperature_x_rate", _by_rate(head, T2, "t2"), 0.2, "/degC/(degC/min)"),
+    ("temperature_x_gradient", _by_gradient(head, "t2"), 0.5, "/degC^2"),
+)
+PRODUCTS_OF_CIRCUIT = (  # the document leaves open which thermometer t is
+    ("temperature_x_rate_circuit", _by_rate(circuit, T1, "t1"), 0.2, "/degC/(degC/min)"),
+    ("temperature_x_gradient_circuit", _by_gradient(circuit, "t1"), 0.5, "/degC^2"),
+)
+OTHERS = (
+    ("thermal_lag", _lagging, 20.0, "/degC", OURS),
+    ("hysteresis", SLIPPING, 20.0, "", OURS),
+    ("warm_up", catalogue.warm_up(2 * MINUTE, 60 * MINUTE), 50.0, "", OURS),
+    ("drift", catalogue.drift, 10.0, "", OURS),
+    ("run", catalogue.deviation, 20.0, "", OURS),
+    ("cell", catalogue.deviation, 5.0, "", OURS),
+)
+OF_SUM = (
+    ("frequency_sum", _of_sum(1), 50.0, "/degC"),
+    ("frequency_sum_quadratic", _of_sum(2), 0.5, "/degC^2"),
+    ("frequency_sum_cubic", _of_sum(3), 0.005, "/degC^3"),
+)
+K2 = effect(one, "K2·a²", "acceleration")
+
+
+def _both(*rows: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
+    for slot, unit, share in (("bias", "ug", 1.0), ("scale", "ppm", SHARE)):
+        for cause, maker, size, per, *source in rows:
+            own = size[slot] if isinstance(size, dict) else size * share
+            yield f"{slot}.{cause}", maker, own, unit + per, *source
+
+
+EFFECTS = EffectTable.of(
+    "source 2; size ours",
+    baseline=_both(("constant_head", CONSTANT, CONSTANTS, ""), *OF_HEAD),
+    candidates=(
+        *_both(*OF_CIRCUIT[:3], *BETWEEN, *PRODUCTS, *OTHERS),
+        ("second_order", K2, 10.0, "ug/g^2", "IEEE Std 1293; size ours"),
+    ),
+    others=_both(
+        ("constant_circuit", CONSTANT, CONSTANTS, ""),
+        *(*OF_CIRCUIT[3:], *PRODUCTS_OF_CIRCUIT, *OF_SUM),
+    ),
+)
+
+
+# Named models: the document's own, and its three prior methods.
+
+
+def _model(*causes: Any, beside: bc.Model | None = None) -> bc.Model:
+    """Of these causes or rows, for the bias and then for the scale factor; beside the effects of another model."""
+    names = [cause if isinstance(cause, str) else cause[0] for cause in causes]
+    made = beside or bc.Model(INSTRUMENT, (), INSTRUMENT.noise)
+    for slot in ("bias", "scale"):
+        made = made + tuple(EFFECTS[f"{slot}.{name}"] for name in names)
+    return made
+
+
 def of_circuit(order: int) -> bc.Model:
     """Bias and scale factor as polynomials of t1: the document's first prior method."""
-    made = _bare()
-    for slot in effects.SLOTS:
-        made = made + effects.constant(slot, "circuit")
-        made = made + effects.polynomial(slot, "temperature_circuit", range(1, order + 1))
-    return made
+    return _model("constant_circuit", *OF_CIRCUIT[:order])
 
 
 def with_rate() -> bc.Model:
     """A cubic of t1, its rate and their product: the document's second prior method."""
-    made = of_circuit(3)
-    for slot in effects.SLOTS:
-        made = made + effects.rates(slot)[0] + effects.crossed(slot, "circuit")[0]
-    return made
+    return _model("rate_circuit", "temperature_x_rate_circuit", beside=of_circuit(3))
 
 
 def of_frequency_sum(order: int = 3) -> bc.Model:
     """Polynomials of the temperature that the beams' frequency sum shows: the document's third prior method."""
-    made = _bare()
-    for slot in effects.SLOTS:
-        made = made + effects.constant(slot, "head")
-        made = made + effects.frequency_sum(slot, range(1, order + 1))
-    return made
+    return _model("constant_head", *OF_SUM[:order])
 
 
 def two_thermometers(crossed_by: str = "head") -> bc.Model:
-    """The document's own model, 15 columns each for bias and scale factor.
+    """The document's own model, 15 columns each for bias and scale factor, in its order; together of rank 12.
 
     Args:
         crossed_by: which thermometer is t in t·dt/dt and t·δt, "head" or "circuit".
     """
-    made = _bare()
-    for slot in effects.SLOTS:
-        made = made + effects.two_thermometers(slot, crossed_by)
-    return made
-
-
-def _bare() -> bc.Model:
-    return bc.Model(INSTRUMENT, (), INSTRUMENT.noise)
+    products = PRODUCTS if crossed_by == "head" else PRODUCTS_OF_CIRCUIT
+    of_circuit_alone = ("constant_circuit", *OF_CIRCUIT[:3])
+    return _model(*of_circuit_alone, "constant_head", *OF_HEAD, *BETWEEN, *products)
 
 
 INSTRUMENT = bc.Instrument(
@@ -110,8 +303,8 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("second_order", "ug/g^2", "K2"),
     ),
     response=_response,
-    effects=effects.BASELINE,
-    candidates=effects.CANDIDATES,
+    effects=EFFECTS.baseline,
+    candidates=EFFECTS.candidates,
     noise=bc.White(bc.HalfCauchy(20.0)),
     nominal_scale=NOMINAL_SCALE,
     structures=(

@@ -1,21 +1,188 @@
-"""Columns of a simulated campaign, with effects hidden in it."""
+"""Columns of a simulated campaign, with effects hidden in it: the device itself, and one physical law per cause.
+
+Two devices. `cubic`: bias and scale factor follow the head's temperature by a cubic, exactly. `beams`: two quartz
+beams pulled and pushed by the proof mass, of frequency `F·(1 + α·ΔT + β·ΔT² + γ·ΔT³)` each, with slightly unlike
+coefficients and lags behind the head; the difference of their frequencies carries the bias, the sum is a
+thermometer. To it come the oscillator circuit's phase, the stress of an uneven temperature, which grows with
+temperature, and the softening of a glued joint. None of these is a polynomial in what the thermometers read.
+
+A law gives what one unit of the effect does, step by step of the world; the same laws act on bias (µg) and scale
+factor (ppm). They work on the world's own temperatures and heat flows, not on the columns of a fitted model's bases.
+
+Source: source 2 (differential beams, thermometers, dependence on gradient and rate); numbers ours.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from bayescal_models import simulated
+from bayescal_models.quartz_beam_accelerometer import SCALE_FACTOR
 from bayescal_models.quartz_beam_accelerometer.campaign import Campaign
-from bayescal_models.quartz_beam_accelerometer.device import CUBIC, Truth, truth
-from bayescal_models.quartz_beam_accelerometer.laws import CHANCE, LAWS, Chance
-from bayescal_models.quartz_beam_accelerometer.thermal import World, make_world
+from bayescal_models.quartz_beam_accelerometer.world import World
 from bayescal_models.simulated import Array
 
+BEAM_FREQUENCY = 40_000.0  # Hz, of one beam
+BEAM_TEMPCO = -20e-6  # 1/°C, of one beam's frequency: what makes the sum a thermometer
+POWERS = ("constant_head", *(f"temperature_head{n}" for n in ("", "_quadratic", "_cubic")))
+LAG_MISMATCH = 0.005  # by how much one beam lags more than the other, relative
+KELVIN = 273.15
+EINSTEIN = 400.0  # K, of the oscillators whose energy bends the circuit's tempco; ours
+LEAKAGE = 80.0  # °C, over which leakage currents grow by e; ours
+BOW = 60.0  # °C of gradient at which a bowed plate has stiffened; ours
+SLIPS = (0.3, 0.6, 1.0, 1.5)  # °C, thresholds of joints that stick and slip; ours
 WANDER_TIME = 300.0  # s
 CHANCES = ("noise", "wander", "thermometers", "bias", "scale", "frequency")
+
+CUBIC: Mapping[str, float] = MappingProxyType(
+    {
+        "bias.constant_head": 3000.0,
+        "bias.temperature_head": 60.0,
+        "bias.temperature_head_quadratic": 0.4,
+        "bias.temperature_head_cubic": 0.004,
+        "scale.constant_head": 800.0,
+        "scale.temperature_head": 6.0,
+        "scale.temperature_head_quadratic": 0.04,
+        "scale.temperature_head_cubic": 0.0004,
+    }
+)
+"""Coefficients of the cubic device about T0: µg and ppm, per power of °C."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the device does, reading by reading (n,): bias in µg, relative scale factor in ppm, sum in Hz."""
+
+    bias: Array
+    scale: Array
+    frequency_sum: Array
+
+
+def truth(world: World, coefficients: Mapping[str, float]) -> Truth:
+    """Bias, scale factor and frequency sum of the test's device.
+
+    Args:
+        coefficients: of the cubic device; the beams have none of these.
+    """
+    if world.plan.device == "beams":
+        return _beams(world)
+    change = world.head - world.plan.T0
+    bias, scale = (
+        np.polynomial.polynomial.polyval(change, [coefficients[f"{slot}.{n}"] for n in POWERS])
+        for slot in ("bias", "scale")
+    )
+    both = _sum_of_frequencies(change, change)
+    return Truth(world.average(bias), world.average(scale), world.average(both))
+
+
+def _relative(change: Array, tempco: float, curvature: float, cubic: float) -> Array:
+    """Relative change of a beam's frequency."""
+    return change * (tempco + change * (curvature + change * cubic))
+
+
+def _sum_of_frequencies(first: Array, second: Array) -> Array:
+    curvature = -0.02e-6  # 1/°C²: about quartz's
+    one, other = (_relative(beam, BEAM_TEMPCO, curvature, 0.0) for beam in (first, second))
+    return BEAM_FREQUENCY * (2.0 + (one + other))
+
+
+def _beams(world: World) -> Truth:
+    beam, other = (
+        world.body(world.head, world.plan.beam_time * slower) for slower in (1, 1 + LAG_MISMATCH)
+    )
+    first, second = beam - world.plan.T0, other - world.plan.T0
+    per_ug = SCALE_FACTOR * 1e-6
+    unlike = (1.375e-7, 0.9e-9, 0.8e-11)  # 1/°C and powers: 55 µg/°C, 0.36 µg/°C², 0.0032 µg/°C³
+    common = (BEAM_TEMPCO, -0.02e-6, 0.0)
+    pulled = _relative(first, *(c + u for c, u in zip(common, unlike, strict=True)))
+    pushed = _relative(second, *common)
+    uneven = world.uneven
+    stress = 10.0 * uneven * (1 + 0.01 * (world.head - world.plan.T0))
+    phase = 4.0 * (world.circuit - world.plan.T0)
+    joint = 20.0 * np.tanh((beam - 50.0) / 20.0)
+    bias = 2500.0 + BEAM_FREQUENCY * (pulled - pushed) / per_ug + stress + phase + joint
+    scale = (
+        800.0
+        + first * (6.0 + first * (0.04 + first * 0.0003))
+        + uneven * (1.0 + 0.01 * first)
+        - 0.2 * (world.circuit - world.plan.T0)  # the clock that counts the beats
+    )
+    frequencies = _sum_of_frequencies(first, second)
+    return Truth(world.average(bias), world.average(scale), world.average(frequencies))
+
+
+def _energy(change: Array, T0: float) -> Array:
+    """Energy of an Einstein oscillator less its tangent at T0, curvature one: about ½·2·ΔT² = ΔT²."""
+
+    def level(kelvin):
+        return 1.0 / np.expm1(EINSTEIN / kelvin)
+
+    at, step = T0 + KELVIN, 1.0
+    slope = (level(at + step) - level(at - step)) / (2 * step)
+    curvature = (level(at + step) - 2 * level(at) + level(at - step)) / step**2
+    return 2.0 * (level(at + change) - level(at) - slope * change) / curvature
+
+
+def _hysteresis(world: World) -> Array:
+    """Joints stick, each up to its own strain, then slip along: plays of several widths (Prandtl, Ishlinskii)."""
+    total = np.zeros(world.head.size)
+    for width in SLIPS:
+        seat, strain = float(world.head[0]), np.empty(world.head.size)
+        for i, here in enumerate(world.head.tolist()):
+            seat = min(max(seat, here - width), here + width)
+            strain[i] = (here - seat) / width
+        total += strain / len(SLIPS)
+    return total
+
+
+def _leakages(world: World) -> Array:
+    """Two leakages, one growing with heat and one with cold, less what is linear in them."""
+    part = (world.circuit - world.plan.T0) / LEAKAGE
+    return 6.0 * LEAKAGE**3 * (np.sinh(part) - part)
+
+
+LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
+    {
+        # a resistor of the drive circuit has a tempco
+        "temperature_circuit": lambda w: w.circuit - w.plan.T0,
+        "temperature_circuit_quadratic": lambda w: _energy(w.circuit - w.plan.T0, w.plan.T0),
+        "temperature_circuit_cubic": _leakages,
+        # heat flowing from circuit to head strains the mount
+        "gradient": lambda w: w.uneven,
+        # an unevenly warm plate bows, whichever side is warmer, and stiffens as it does
+        "gradient_quadratic": lambda w: 2.0 * BOW**2 * (np.sqrt(1.0 + (w.uneven / BOW) ** 2) - 1.0),
+        "gradient_cubic": lambda w: w.uneven**3 / (1.0 + (w.uneven / BOW) ** 2),
+        # the heat that flows into the circuit board strains it: its true heating rate, °C/min
+        "rate_circuit": lambda w: w.circuit_rate,
+        "rate_head": lambda w: w.head_rate,
+        # strain by heat flow, through a mismatch of expansions that grows with temperature
+        "temperature_x_rate": lambda w: (w.head - w.plan.T0) * w.head_rate,
+        "temperature_x_gradient": lambda w: (w.head - w.plan.T0) * w.uneven,
+        # the resonators are not at the temperature of the head's thermometer
+        "thermal_lag": lambda w: w.body(w.head, w.plan.lag_time) - w.head,
+        "hysteresis": _hysteresis,
+        # the oscillators are off when cold and right when they have warmed
+        "warm_up": lambda w: 1.0 - w.warmth,
+        # ageing, logarithmic in time, one over the whole test
+        "drift": lambda w: np.log2(1.0 + w.time / w.time[-1]),
+    }
+)
+"""Every cause that can be hidden in bias or scale factor, beside chance."""
+
+CHANCE: Mapping[str, Callable[[World, Mapping[str, Array]], Array]] = MappingProxyType(
+    {
+        # turn-on repeatability
+        "run": lambda w, chance: chance["run"][w.run],
+        # the fixture settles anew at each soak
+        "cell": lambda w, chance: np.where(w.cell >= 0, chance["cell"][np.maximum(w.cell, 0)], 0.0),
+    }
+)
+"""What is there by chance: of each reading, in standard deviations."""
 
 
 def simulated_columns(
@@ -36,11 +203,11 @@ def simulated_columns(
         ValueError: no law for an effect of that name, or a size that is no number.
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
-    world, true = _true(campaign, effects, seed)
+    world, true = _true(World(campaign), effects, seed)
     generators = simulated.generators(CHANCES, seed)
     g = world.acceleration
     output = true.bias + (1e6 + true.scale) * g + effects.get("second_order", 0.0) * g**2
-    output = output + _noise(campaign, world, generators)
+    output = output + _noise(world, generators)
     error = campaign.thermometer_noise * generators["thermometers"].standard_normal((2, g.size))
     columns: dict[str, Any] = {
         "run": np.array([str(k + 1) for k in world.run]),
@@ -68,37 +235,36 @@ def true_values(
     Raises:
         ValueError: as `simulate`.
     """
-    return _true(campaign, dict(effects or {}), seed)[1]
+    return _true(World(campaign), dict(effects or {}), seed)[1]
 
 
-def _true(campaign: Campaign, effects: Mapping[str, float], seed: int) -> tuple[World, Truth]:
+def _true(world: World, effects: Mapping[str, float], seed: int) -> tuple[World, Truth]:
     known = [f"{slot}.{cause}" for slot in ("bias", "scale") for cause in (*LAWS, *CHANCE)]
-    known += ["second_order", *(CUBIC if campaign.device == "cubic" else ())]
-    simulated.refuse_effects(effects, known, f"a {campaign.device!r} device")
-    world, generators = make_world(campaign), simulated.generators(CHANCES, seed)
-    device = truth(campaign, world, {n: effects.get(n, v) for n, v in CUBIC.items()})
+    known += ["second_order", *(CUBIC if world.plan.device == "cubic" else ())]
+    simulated.refuse_effects(effects, known, f"a {world.plan.device!r} device")
+    generators = simulated.generators(CHANCES, seed)
+    device = truth(world, {n: effects.get(n, v) for n, v in CUBIC.items()})
     sums = {"bias": device.bias, "scale": device.scale}
     chances = {slot: _chance(generators[slot], world) for slot in sums}
     for name, size in effects.items():
         slot, _, cause = name.partition(".")
         if cause in LAWS:
-            sums[slot] = sums[slot] + size * world.average(LAWS[cause](world, campaign))
+            sums[slot] = sums[slot] + size * world.average(LAWS[cause](world))
         elif cause in CHANCE:
             sums[slot] = sums[slot] + size * CHANCE[cause](world, chances[slot])
     return world, Truth(sums["bias"], sums["scale"], device.frequency_sum)
 
 
-def _chance(generator: np.random.Generator, world: World) -> Chance:
+def _chance(generator: np.random.Generator, world: World) -> dict[str, Array]:
+    """Standard normal numbers of one slot: one per run, one per cell, held through it."""
     runs, cells = int(world.run.max()) + 1, int(world.cell.max()) + 1
-    return Chance(generator.standard_normal(runs), generator.standard_normal(max(cells, 1)))
+    return {n: generator.standard_normal(k) for n, k in (("run", runs), ("cell", max(cells, 1)))}
 
 
-def _noise(
-    campaign: Campaign, world: World, generators: Mapping[str, np.random.Generator]
-) -> Array:
+def _noise(world: World, generators: Mapping[str, np.random.Generator]) -> Array:
     """Noise of each reading, µg."""
-    white = campaign.noise * generators["noise"].standard_normal(world.run.size)
-    if campaign.noise_law == "white":
+    white = world.plan.noise * generators["noise"].standard_normal(world.run.size)
+    if world.plan.noise_law == "white":
         return white
     # An Ornstein–Uhlenbeck record of unit variance at the readings' times, anew in each run.
     step = np.diff(world.average(world.time), prepend=-np.inf)
@@ -108,4 +274,4 @@ def _noise(
     slow, now = np.empty(world.run.size), 0.0
     for i, kick in enumerate(kicks):
         slow[i] = now = decay[i] * now + kick
-    return white + campaign.noise * slow
+    return white + world.plan.noise * slow

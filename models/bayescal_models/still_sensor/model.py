@@ -10,10 +10,6 @@ units):
 
 One slot, `bias`, in the output's unit. Baseline: `bias.constant` and `bias.temperature`, a line; the constant alone
 where the temperature was not recorded, or did not change by a tenth of a degree.
-Candidates: `bias.temperature_quadratic`, `bias.temperature_cubic`, `bias.temperature_quartic`,
-`bias.rate`, `bias.thermal_lag`, `bias.thermal_lag_slow` (a second body, 20 min to 3 h),
-`bias.temperature_x_lag`, `bias.hysteresis`, `bias.warm_up`, `bias.drift`, `bias.run`.
-
 The true input is taken not to change: whatever moves is the sensor's. Noise: white, of unknown
 size.
 
@@ -38,10 +34,11 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal_models.still_sensor import COLUMNS, effects
+from bayescal_models import catalogue
+from bayescal_models.catalogue import MINUTE, EffectTable
+from bayescal_models.still_sensor import COLUMNS
 from bayescal_models.still_sensor.simulator import simulated_columns
 
-MINUTE = 60.0
 SETTINGS = {"unit", "size", "constant", "span", "pace"}
 LEAST_TEMPERATURE_RANGE = 0.1  # °C: what a good chamber holds: no temperature model is seen in less
 
@@ -52,6 +49,52 @@ def _at_rest(slots, r):
 
 def _in_use(true, slots, r):
     return slots["bias"] + true
+
+
+LAG, SLOW = 5.0, 40.0  # min, of bodies whose lag would show a quarter of the size
+SHARE = "ours: {:g} of half the record's own range{}; empirical, for want of a data sheet"
+OF_RECORD = "ours: √(median² + (5 × range)²) of the record itself, an empirical choice"
+
+
+def effects(unit: str, size: float, span: float, pace: float) -> tuple[bc.Effect, ...]:
+    """The line and what may be missing from it, each in a share of `size`; other arguments as of `instrument`."""
+    full, half, quarter = (
+        SHARE.format(share, ", from the middle to an end of the temperatures")
+        for share in (1.0, 0.5, 0.25)
+    )
+    of_time, of_quarter = SHARE.format(0.5, ""), SHARE.format(0.25, "")
+    of_rate = SHARE.format(0.25, " at the mean rate of the temperature")
+    of_lag, of_slow = (
+        SHARE.format(0.25, f" at the mean rate of the temperature and a lag of {minutes:g} min")
+        for minutes in (LAG, SLOW)
+    )
+    short, long = (MINUTE, 20 * MINUTE), (20 * MINUTE, 180 * MINUTE)
+    q, per = 0.25 * size, f"{unit}/degC"
+    body = catalogue.thermal_lag(*short, q, unit, rate=(q / pace, f"{unit}/(degC/min)", of_rate))
+    slow, grows = catalogue.thermal_lag(*long, q, unit), catalogue.temperature_x_lag(*short)
+    warming = catalogue.warm_up(2 * MINUTE, 40 * MINUTE)
+    return EffectTable.of(
+        of_quarter,
+        candidates=(
+            ("bias.temperature", catalogue.linear, size / span, per, full),
+            (
+                "bias.temperature_quadratic",
+                catalogue.quadratic,
+                0.5 * size / span**2,
+                f"{per}^2",
+                half,
+            ),
+            ("bias.temperature_cubic", catalogue.cubic, q / span**3, f"{per}^3", quarter),
+            ("bias.temperature_quartic", catalogue.quartic, q / span**4, f"{per}^4", quarter),
+            ("bias.thermal_lag", body, q / (pace * LAG), per, of_lag),
+            ("bias.thermal_lag_slow", slow, q / (pace * SLOW), per, of_slow),
+            ("bias.temperature_x_lag", grows, q / (pace * LAG * span), f"{per}^2", of_lag),
+            ("bias.hysteresis", catalogue.hysteresis, q, unit),
+            ("bias.warm_up", warming, 0.5 * size, unit, of_time),
+            ("bias.drift", catalogue.drift, 0.5 * size, unit, of_time),
+            ("bias.run", catalogue.deviation, q, unit),
+        ),
+    ).candidates
 
 
 @cache  # the same settings are the same instrument
@@ -80,16 +123,16 @@ def instrument(
     for name, value in settings.items():
         if not (np.isfinite(value) and (value > 0 or (name == "span" and value == 0))):
             raise bc.InputError(f"still_sensor: {name} {value} must be a positive number")
-    line, *candidates = effects.thermal(unit, size, span or 1.0, pace)
-    thermal = (line,) if span else ()
+    line, *candidates = effects(unit, size, span or 1.0, pace)
+    own = catalogue.constant("bias.constant", constant, unit, OF_RECORD)
     made = bc.Instrument(
         name="still_sensor",
         title="any sensor at rest: its output over temperature and time",
         columns=tuple(replace(c, unit=unit) if c.name == "output" else c for c in COLUMNS),
         slots=(bc.Slot("bias", unit, "output at rest"),),
         response=_at_rest,
-        effects=(effects.constant(unit, constant), *thermal),
-        candidates=(*([] if span else [line]), *candidates, *effects.temporal(unit, size)),
+        effects=(own, line) if span else (own,),
+        candidates=(*([] if span else [line]), *candidates),
         noise=bc.White(bc.HalfCauchy(0.1 * size)),
         structures=(
             ("line", lambda: made.baseline()),

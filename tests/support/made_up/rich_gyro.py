@@ -14,7 +14,7 @@ from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
 from bayescal_models.mems_gyro import INSTRUMENT
-from bayescal_models.mems_gyro.effects import THERMOMETER
+from bayescal_models.mems_gyro.model import THERMOMETER
 
 # A model with everything in it that bends: a corrected column, a square, a lag, a scale factor, groups.
 RICH = INSTRUMENT.baseline() + [

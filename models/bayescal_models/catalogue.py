@@ -1,0 +1,212 @@
+"""The catalogue: makers of the effects that instruments share, and the table in which each instrument states its own.
+
+    EFFECTS = EffectTable.of(
+        "data sheet of the sensor; size ours",
+        baseline=(("bias.constant", constant, 50.0, "deg/s"), ("bias.temperature", linear, 0.05, "deg/s/degC")),
+        candidates=(("bias.warm_up", warm_up(2 * MINUTE, 40 * MINUTE), 0.5, "deg/s"),),
+    )
+
+A row holds the canonical name, `slot.cause`; the family, which is a maker; the plausible size, a prior standard
+deviation (of a learned spread: its prior's scale), with its unit; and the source, where it is not that of the table.
+What is particular to one instrument is made of a basis by `effect`, or by `family` where several slots have it alike;
+an effect whose coefficients have sizes of their own stands in the table as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax.numpy as jnp
+
+import bayescal as bc
+from bayescal import effects
+from bayescal.effects.constant import one as one
+from bayescal_models.simulated import HOUR as HOUR
+from bayescal_models.simulated import MINUTE as MINUTE
+
+SIGNS = ("", "²", "³", "⁴", "⁵")
+
+Maker = Callable[[str, Any, str, str], bc.Effect]
+Row = tuple[str, Maker, Any, str] | tuple[str, Maker, Any, str, str] | bc.Effect
+
+
+@dataclass(frozen=True)
+class EffectTable:
+    """The effects of an instrument.
+
+    Attributes:
+        baseline: of a first calibration.
+        candidates: that may be missing from it.
+        others: of named models only.
+    """
+
+    baseline: tuple[bc.Effect, ...]
+    candidates: tuple[bc.Effect, ...]
+    others: tuple[bc.Effect, ...]
+
+    @classmethod
+    def of(
+        cls,
+        source: str,
+        *,
+        baseline: Iterable[Row] = (),
+        candidates: Iterable[Row] = (),
+        others: Iterable[Row] = (),
+    ) -> EffectTable:
+        """The effects of these rows; `source` is that of rows which name none."""
+
+        def made(rows: Iterable[Row]) -> tuple[bc.Effect, ...]:
+            return tuple(row if isinstance(row, bc.Effect) else _made(source, *row) for row in rows)
+
+        return cls(made(baseline), made(candidates), made(others))
+
+    def __getitem__(self, name: str) -> bc.Effect:
+        return next(e for e in (*self.baseline, *self.candidates, *self.others) if e.name == name)
+
+
+def _made(source: str, name: str, maker: Maker, size: Any, unit: str, *own: str) -> bc.Effect:
+    return maker(name, size, unit, *(own or (source,)))
+
+
+# The families of `bayescal.effects`.
+
+
+def _general(maker: Callable[..., bc.Effect], **more: Any) -> Maker:
+    def made(name: str, size: Any, unit: str, source: str) -> bc.Effect:
+        return maker(name.partition(".")[0], size, unit, source=source, **more)
+
+    return made
+
+
+constant = _general(effects.constant)
+linear, quadratic = _general(effects.linear), _general(effects.quadratic)
+cubic, quartic = _general(effects.cubic), _general(effects.quartic)
+hysteresis, drift = _general(effects.hysteresis), _general(effects.drift)
+
+
+def deviation(name: str, size: float, unit: str, source: str) -> bc.Effect:
+    """One for each member of the group that the name says, such as `bias.run`; their spread is learned."""
+    slot, _, per = name.partition(".")
+    return effects.deviation(slot, per, size, unit, source=source)
+
+
+def warm_up(low: float, high: float) -> Maker:
+    """Within a run, in a time between these, s."""
+    return _general(effects.warm_up, low=low, high=high)
+
+
+def temperature_x_lag(low: float, high: float) -> Maker:
+    """A lag that grows with the temperature, of a time between these, s."""
+    return _general(effects.temperature_x_lag, low=low, high=high)
+
+
+def thermal_lag(
+    low: float,
+    high: float,
+    start: float,
+    start_unit: str,
+    rate: tuple[Any, ...] = (),
+    **more: Any,
+) -> Maker:
+    """A body that lags by a time between `low` and `high`, s.
+
+    Args:
+        start, start_unit: plausible size of what its state at the start of a run adds.
+        rate: size and unit of its short form, a rate, and its source where that is another; none if empty.
+        more: of `effects.thermal_lag`.
+    """
+
+    def made(name: str, size: float, unit: str, source: str) -> bc.Effect:
+        slot, _, cause = name.partition(".")
+        own = {"name": cause, "low": low, "high": high, "start": start, "start_unit": start_unit}
+        if rate:
+            own["short"] = effects.rate(slot, *rate[:2], source=(*rate, source)[2])
+        return effects.thermal_lag(slot, size, unit, source=source, **own, **more)
+
+    return made
+
+
+# What one instrument has.
+
+
+def effect(
+    basis: Callable[..., Any],
+    equation: str,
+    *columns: str,
+    slot: str = "",
+    parts: Sequence[str] = ("",),
+    slots: Sequence[str] = (),
+    per: str | None = None,
+    learned: Any = None,
+    varies: tuple[str, ...] | None = None,
+    **more: Any,
+) -> Maker:
+    """An effect whose coefficients, one for each part, are all of one size.
+
+    Args:
+        basis: of as many columns as there are parts.
+        equation: for people.
+        columns: what readings must have.
+        slot: where it is not the one that the name begins with.
+        parts: names of the coefficients.
+        slots: of each part, where they differ.
+        per: group whose members have a coefficient each.
+        learned: kind of the prior of their standard deviation, of scale `size`, where that is learned.
+        varies: columns that must; all that it needs but the time where it is not said.
+        more: further fields of the effect.
+    """
+
+    def made(name: str, size: float, unit: str, source: str) -> bc.Effect:
+        spread = None if learned is None else learned(size)
+        return bc.Effect(
+            name,
+            slot or (slots[0] if slots else name.partition(".")[0]),
+            basis,
+            coefficients=tuple(
+                bc.Coefficient(unit, bc.Normal(0.0, size), part, own, per, spread)
+                for part, own in zip(parts, slots or [None] * len(parts), strict=True)
+            ),
+            columns=columns,
+            varies=tuple(c for c in columns if c != "time") if varies is None else varies,
+            equation=equation,
+            source=source,
+            **more,
+        )
+
+    return made
+
+
+def family(
+    slots: Sequence[str], basis: Callable[..., Any], equation: str, *columns: str, **more: Any
+) -> Maker:
+    """One effect on several slots: a coefficient for each of them, found or dropped together.
+
+    Args:
+        slots: a coefficient's part is what stands after the first underscore, unless `parts` says.
+        basis: of one column, the same for all.
+        equation, columns, more: as of `effect`.
+    """
+    parts = more.pop("parts", None) or [s.partition("_")[2] for s in slots]
+    shared = partial(_in_each, basis, len(slots))
+    return effect(shared, equation, *columns, parts=parts, slots=slots, **more)
+
+
+def _in_each(basis: Callable[..., Any], count: int, r: bc.Frame) -> Any:
+    column = jnp.reshape(jnp.asarray(basis(r), float), (-1, 1))
+    return jnp.broadcast_to(column, (r.size, count))
+
+
+# Bases of a word.
+
+
+def progress(r: bc.Frame) -> Any:
+    """(t − t̄)/(tmax − tmin)."""
+    return r.progress
+
+
+def centred(r: bc.Frame) -> Any:
+    """T − T0, °C."""
+    return r.centred()

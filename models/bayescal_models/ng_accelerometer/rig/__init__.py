@@ -1,1 +1,0 @@
-"""The tilted table and what acts on it: gravity, the tide, and every temperature."""

@@ -1,0 +1,151 @@
+"""The world of a test: where the table stands at every reading, and every temperature behind it.
+
+The chamber's air follows a ramp-limited set point; the device, its sensing element, the fixture and the base hang
+on it as bodies of first order, all integrated on a grid of ten seconds over the whole test, pauses included. The
+laboratory has a daily course and slow correlated noise of its own, and the base follows it with a lag.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+
+import numpy as np
+
+from bayescal_models.ng_accelerometer.campaign import GRID, Campaign, SetUp
+from bayescal_models.ng_accelerometer.moon_and_sun import DAY, tide
+from bayescal_models.simulated import HOUR, Array, correlated, first_order_body
+
+CHAMBER_TIME, DEVICE_TIME, FIXTURE_TIME = 180.0, 600.0, 900.0  # s, behind set point, air, air
+BASE_TIME, LABORATORY_TIME = 1800.0, 900.0  # s, of the base behind chamber and laboratory
+WANDER_TIME, LABORATORY_WANDER_TIME = 600.0, 2 * HOUR  # s, of the Ornstein–Uhlenbeck records
+REVERSAL = 1.0  # °C, of path on which hysteresis follows a change of direction
+FORGETTING = 2 * HOUR  # s, in which hysteresis is lost while the power is off
+POWER_ON = 300.0  # s before the first reading of a run
+
+
+class World:
+    """Everything that an effect may depend on: a row per reading, a column per moment of its averaging.
+
+    Attributes:
+        plan: of the test.
+        run, cell: index of each reading's run and cell, (n,).
+        point: set point of its cell, °C, (n,).
+        tilt, angle: γ and θ as set, rad, (n, 1).
+        time: since the start of the test, s, (n, m), as all below.
+        share: of the test that has passed, 0 at the first reading and 1 at the last.
+        device, element, fixture, base: temperatures, °C.
+        heating: rate of the device, °C/h.
+        laboratory, foundation: of the laboratory, and of the base that follows it, °C.
+        direction: state of hysteresis, −1 … 1.
+        warmth: share of its own heat that the electronics lack, 1 at power-on.
+        tide: components ∥ (towards east) and ⊥ (north), each in parts of its month's peak.
+        by_cell, by_run: standard normal numbers by effect, one per reading, equal within a cell or run.
+    """
+
+    def __init__(
+        self,
+        plan: Campaign,
+        generators: Mapping[str, np.random.Generator],
+        cells: tuple[str, ...],
+        runs: tuple[str, ...],
+    ) -> None:
+        """Carry out the plan.
+
+        Args:
+            plan: of the test.
+            generators: of random numbers: "chamber", "laboratory", "groups".
+            cells, runs: names of what scatters from cell to cell, and from run to run.
+        """
+        self.plan, done = plan, _CarriedOut(plan)
+        grid, body = np.arange(0.0, done.end + GRID, GRID), partial(first_order_body, step=GRID)
+        run, cell, self.point, tilt, angle, start = map(np.array, zip(*done.readings, strict=True))
+        self.run, self.cell, self.tilt, self.angle = run, cell, tilt[:, None], angle[:, None]
+        moments = np.arange(round(plan.reading_time / GRID))
+        index = np.rint(start / GRID).astype(int)[:, None] + moments
+        self.time = grid[index] + 0.5 * GRID
+        middle = self.time.mean(axis=1)
+        self.share = (self.time - middle[0]) / (middle[-1] - middle[0])
+        on = np.array([first for first, _ in done.power])[run][:, None]
+        self.warmth = np.exp(-(self.time - on) / plan.warm_up_time)
+        wander = correlated(generators["chamber"], grid.size, WANDER_TIME, GRID)
+        calm = body(_set_point(grid, done.goals, plan.ramp), CHAMBER_TIME)
+        air = calm + plan.chamber_wander * wander
+        device = body(air, DEVICE_TIME)
+        self.device = device[index]
+        self.element = body(device, plan.lag_time)[index]
+        self.fixture = body(air, FIXTURE_TIME)[index]
+        self.base = body(air, BASE_TIME)[index]
+        self.heating = (np.gradient(device) * HOUR / GRID)[index]
+        self.direction = _hysteresis(grid, body(calm, DEVICE_TIME), done.power)[index]
+        slow = correlated(generators["laboratory"], grid.size, LABORATORY_WANDER_TIME, GRID)
+        daily = plan.laboratory_daily * np.cos(2 * np.pi * (plan.begin + grid / DAY))
+        laboratory = plan.laboratory + plan.laboratory_wander * slow - daily
+        self.laboratory = laboratory[index]
+        self.foundation = body(laboratory, LABORATORY_TIME)[index]
+        self.tide = tide(self.time, plan.begin, plan.latitude, plan.longitude)
+        normal = generators["groups"].standard_normal
+        self.by_cell = {name: normal(cell.max() + 1)[cell][:, None] for name in cells}
+        self.by_run = {name: normal(run.max() + 1)[run][:, None] for name in runs}
+
+
+class _CarriedOut:
+    """When everything happens, s: readings as (run, cell, point, tilt, angle, start), set points, and power.
+
+    Set points are (time, goal), power (on, off).
+    """
+
+    def __init__(self, plan: Campaign) -> None:
+        self.readings: list[tuple[int, int, float, float, float, float]] = []
+        self.goals: list[tuple[float, float]] = []
+        self.power: list[tuple[float, float]] = []
+        now, cells, free = 0.0, 0, 0.0
+        spread = [2 * np.pi * k / plan.positions for k in range(plan.positions)]
+        everywhere = [SetUp(tilt, angle) for tilt in plan.tilts for angle in spread]
+        for run, stay in enumerate([[s] for s in plan.set_ups] or [everywhere] * plan.runs):
+            order = plan.temperatures
+            order = order[::-1] if plan.alternate and run % 2 else order
+            for number, point in enumerate(order):
+                if number == 0:
+                    self.goals.append((free, point))
+                    now += plan.soak
+                    self.power.append((max(now - POWER_ON, 0.0), now))
+                else:
+                    self.goals.append((now, point))
+                    now += abs(point - order[number - 1]) / plan.ramp * 60.0 + plan.soak
+                for set_up in stay:
+                    now += plan.move_time
+                    for _ in range(plan.repeats):
+                        now = GRID * np.ceil(now / GRID)
+                        self.readings.append((run, cells, point, *set_up, now))
+                        now += plan.reading_time
+                cells += 1
+            self.power[-1] = (self.power[-1][0], now)
+            free, now = now, now + plan.pause
+        self.end = self.readings[-1][-1] + 2 * plan.reading_time
+
+
+def _set_point(grid: Array, goals: list[tuple[float, float]], ramp: float) -> Array:
+    """A set point that goes from goal to goal at `ramp`, °C/min; °C."""
+    times, values = [0.0], [goals[0][1]]
+    for start, goal in goals[1:]:
+        times += [start, start + abs(goal - values[-1]) / ramp * 60.0]
+        values += [values[-1], goal]
+    return np.interp(grid, times, values)
+
+
+def _hysteresis(grid: Array, temperature: Array, power: list[tuple[float, float]]) -> Array:
+    """dh = (sign(dT) − h)·|dT|/REVERSAL, as friction at a joint, starting afresh at every power-on.
+
+    `temperature` is that without the chamber's wander, which is too small to move a joint.
+    """
+    on = np.zeros(grid.size, dtype=bool)
+    for first, off in power:
+        on |= (grid >= first) & (grid <= off)
+    state, made = 0.0, np.zeros(grid.size)
+    for k, step in enumerate(np.diff(temperature, prepend=temperature[0])):
+        share = -np.expm1(-abs(step) / REVERSAL)
+        state += (np.sign(step) - state) * share
+        state *= 1.0 if on[k] else np.exp(-GRID / FORGETTING)
+        made[k] = state
+    return made

@@ -1,0 +1,114 @@
+"""The coupled thermal world: a chamber drives circuit and head, and the powered circuit heats itself and the head.
+
+    τ_c·dTc/dt = T_air + h·p(t) − Tc          p = 1 with power, else 0
+    τ_h·dTh/dt = (1−k)·T_air + k·Tc − Th
+
+so that both thermometers, their rates and their difference hang together, as they do in a sensor.
+Source: structure from source 2's two thermometers; equations and numbers ours.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayescal_models.quartz_beam_accelerometer.campaign import GRID, POSITIONS, Campaign
+from bayescal_models.simulated import Clock
+
+
+class World(Clock):
+    """A test step by step on the grid (m,), and the readings taken of it (n,).
+
+    Attributes:
+        plan: of the test.
+        circuit, head: temperatures, °C; `uneven` is circuit less head.
+        circuit_rate, head_rate: true heating rates, °C/min.
+        warmth: share of the warm-up reached, 0 cold … 1 warm.
+        run: of each reading, counted from 0.
+        point: soak temperature of each reading, °C, not a number on ramps.
+        cell: number of each reading's cell (run and soak temperature), −1 on ramps.
+        acceleration: of each reading, g.
+    """
+
+    step = GRID
+
+    def __init__(self, plan: Campaign) -> None:
+        self.plan, carried_out = plan, _CarriedOut(plan)
+        self.time = GRID * np.arange(int(np.ceil(carried_out.now / GRID)) + 1, dtype=np.float64)
+        knots, goals = np.array(carried_out.knots).T
+        air = self.body(np.interp(self.time, knots, goals), plan.air_time)
+        powered = np.zeros(self.time.size)
+        for on, off in carried_out.power:
+            powered[(self.time > on) & (self.time <= off)] = 1.0
+        around_circuit = air + plan.self_heating * powered
+        self.circuit = self.body(around_circuit, plan.circuit_time, start=air[0])
+        around_head = (1 - plan.coupling) * air + plan.coupling * self.circuit
+        self.head = self.body(around_head, plan.head_time)
+        self.uneven = self.circuit - self.head
+        self.circuit_rate = 60.0 * (around_circuit - self.circuit) / plan.circuit_time
+        self.head_rate = 60.0 * (around_head - self.head) / plan.head_time
+        self.warmth = self.body(powered, plan.warm_up_time)
+        ends, run, self.point, self.acceleration = map(
+            np.array, zip(*carried_out.readings, strict=True)
+        )
+        self.run, last = run.astype(np.intp), np.rint(ends / GRID).astype(np.intp)
+        self.samples = last[:, None] - np.arange(round(plan.average / GRID))[::-1]
+        soaked = ~np.isnan(self.point)
+        pairs = np.column_stack([self.run, np.where(soaked, self.point, 0.0)])
+        _, codes = np.unique(pairs, axis=0, return_inverse=True)
+        self.cell = np.where(soaked, codes.ravel(), -1)
+
+
+class _CarriedOut:
+    """A campaign gone through: knots of the set point, when power was on, and when what was read; times in s."""
+
+    def __init__(self, plan: Campaign) -> None:
+        self.plan, self.now, self.here = plan, 0.0, plan.room
+        self.knots: list[tuple[float, float]] = [(0.0, plan.room)]
+        self.power: list[tuple[float, float]] = []
+        self.readings: list[tuple[float, int, float, float]] = []  # end, run, point, acceleration
+        run = 0
+        for repeat in range(int(plan.repeats)):
+            self._tumble(run, plan.temperatures[:: -1 if repeat % 2 else 1])
+            run += 1
+        for speed in plan.ramp_speeds:
+            for attitude in plan.attitudes:
+                self._ramp(run, attitude, speed)
+                run += 1
+
+    def _wait(self, seconds: float) -> None:
+        self.now += seconds
+        self.knots.append((self.now, self.here))
+
+    def _go(self, goal: float, speed: float) -> None:
+        """Lead the set point to `goal`, °C, at `speed`, °C/min."""
+        self.now += 60.0 * abs(goal - self.here) / speed
+        self.here = goal
+        self.knots.append((self.now, self.here))
+
+    def _tumble(self, run: int, temperatures: tuple[float, ...]) -> None:
+        on = self.now
+        self._wait(self.plan.average)
+        self.readings.append((self.now, run, np.nan, POSITIONS[0]))
+        for temperature in temperatures:
+            self._go(temperature, self.plan.chamber_speed)
+            self._wait(self.plan.soak)
+            for acceleration in POSITIONS:
+                self._wait(self.plan.position_time)
+                self.readings.append((self.now, run, temperature, acceleration))
+        self._switch_off(on)
+
+    def _ramp(self, run: int, attitude: float, speed: float) -> None:
+        plan, on = self.plan, self.now
+        self._wait(plan.hold)
+        for goal in (min(plan.temperatures), max(plan.temperatures)):
+            self._go(goal, speed)
+            self._wait(plan.hold)
+        self._go(plan.room, speed)
+        for end in np.arange(on + plan.interval, self.now + 1e-6, plan.interval):
+            self.readings.append((float(end), run, np.nan, attitude))
+        self._switch_off(on)
+
+    def _switch_off(self, on: float) -> None:
+        self.power.append((on, self.now))
+        self._go(self.plan.room, self.plan.chamber_speed)
+        self._wait(self.plan.pause)
