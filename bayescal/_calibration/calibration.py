@@ -19,8 +19,9 @@ from bayescal._calibration.guards import (
 )
 from bayescal._calibration.posterior_tree import build_tree, with_log_likelihood
 from bayescal._calibration.storage import save
-from bayescal._calibration.summary import null_directions, summary, unknowns_text
-from bayescal._core.formatting import WIDTH, Printed
+from bayescal._calibration.summary import null_directions, summary, unknowns_parts
+from bayescal._core.formatting import WIDTH
+from bayescal._core.result_table import Printed, ResultTable
 from bayescal._model.model import in_short
 
 
@@ -43,8 +44,8 @@ class Calibration(Printed, Fitted):
         start: φ by name where its mode was looked for beside the prior draws; empty for most.
     """
 
-    def __str__(self) -> str:
-        return f"{unknowns_text(self)}\n{self.remarks}"
+    def _parts(self) -> list[str | ResultTable]:
+        return [*unknowns_parts(self), self.remarks]
 
     @property
     def remarks(self) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +12,8 @@ import numpy as np
 
 from bayescal._calibration.noise_in_time import SIGNIFICANT_P, AllanCheck
 from bayescal._calibration.worst_region import Region
-from bayescal._core.formatting import WIDTH, Printed, number, table
+from bayescal._core.formatting import WIDTH, number
+from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 
@@ -26,6 +28,24 @@ class Entry:
     log_bayes_factor: float
     worst: Region
     by_group: bool = False
+
+    def data(self, unit: str) -> dict[str, Any]:
+        """As in result.json; sizes in the output's unit, places in the covariate's."""
+        worst = self.worst
+        return {
+            "against": self.against,
+            "log_bayes_factor": self.log_bayes_factor,
+            "worst": {
+                "from": worst.low,
+                "to": worst.high,
+                "group": worst.group,
+                "size": worst.size,
+                "unit": unit,
+                "z": worst.z,
+                "covariate_unit": worst.covariate_unit,
+            },
+            "by_group": self.by_group,
+        }
 
 
 @dataclass(frozen=True)
@@ -98,8 +118,12 @@ class Check(Printed):
     allan: AllanCheck | None = None
     one_sided: float = 1.0
 
-    def __str__(self) -> str:
-        return check_text(self)
+    def _parts(self) -> list[str | ResultTable]:
+        return check_parts(self)
+
+    def data(self) -> list[dict[str, Any]]:
+        """Each covariate, as in result.json."""
+        return [e.data(self.unit) for e in self.entries]
 
     def _brief(self) -> str:
         unit = unit_label(self.unit)
@@ -110,31 +134,45 @@ class Check(Printed):
 
     def _columns(self) -> dict[str, list[Any]]:
         """A row for each covariate or group; sizes in the output's unit, places in the covariate's."""
-        worst = [e.worst for e in self.entries]
-        return {
-            "residuals against": [e.against for e in self.entries],
-            "log Bayes factor": [e.log_bayes_factor for e in self.entries],
-            "worst mean": [w.size for w in worst],
-            "z": [w.z for w in worst],
-            "from": [w.low for w in worst],
-            "to": [w.high for w in worst],
-            "group": [w.group or "" for w in worst],
-            "unit": [self.unit for _ in worst],
-        }
+        return check_table(self.data()).data()
 
 
-def check_text(check: Check, most: int | None = None) -> str:
+def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
+    """Residuals against each covariate; of its rows as they stand in result.json."""
+
+    def of_worst(key: str) -> Callable[[Any], Any]:
+        return lambda row: row["worst"][key]
+
+    def signed(places: str) -> Callable[[float | None], str]:
+        return lambda value: "–" if value is None else f"{value:{places}}"
+
+    columns = (
+        TableColumn("residuals against", "against"),
+        TableColumn("log Bayes factor", "log_bayes_factor", signed("z.1f")),
+        TableColumn(
+            "worst mean",
+            lambda r: f"{signed('+.3g')(r['worst']['size'])} {unit_label(r['worst']['unit'])}",
+            name="",
+        ),
+        TableColumn("worst mean", of_worst("size"), None),
+        TableColumn("z", of_worst("z"), signed("+.1f")),
+        TableColumn("where", place_in_words, name=""),
+        TableColumn("from", of_worst("from"), None),
+        TableColumn("to", of_worst("to"), None),
+        TableColumn("group", lambda r: r["worst"]["group"] or "", None),
+        TableColumn("unit", of_worst("unit"), None),
+    )
+    return ResultTable(columns, rows, fold=25)
+
+
+def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable]:
     """Where a model fails, the worst covariate first: of so many covariates at most, the others by name."""
-    unit, rows = unit_label(check.unit), []
-    for e in check.entries[:most]:
-        worst = f"{e.worst.size:+.3g} {unit}", f"{e.worst.z:+.1f}", place_in_words(e)
-        rows.append([e.against, f"{e.log_bayes_factor:z.1f}", *worst])
-    head = ["residuals against", "log Bayes factor", "worst mean", "z", "where"]
+    unit, rows = unit_label(check.unit), check.data()[:most]
     noise = f"judged against noise of {check.noise:.3g} {unit}"
-    lines = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
+    lines: list[str | ResultTable] = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
     if check.fixed:
         lines += [_fixed_text(check.fixed, unit), ""]
-    lines.append(table(head, rows, fold=25) if rows else "no covariate varies")
+    lines.append(check_table(rows) if rows else "no covariate varies")
     if others := check.entries[len(rows) :]:
         named = ", ".join(e.against for e in others)
         lines.append(textwrap.fill(f"less against {named} (--verbose)", WIDTH))
@@ -157,16 +195,15 @@ def check_text(check: Check, most: int | None = None) -> str:
     lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
     if check.one_sided < SIGNIFICANT_P:
         lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
-    lines += _allan_lines(check)
-    return "\n".join(lines)
+    return [*lines, *_allan_parts(check)]
 
 
-def _allan_lines(check: Check) -> list[str]:
+def _allan_parts(check: Check) -> list[str | ResultTable]:
     """Where the noise law is contradicted; and the terms of data sheets, where the curve shows any.
 
     What a covariate explains is no noise, and has no such terms.
     """
-    found, lines = check.allan, []
+    found, lines = check.allan, list[str | ResultTable]()
     if found is None:
         return lines
     if found.apart is not None:
@@ -181,19 +218,19 @@ def _allan_lines(check: Check) -> list[str]:
     return lines
 
 
-def place_in_words(entry: Entry) -> str:
+def place_in_words(row: Mapping[str, Any]) -> str:
     """Where the worst region of a covariate is: "48.7 to 79.74 °C in run 2", "run 2", "rows 3 to 8"."""
-    against, region = entry.against, entry.worst
-    if entry.by_group:
-        return f"{against} {region.group}"
+    against, region = row["against"], row["worst"]
+    low, high, group = region["from"], region["to"], region["group"]
+    if row.get("by_group", against == "run"):  # which results of before 0.4 do not say
+        return f"{against} {group}"
     if against == "order":
-        rows = f"{region.low:.0f} to {region.high:.0f}"
-        return f"row {region.low:.0f}" if region.low == region.high else f"rows {rows}"
-    unit = unit_label(region.covariate_unit)
-    place = f"{number(region.low, 4)} to {number(region.high, 4)} {unit}".rstrip()
-    if region.low == region.high:
-        place = f"at {number(region.low, 4)} {unit}".rstrip()
-    return place + (f" in run {region.group}" if region.group else "")
+        return f"row {low:.0f}" if low == high else f"rows {low:.0f} to {high:.0f}"
+    unit = unit_label(region["covariate_unit"])
+    place = f"{number(low, 4)} to {number(high, 4)} {unit}".rstrip()
+    if low == high:
+        place = f"at {number(low, 4)} {unit}".rstrip()
+    return place + (f" in run {group}" if group else "")
 
 
 def _fixed_text(f: FixedComparison, unit: str) -> str:

@@ -19,8 +19,9 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
 from bayescal._calibration.predict import predict
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH, Printed, number, table
+from bayescal._core.formatting import WIDTH, number
 from bayescal._core.importance_weights import stacking
+from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.trust import K_HAT
@@ -83,25 +84,29 @@ class Comparison(Printed):
     chosen_by: str
     warnings: tuple[str, ...]
 
-    def __str__(self) -> str:
+    def _parts(self) -> list[str | ResultTable]:
         """Models side by side, the best first."""
-        unit = unit_label(self.unit)
         grouped = self.chosen_by != BY_READINGS
-        head = ["model", f"rmse [{unit}]"]
-        head += [scheme(self.group), "score", "difference"] if grouped else []
-        head += ["LOO", "difference", "log evidence", "weight"]
-        rows = []
-        for r in self.rows:
-            cells = [r.name, number(r.rmse)]
-            if grouped:
-                score = "–" if r.group_score is None else f"{r.group_score:.1f}"
-                cells += [number(r.group_rmse), score, _gap(r.group_difference, r.group_error)]
-            evidence = "null" if r.log_evidence is None else f"{r.log_evidence:.1f}"
-            loo = _gap(r.loo_difference, r.loo_error)
-            rows.append([*cells, f"{r.loo:.1f}", loo, evidence, f"{r.weight:.2f}"])
+        by_group = (
+            TableColumn(scheme(self.group), "group_rmse", number),
+            TableColumn("score", "group_score", lambda v: "–" if v is None else f"{v:.1f}"),
+            TableColumn("difference", lambda r: (r["group_difference"], r["group_error"]), _gap),
+        )
+        columns = (
+            TableColumn("model", "name"),
+            TableColumn("rmse", "rmse", number, unit_label(self.unit)),
+            *(by_group if grouped else ()),
+            TableColumn("LOO", "loo", "{:.1f}".format),
+            TableColumn("difference", lambda r: (r["loo_difference"], r["loo_error"]), _gap),
+            TableColumn(
+                "log evidence", "log_evidence", lambda v: "null" if v is None else f"{v:.1f}"
+            ),
+            TableColumn("weight", "weight", "{:.2f}".format),
+        )
         count = f" ({self.groups} of them)" if self.chosen_by == BY_GROUPS else ""
-        lines = [table(head, rows), f"the best first, by {self.chosen_by}{count}"]
-        return "\n".join([*lines, *(textwrap.fill(w, WIDTH) for w in self.warnings)])
+        shown = ResultTable(columns, [vars(r) for r in self.rows])
+        said = [f"the best first, by {self.chosen_by}{count}"]
+        return [shown, *said, *(textwrap.fill(w, WIDTH) for w in self.warnings)]
 
     def _brief(self) -> str:
         return f"{', '.join(repr(r.name) for r in self.rows)}, the best first by {self.chosen_by}"
@@ -111,7 +116,8 @@ class Comparison(Printed):
         return {f.name: [getattr(r, f.name) for r in self.rows] for f in fields(ComparisonRow)}
 
 
-def _gap(value: float | None, error: float | None) -> str:
+def _gap(difference: tuple[float | None, float | None]) -> str:
+    value, error = difference
     if value is None or value == 0:
         return "–" if value is None else "0"
     return f"{value:.1f}" if error is None else f"{value:.1f} ± {error:.1f}"

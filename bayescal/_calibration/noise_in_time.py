@@ -11,7 +11,8 @@ from scipy.special import chdtr, chdtrc, chdtri
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import number, table
+from bayescal._core.formatting import number
+from bayescal._core.result_table import ResultTable, plain_table
 from bayescal._data.allan_deviation import (
     CONFIDENCE,
     AllanDeviation,
@@ -56,13 +57,13 @@ class AllanCheck:
     def __str__(self) -> str:
         return f"{self.table()}\n{self.sentence()}"
 
-    def table(self) -> str:
+    def table(self) -> ResultTable:
         """The terms in the units of data sheets: of the residuals, and of the law."""
         said = {t.symbol: str(t) for t in self.law_terms}
         rows = [
             [f"{t.name} {t.symbol}", str(t), said.get(t.symbol, "–")] for t in self.measured.terms
         ]
-        return table(["Allan deviation", "residuals", f"noise law ({self.law_name})"], rows)
+        return plain_table(["Allan deviation", "residuals", f"noise law ({self.law_name})"], rows)
 
     @property
     def law_name(self) -> str:

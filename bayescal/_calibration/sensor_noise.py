@@ -16,7 +16,8 @@ from bayescal._calibration.noise_at_rest import (
     WeighedNoise,
     weigh_noise,
 )
-from bayescal._core.formatting import Printed, number, probability, table
+from bayescal._core.formatting import number, probability
+from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._data.allan_deviation import (
     ALLAN_READINGS,
     CONFIDENCE,
@@ -115,14 +116,13 @@ class SensorNoise(Printed):
     densities: tuple[np.ndarray, np.ndarray] = field(repr=False)
     horizon: float
 
-    def __str__(self) -> str:
+    def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
-        terms = table(["term", "value", "95 % interval", "SI"], rows, fold=40)
+        terms = plain_table(["term", "value", "95 % interval", "SI"], rows, fold=40)
         likely = [(w, p) for w, p in self.probabilities.items() if p >= SHOWN_PROBABILITY][:SHOWN]
         laws = ", ".join(f"{words} {probability(p)}" for words, p in likely)
-        lines = [terms, f"Noise law: {laws}."]
+        said = [f"Noise law: {laws}.", *(f"Note: {note}." for note in self.notes)]
         unit = unit_label(self.unit)
-        lines += [f"Note: {note}." for note in self.notes]
         m = self.measured
         head = ["τ [s]", "Allan deviation", "noise law", "95 % of such records"]
         columns = (m.tau, m.deviation, self.expected, self.estimate_low, self.estimate_high)
@@ -130,7 +130,8 @@ class SensorNoise(Printed):
             [number(t), f"{number(d)} {unit}".strip(), number(e), f"{number(a)} to {number(b)}"]
             for t, d, e, a, b in zip(*columns, strict=True)
         ]
-        return "\n\n".join([*lines, table(head, curve, left=0)])
+        lines = [line for one in said for line in ("", one)]
+        return [terms, *lines, "", plain_table(head, curve, left=0)]
 
     def _brief(self) -> str:
         return f"{self.law}; " + ", ".join(

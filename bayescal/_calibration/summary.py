@@ -12,7 +12,8 @@ from jaxtyping import Float
 from bayescal._calibration.confounding import in_words
 from bayescal._calibration.fitted import Fitted
 from bayescal._core import null_space
-from bayescal._core.formatting import WIDTH, interval, number, table, with_error
+from bayescal._core.formatting import WIDTH, interval, number, with_error
+from bayescal._core.result_table import ResultTable, plain_table
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model.frame import derived
@@ -35,7 +36,9 @@ TRACE = 0.01  # of the largest entry, from which a coefficient is named
 MOST_MEMBERS = 4  # of a group, that have a line each
 
 
-def unknowns_text(calibration: Fitted, effects: Collection[str] | None = None) -> str:
+def unknowns_parts(
+    calibration: Fitted, effects: Collection[str] | None = None
+) -> list[str | ResultTable]:
     """Unknowns with standard uncertainty and 95 % credible interval, and what is held.
 
     Args:
@@ -63,12 +66,13 @@ def unknowns_text(calibration: Fitted, effects: Collection[str] | None = None) -
         *("unknown", "mean ± standard uncertainty", "unit"),
         *("95 % credible interval", "contraction"),
     ]
-    lines = [table(head, [*rows.values()])] if rows else ["every unknown is fixed"]
+    shown = plain_table(head, rows.values()) if rows else "every unknown is fixed"
+    lines = []
     if fixed := ", ".join(f"{name} = {value:g}" for name, value in calibration.model.fixed):
         lines.append(f"fixed: {fixed}")
     if at := [f"{k} = {v:g} °C" for k, v in calibration.hold_at.items()]:
         lines.append("constants hold at " + ", ".join(at))
-    return "\n".join([lines[0], *(textwrap.fill(line, WIDTH) for line in lines[1:])])
+    return [shown, *(textwrap.fill(line, WIDTH) for line in lines)]
 
 
 def _unknown_row(s: dict[str, Any]) -> list[str]:

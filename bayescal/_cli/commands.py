@@ -526,10 +526,9 @@ def check(
 ) -> None:
     """Where a fitted model fails."""
     from bayescal._cli.saved import load_saved
-    from bayescal._report.result_json import check_data
 
     checked = bc.check(load_saved(calibration, own))
-    print_result(check_data(checked, 0) if json_ else checked)
+    print_result([{"step": 0, **row} for row in checked.data()] if json_ else checked)
 
 
 @commands.example("bayescal discover result/calibration.nc")

@@ -8,18 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import Check, check_text
+from bayescal._calibration.check_result import Check, check_parts
 from bayescal._calibration.predict import Prediction
-from bayescal._calibration.summary import null_directions, summary, unknowns_text
-from bayescal._core.formatting import WIDTH, number, probability, table
+from bayescal._calibration.summary import null_directions, summary, unknowns_parts
+from bayescal._core.formatting import WIDTH, number, probability
 from bayescal._core.progress import tell
+from bayescal._core.result_table import plain_table
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._model.unknown_effect import covariate_in
-from bayescal._report.report_text import rows_in_output_unit
+from bayescal._report.report_text import in_output_unit
 from bayescal._report.result_json import Keeper
 from bayescal._report.section import of_trail
 from bayescal._search.calibrate import SearchPath
@@ -35,7 +36,7 @@ SHOWN_CHECKS = 3  # covariates that a first model is checked against, the worst
 
 def instruments_text(known: Mapping[str, Instrument]) -> str:
     rows = [[name, unit_label(i.unit), i.title] for name, i in known.items()]
-    return table(["instrument", "output", "measures"], rows, left=2, fold=40)
+    return str(plain_table(["instrument", "output", "measures"], rows, left=2, fold=40))
 
 
 def instruments_data(known: Mapping[str, Instrument]) -> dict[str, Any]:
@@ -63,7 +64,7 @@ def effects_text(kinds: Kinds) -> str:
             by_source.setdefault(e.source, []).append(e.name)
         if rows:
             head = [kind, "plausible size", "needs", "equation"]
-            tables.append(table(head, rows, left=3, fold=42))
+            tables.append(str(plain_table(head, rows, left=3, fold=42)))
     sources = (
         textwrap.fill(f"{source}: {', '.join(names)}", WIDTH, subsequent_indent="  ")
         for source, names in by_source.items()
@@ -132,8 +133,8 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
 
 def first_text(trail: SearchPath, verbose: bool = False) -> str:
     """`calibrate` as soon as the first model stands."""
-    shown = check_text(trail.steps[0].check, None if verbose else SHOWN_CHECKS)
-    return f"WHERE THE FIRST MODEL FAILS\n\n{shown}"
+    parts = check_parts(trail.steps[0].check, None if verbose else SHOWN_CHECKS)
+    return "\n".join(["WHERE THE FIRST MODEL FAILS", "", *map(str, parts)])
 
 
 def progress_text(trail: SearchPath) -> str:
@@ -204,8 +205,7 @@ def loop_text(
     if averaged := averaged_text(trail, verbose):
         parts.append(averaged)
     if output_unit is not None:
-        rows = rows_in_output_unit(of_trail(trail), output_unit)
-        shown = table(["", "value", "unit"], rows, left=1, fold=40)
+        shown = in_output_unit(of_trail(trail), output_unit)
         over = ", over structures" * (trail.average is not None)
         parts.append(f"IN {unit_label(output_unit)}{over}\n\n{shown}")
     if trail.ending:
@@ -223,8 +223,8 @@ def coefficients_text(trail: SearchPath, verbose: bool = False) -> str:
         verbose: with those that the most probable structure has not.
     """
     final = trail.final.calibration
-    shown = unknowns_text(trail.calibration, None if verbose else final.model.names)
-    return f"{shown}\n{final.remarks}"
+    shown = unknowns_parts(trail.calibration, None if verbose else final.model.names)
+    return "\n".join([*map(str, shown), final.remarks])
 
 
 def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
@@ -239,7 +239,7 @@ def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
         others = f"{len(added) - SHOWN_STRUCTURES} others (--verbose)"
         added[SHOWN_STRUCTURES:] = [[others, probability(more)]]
     said = "Coefficients, predictions and exports are averaged over these; --structure best uses the first."
-    shown = table(["effects added", "probability"], added, left=1, fold=60)
+    shown = plain_table(["effects added", "probability"], added, fold=60)
     return f"STRUCTURES\n\n{shown}\n{textwrap.fill(said, WIDTH)}"
 
 
@@ -281,7 +281,7 @@ def _findings_text(trail: SearchPath) -> str:
         said = "; ".join([*missing, beside] if beside else missing)
         rows.append([f"{i} {step.title}", probability(found.nothing_missing), said or "–"])
     head = ["step", "P(complete)", "missing, with its probability"]
-    lines = [f"WHAT IS MISSING (all candidates: --verbose)\n\n{table(head, rows, left=1, fold=40)}"]
+    lines = [f"WHAT IS MISSING (all candidates: --verbose)\n\n{plain_table(head, rows, fold=40)}"]
     lines += [textwrap.fill(f"unit? {words}", WIDTH) for words in asked]
     return "\n".join(lines)
 

@@ -1,77 +1,10 @@
-"""Numbers and tables as text for people, and as HTML: what every printed result shares."""
+"""Numbers as text for people: what every printed result shares."""
 
 from __future__ import annotations
 
-import textwrap
-import unicodedata
-from collections.abc import Callable, Mapping, Sequence
-from contextvars import ContextVar
 from math import floor, log10
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-from bayescal._core.quoting import html_text
-
-if TYPE_CHECKING:
-    import pandas as pd
-    import xarray as xr
 
 WIDTH = 110  # columns that a table or a sentence should fit in
-BRIEF = 200  # characters of a `repr`
-
-
-class _Table(NamedTuple):
-    """A table as text, its cells, and which columns are flush left."""
-
-    text: str
-    head: list[str]
-    rows: list[list[str]]
-    left: list[bool]
-
-
-_MADE: ContextVar[list[_Table] | None] = ContextVar("tables", default=None)
-
-
-def _width(text: str) -> int:
-    """Columns that a text takes: the mark over a letter takes none."""
-    return sum(not unicodedata.combining(c) for c in text)
-
-
-def table(head: list[str], rows: list[list[str]], left: int = 1, fold: int = 0) -> str:
-    """Columns under a ruled head.
-
-    Args:
-        head, rows: cells; in a folded column, a line break stays one.
-        left: this many columns are flush left, the others flush right.
-        fold: if not zero, the last column is flush left too, and is folded to this width or to
-            what is left of the page, whichever is more.
-    """
-    widths = [
-        max(_width(t) for r in [head, *rows] for t in r[i].split("\n")) for i in range(len(head))
-    ]
-    if fold:
-        room = WIDTH - sum(widths[:-1]) - 2 * (len(head) - 1)
-        widths[-1] = min(widths[-1], max(room, fold))
-
-    def line(cells: list[str]) -> str:
-        *most, last = cells
-        folded = [t for part in last.split("\n") for t in _folded(part, widths[-1] if fold else 0)]
-        parts = []
-        for i, (cell, width) in enumerate(zip([*most, folded[0]], widths, strict=True)):
-            space = " " * (width - _width(cell))
-            flush_left = i < left or (fold and i == len(cells) - 1)
-            parts.append(cell + space if flush_left else space + cell)
-        indent = " " * (sum(widths[:-1]) + 2 * (len(widths) - 1))
-        return "\n".join(["  ".join(parts).rstrip(), *(indent + rest for rest in folded[1:])])
-
-    text = "\n".join([line(head), "  ".join("─" * w for w in widths), *(line(r) for r in rows)])
-    if (made := _MADE.get()) is not None:
-        flush = [i < left or (fold > 0 and i == len(head) - 1) for i in range(len(head))]
-        made.append(_Table(text, head, rows, flush))
-    return text
-
-
-def _folded(text: str, width: int) -> list[str]:
-    return [text] if _width(text) <= width or not width else textwrap.wrap(text, width)
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -128,69 +61,3 @@ def probability(p: float | None) -> str:
     if p > 0.995:
         return "> 0.99"
     return f"{p:.2f}" if p >= 0.005 else "< 0.01"
-
-
-class Printed:
-    """A result that prints itself.
-
-    A class says `_brief`, what it is in a few words, and `_columns`, the numbers behind its table: name → one value a
-    row, the first naming the row. `str()` is its own; the HTML is made from it, so that both say the same.
-    """
-
-    def _brief(self) -> str:
-        raise NotImplementedError
-
-    def _columns(self) -> Mapping[str, Sequence[Any]]:
-        raise NotImplementedError
-
-    def __repr__(self) -> str:
-        said = textwrap.shorten(self._brief(), BRIEF, placeholder=" …")
-        return f"<{type(self).__name__}: {said}>"
-
-    def _repr_html_(self) -> str:
-        return as_html(self.__str__)
-
-    def to_pandas(self) -> pd.DataFrame:
-        """The table that is printed, its numbers in full: a `pandas.DataFrame`, its rows by name."""
-        import pandas as pd  # only where it is asked for
-
-        frame = pd.DataFrame(dict(self._columns()))
-        return frame.set_index(frame.columns[0])
-
-    def to_xarray(self) -> xr.Dataset:
-        """The same as an `xarray.Dataset` along the rows' names."""
-        return self.to_pandas().to_xarray()
-
-
-def as_html(say: Callable[[], str]) -> str:
-    """What is said as HTML, everything in it escaped: tables made by `table` as tables, other lines as they are."""
-    token = _MADE.set([])
-    try:
-        text, made = say(), _MADE.get() or []
-    finally:
-        _MADE.reset(token)
-    parts = []
-    for one in made:
-        before, found, after = text.partition(one.text)
-        if found:  # a table may be made and not said
-            parts += [_said(before), _table_in_html([one.head, *one.rows], one.left)]
-            text = after.removeprefix("\n")
-    return "".join([*parts, _said(text)])
-
-
-def _table_in_html(rows: list[list[str]], left: list[bool]) -> str:
-    def row(cells: list[str], tag: str) -> str:
-        made = (
-            f'<{tag} style="text-align: {"left" if flush else "right"}">'
-            f"{html_text(cell).replace(chr(10), '<br>')}</{tag}>"
-            for cell, flush in zip(cells, left, strict=True)
-        )
-        return f"<tr>{''.join(made)}</tr>"
-
-    body = "".join(row(cells, "td") for cells in rows[1:])
-    return f"<table><thead>{row(rows[0], 'th')}</thead><tbody>{body}</tbody></table>"
-
-
-def _said(text: str) -> str:
-    text = text.removesuffix("\n")
-    return f"<p>{html_text(text).replace(chr(10), '<br>')}</p>" if text.strip() else ""

@@ -20,7 +20,8 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.special import chdtrc
 
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import number, table, with_error
+from bayescal._core.formatting import number, with_error
+from bayescal._core.result_table import plain_table
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import EVEN_STEPS, run_codes
 from bayescal._data.unit_conversion import parse, unit_label
@@ -293,8 +294,9 @@ class AllanDeviation:
             [number(t), f"{number(d)} {unit}".rstrip(), f"{number(low)} to {number(high)}"]
             for t, d, low, high in zip(self.tau, self.deviation, self.low, self.high, strict=True)
         ]
-        curve = table(["τ [s]", "Allan deviation", "95 % interval"], rows, left=0)
-        return f"{table(['term', 'value'], [[f'{t.name} {t.symbol}', str(t)] for t in self.terms], fold=25)}\n\n{curve}"
+        curve = plain_table(["τ [s]", "Allan deviation", "95 % interval"], rows, left=0)
+        terms = [[f"{t.name} {t.symbol}", str(t)] for t in self.terms]
+        return f"{plain_table(['term', 'value'], terms, fold=25)}\n\n{curve}"
 
 
 def allan_deviation(

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import Printed, number, table
+from bayescal._core.formatting import number
+from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._data.averaging import average
 from bayescal._data.column import (
     ARRAYS,
@@ -187,7 +188,7 @@ class Measurements(Printed):
     def __reduce__(self) -> Any:  # through `__post_init__`: pickled arrays can be written to
         return Measurements, tuple(getattr(self, one.name) for one in fields(self))
 
-    def __str__(self) -> str:
+    def _parts(self) -> list[str | ResultTable]:
         rows = []
         for name in self.columns:
             values, unit = self[name], self.unit(name)
@@ -200,8 +201,8 @@ class Measurements(Printed):
             else:
                 said = f"{number(np.nanmin(values), 5)} to {number(np.nanmax(values), 5)}"
             rows.append([name, unit or "", said])
-        shown = table(["column", "unit", "range"], rows, left=3)
-        return f"{len(self)} readings of {self.file}\n{shown}"
+        shown = plain_table(["column", "unit", "range"], rows, left=3)
+        return [f"{len(self)} readings of {self.file}", shown]
 
     def _brief(self) -> str:
         named = (f"{n} [{self.unit(n)}]" if self.unit(n) else n for n in self.columns)

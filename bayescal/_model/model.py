@@ -8,7 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 from bayescal._core.errors import ModelError
-from bayescal._core.formatting import Printed, number, table
+from bayescal._core.formatting import number
+from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, unit_label
 from bayescal._model.effect import Coefficient, Effect
@@ -45,7 +46,7 @@ class Model(Printed):
                     factor_of(self.instrument, effect, coefficient)
                 _require_group(self.instrument, effect, coefficient.per)
 
-    def __str__(self) -> str:
+    def _parts(self) -> list[str | ResultTable]:
         head = ["effect", "coefficient", "plausible size", "equation"]
         rows = []
         for effect in self.effects:
@@ -56,8 +57,8 @@ class Model(Printed):
             rows.append([effect.name, per, size.rstrip(), effect.equation])
         fixed = [f"{name} = {value:g}" for name, value in self.fixed]
         lines = [f"{self.instrument.name}, noise {self.noise.in_words}"]
-        lines += [table(head, rows, left=2, fold=30)] if rows else []
-        return "\n".join([*lines, *([f"fixed: {', '.join(fixed)}"] if fixed else [])])
+        shown = [plain_table(head, rows, left=2, fold=30)] if rows else []
+        return [*lines, *shown, *([f"fixed: {', '.join(fixed)}"] if fixed else [])]
 
     def _brief(self) -> str:
         return in_short(self)

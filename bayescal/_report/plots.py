@@ -37,8 +37,7 @@ from bayescal._data.pose_rows import ACROSS
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import GROUPS
 from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE, RED
-from bayescal._report.result_json import is_quiet
-from bayescal._search.discover import Discovery
+from bayescal._search.discover import Discovery, is_quiet
 from bayescal._search.search_path import SearchPath
 
 LONGEST = 32  # letters of a label; what is longer leaves no room for the picture

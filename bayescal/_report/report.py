@@ -10,7 +10,7 @@ import base64
 import io
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -22,23 +22,24 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import Check
+from bayescal._calibration.check_result import Check, check_table
 from bayescal._calibration.description import identity, sources_of
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError, NotDrawn
-from bayescal._core.formatting import number, probability, with_error
+from bayescal._core.formatting import number, probability
 from bayescal._core.templates import template
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._report import plots, report_text
 from bayescal._report.certificate import Certificate, read_certificate
-from bayescal._report.result_json import RESULT, is_quiet
+from bayescal._report.result_json import RESULT
 from bayescal._report.section import Chapter, chapters
+from bayescal._search.discover import candidates_table
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
 from bayescal._use.compensation_program import averaged_over
-from bayescal._use.decide import Decisions, decision_cells
+from bayescal._use.decide import Decisions
 
 SVG = {"svg.fonttype": "none", "svg.hashsalt": "bayescal", "font.size": 9.0}
 PANELS = 4  # of residuals
@@ -327,23 +328,21 @@ def page(
         "unit_label": unit_label,
         "probability": probability,
         "minus": lambda text: text.replace("-", "−"),
+        "lines": lambda text: Markup("<br>").join(text.split("\n")),
         "measured": report_text.measured,
-        "with_error": with_error,
-        "zip": zip,
     }
     return template("bayescal._report", "report.html.j2", filters, autoescape=True).render(
         title=title or "Calibration report",
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         chapters=[_chapter(c, pictures) for c in found],
         k=report_text.K,
-        many=MANY,
         certificate=certificate.rows() if certificate else [],
         decisions=decisions,
         output_unit=output_unit,
         in_output_unit=[
-            report_text.rows_in_output_unit(c, output_unit) if output_unit else [] for c in found
+            report_text.in_output_unit(c, output_unit) if output_unit else None for c in found
         ],
-        decided=[] if decisions is None else [decision_cells(d) for d in decisions.decisions],
+        decided=None if decisions is None else report_text.decided(decisions),
     )
 
 
@@ -352,9 +351,10 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
     c, data = chapter.calibration, chapter.data
     may, not_for = report_text.use_and_limits(chapter)
     rows = report_text.coefficients(chapter)
-    signed = [r for r in rows if not r["member"]]
+    signed = report_text.signed(rows, c.model)
     last = len(data["steps"]) - 1
     found, no_budget = _budget(chapter)
+    checks = [[r for r in data["check"] if r["step"] == step] for step in {0, last}]
     return {
         "instrument": c.model.instrument,
         "devices": report_text.devices(c.readings),
@@ -366,26 +366,29 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "of_the_model": None if chapter.average is None else identity(c),
         "averaged": averaged_over(chapter.used),
         "files": sources_of(c.readings),
+        "files_table": report_text.files(chapter),
         "groups": _groups(data),
-        "signed": signed[: report_text.SUMMARY],
-        "further": len(rows) - len(signed[: report_text.SUMMARY]),
+        "signed": signed,
+        "further": len(rows.rows) - len(signed.rows) + len(c.model.fixed),
         "may": may,
         "not_for": not_for,
         "unexplained": report_text.unexplained(chapter),
         "story": report_text.story(chapter),
-        "ranges": report_text.ranges(c),
+        "ranges": report_text.ranges_table(report_text.ranges(c)),
         "effects": report_text.effects(chapter),
         "noise": c.model.noise.in_words,
-        "fixed": [(n, number(v, 6)) for n, v in c.model.fixed],
         "reference": [(n, report_text.measured(v, "degC")) for n, v in c.hold_at.items()],
-        "coefficients": rows[: 4 * MANY],
+        "coefficients": replace(rows, rows=rows.rows[: 4 * MANY]),
         "matrix": report_text.matrix(chapter),
         "skewed": report_text.skewed(chapter),
         "check": chapter.check,
-        "checks": [0, last] if last else [0],
-        "allan": report_text.allan(chapter.check),
+        "checks": [*zip(sorted({0, last}), map(check_table, checks), strict=True)],
+        "steps": report_text.steps(chapter),
+        "convergence": report_text.convergence(chapter),
+        "allan": chapter.check.allan,
         "discoveries": [_discovery(m, data, pictures) for m in data["missing"]],
         "budget": found,
+        "budget_tables": found and [replace(t, rows=t.rows[:MANY]) for t in found.tables()],
         "no_budget": no_budget,
         "pictures": _pictures(chapter, pictures),
     }
@@ -402,6 +405,7 @@ def _discovery(found: dict[str, Any], data: dict[str, Any], pictures: Pictures) 
     """What was missing from one step."""
     title = data["steps"][found["step"]]["title"]
     tested = [c for c in found["candidates"] if c["kind"] != "not testable"]
+    shown = candidates_table(found["candidates"])
     alike = {
         frozenset((c["effect"], *c["indistinguishable_from"]))
         for c in tested
@@ -415,7 +419,7 @@ def _discovery(found: dict[str, Any], data: dict[str, Any], pictures: Pictures) 
         "unstated": found.get("unstated", ""),
         "sets": found["sets"],
         "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
-        "rows": [c for c in tested if not is_quiet(c)][:MANY],
+        "table": replace(shown, rows=shown.rows[:MANY]),
         "alike": sorted(", ".join(sorted(g)) for g in groups),
         "not_testable": report_text.not_tested(found["candidates"]),
         "picture": pictures.missing(found, title),

@@ -6,29 +6,34 @@ The sentences are the result in one paragraph, how it came about, its use and li
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import Check
+from bayescal._calibration.description import sources_of
 from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.summary import curve_extent, place_of, range_of, summary
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import interval, number, probability, with_error
+from bayescal._core.result_table import ResultTable, TableColumn, plain_table
 from bayescal._core.settings import settings
 from bayescal._data.column import NominalScale
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import convert, same_dimension, unit_label
 from bayescal._model.effect import Effect
+from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
 from bayescal._model.unknown_effect import FORMS, covariate_in
-from bayescal._report.result_json import is_quiet
 from bayescal._report.section import Chapter
-from bayescal._use.vector_correction import term_rows
+from bayescal._search.discover import is_quiet
+from bayescal._search.search_path import rises, steps_parts
+from bayescal._use.decide import Decisions
+from bayescal._use.vector_correction import term_rows, terms_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
 GAUSSIAN = 0.9545  # what k = 2 covers of a Gaussian
@@ -93,46 +98,112 @@ def _range(name: str, meaning: str, values: np.ndarray, unit: str, part: str) ->
     }
 
 
-def coefficients(chapter: Chapter) -> list[dict[str, Any]]:
+def ranges_table(rows: Sequence[dict[str, Any]]) -> ResultTable:
+    columns = (
+        TableColumn("quantity", lambda r: "\n".join(filter(None, (r["name"], r["meaning"])))),
+        TableColumn("from", "low"),
+        TableColumn("to", "high"),
+        TableColumn("unit", "unit", left=True),
+        TableColumn("part", lambda r: r["part"] + " (not varied)" * r["constant"]),
+    )
+    return ResultTable(columns, rows, fold=1)
+
+
+def files(chapter: Chapter) -> ResultTable:
+    """Each file that was read, and the hold-out data."""
+
+    def listed_(one: str | list[str]) -> str:
+        return one if isinstance(one, str) else ", ".join(one)
+
+    rows = [[s.file, str(s.rows), s.sha256] for s in sources_of(chapter.calibration.readings)]
+    if apart := chapter.data["holdout"]:
+        names = f"hold-out: {listed_(apart['file']) or 'arrays'}"
+        rows.append([names, str(apart["rows"]), listed_(apart["sha256"])])
+    return plain_table(["file", "readings", "SHA-256"], rows, fold=1)
+
+
+def coefficients(chapter: Chapter) -> ResultTable:
     """Coefficients, then hyperparameters: k = 2 interval and 95 % credible interval, apart."""
-    rows, untold, shares = [], coefficients_not_measured(chapter.used), inclusion(chapter.used)
-    for r in chain(*summary(chapter.used)):
-        likely = shares.get(r["effect"], 1.0)
-        mean, sd = r["mean"], r["sd"]
+    untold, shares = coefficients_not_measured(chapter.used), inclusion(chapter.used)
+
+    def row(r: dict[str, Any]) -> dict[str, Any]:
+        mean, sd, likely = r["mean"], r["sd"], shares.get(r["effect"], 1.0)
         held = not sd > 1e-9 * abs(mean)
-        low, high = r["interval95"]
-        rows.append(
-            {
-                "name": r["name"],
-                "effect": r["effect"],
-                "unit": unit_label(r["unit"]),
-                "value": with_error(mean, K * sd),
-                "u": "held" if held else number(sd, 2),
-                "k2": "–" if held else interval(mean - K * sd, mean + K * sd, mean, sd),
-                "interval": "–" if held else interval(low, high, mean, sd),
-                "said": "–" if r["contraction"] is None else _percent(r["contraction"]),
-                "member": "(" in r["name"],
-                "note": " (held)" * held
-                + " (mostly its prior)" * (r["name"] in untold)
-                + f" (probability {probability(likely)})" * (likely < 1),
-            }
-        )
-    return rows
+        note = " (held)" * held + " (mostly its prior)" * (r["name"] in untold)
+        note += f" (probability {probability(likely)})" * (likely < 1)
+        return {
+            **r,
+            "value": with_error(mean, K * sd),
+            "u": "held" if held else number(sd, 2),
+            "k2": "–" if held else interval(mean - K * sd, mean + K * sd, mean, sd),
+            "credible": "–" if held else interval(*r["interval95"], mean, sd),
+            "note": note,
+        }
+
+    columns = (
+        TableColumn("unknown", "name"),
+        TableColumn("unit", "unit", unit_label, left=True),
+        TableColumn(f"value ± U (k = {K:g})", "value"),
+        TableColumn("standard uncertainty u", "u"),
+        TableColumn(f"k = {K:g} interval", "k2"),
+        TableColumn("95 % credible interval", "credible"),
+        TableColumn("contraction", "contraction", _percent),
+    )
+    return ResultTable(columns, [row(r) for r in chain(*summary(chapter.used))])
 
 
-def _percent(share: float) -> str:
-    return "> 99.9 %" if share > 0.999 else f"{100 * share:z.1f} %".replace("-", "−")
+def signed(every: ResultTable, model: Model) -> ResultTable:
+    """Of the coefficients those on the page that is signed, with what is to be known of each; and what is fixed."""
+    own = [r for r in every.rows if "(" not in r["name"]][:SUMMARY]
+    rows = [[r["name"], r["value"] + r["note"], unit_label(r["unit"])] for r in own]
+    rows += [[name, f"{number(value, 6)} (fixed)", ""] for name, value in model.fixed]
+    return plain_table(["unknown", f"value ± U (k = {K:g})", "unit"], rows)
 
 
-def allan(check: Check) -> dict[str, Any] | None:
-    """The terms of the Allan deviation, of the residuals and of the noise law; None where there is none."""
-    found = check.allan
-    if found is None:
-        return None
-    law = {t.symbol: str(t) for t in found.law_terms}
-    rows = [(f"{t.name} {t.symbol}", str(t), law.get(t.symbol, "–")) for t in found.measured.terms]
-    said = found.sentence()
-    return {"rows": rows, "law": found.law_name, "said": f"{said[0].upper()}{said[1:]}."}
+def _percent(share: float | None) -> str:
+    if share is None:
+        return "–"
+    return "> 99.9 %" if share > 0.999 else f"{100 * share:z.1f} %"
+
+
+def steps(chapter: Chapter) -> ResultTable:
+    """The errors of every step, as `SearchPath` prints them."""
+    of = chapter.data["steps"]
+    complete = {m["step"]: m["nothing_missing_probability"] for m in chapter.data["missing"]}
+    rows = [
+        {
+            **step,
+            "number": i,
+            "rises": i > 0 and rises(step["holdout_rmse"], of[i - 1]["holdout_rmse"]),
+            "nothing_missing": complete.get(i),
+        }
+        for i, step in enumerate(of)
+    ]
+    return next(part for part in steps_parts(rows) if isinstance(part, ResultTable))
+
+
+def convergence(chapter: Chapter) -> ResultTable:
+    """How each fit ended."""
+
+    def of(key: str) -> Callable[[Any], Any]:
+        return lambda row: row[1]["verdict"][key]
+
+    columns = (
+        TableColumn("step", lambda row: f"{row[0]} {row[1]['title']}"),
+        TableColumn("converged", of("ok"), lambda ok: "yes" if ok else "no", left=True),
+        TableColumn("sampler", of("sampler"), left=True),
+        TableColumn("Pareto k̂", of("pareto_k"), number),
+        TableColumn("ESS", of("ess"), lambda v: number(v, 4)),
+        TableColumn("R-hat", of("r_hat"), lambda v: number(v, 4)),
+        TableColumn("divergences", of("divergences"), lambda v: "–" if v is None else str(v)),
+    )
+    return ResultTable(columns, [*enumerate(chapter.data["steps"])])
+
+
+def decided(found: Decisions) -> ResultTable:
+    """Decisions about limits, with why, and when to calibrate again."""
+    why = TableColumn("why; next calibration", lambda d: f"{d.why}; {d.recalibration}")
+    return replace(found.table(), columns=(*found.table().columns, why), fold=1)
 
 
 def skewed(chapter: Chapter) -> list[str]:
@@ -151,23 +222,21 @@ def skewed(chapter: Chapter) -> list[str]:
     return found
 
 
-def effects(chapter: Chapter) -> list[dict[str, Any]]:
+def effects(chapter: Chapter) -> ResultTable:
     """Each effect of the model: equation, unknowns with their priors, source, the step that brought it."""
     since = {}
     for i, step in enumerate(chapter.data["steps"]):
         for name in step["effects"]:
             since.setdefault(name, i)
-    return [
-        {
-            "name": e.name,
-            "slot": e.slot,
-            "equation": e.equation or "–",
-            "unknowns": _unknowns(e),
-            "source": e.source,
-            "since": _since(since.get(e.name)),
-        }
-        for e in chapter.used.model.effects
-    ]
+    columns = (
+        TableColumn("effect", lambda e: e.name),
+        TableColumn("slot", lambda e: e.slot, left=True),
+        TableColumn("equation", lambda e: e.equation or "–", left=True),
+        TableColumn("unknowns and their priors", lambda e: "\n".join(_unknowns(e)), left=True),
+        TableColumn("since", lambda e: _since(since.get(e.name)), left=True),
+        TableColumn("source", lambda e: e.source, left=True),
+    )
+    return ResultTable(columns, chapter.used.model.effects)
 
 
 def _since(step: int | None) -> str:
@@ -207,17 +276,16 @@ def _prior(prior: Any) -> str:
     return words.get(type(prior), repr)(prior)
 
 
-def matrix(chapter: Chapter) -> list[tuple[str, str, str, str]]:
-    """Of three axes, terms of the correction at T0 and by temperature: name, power of T − T0, value ± u, unit."""
+def matrix(chapter: Chapter) -> ResultTable | None:
+    """Of three axes, terms of the correction at T0 and by temperature, each ± u; None of one output."""
     found = chapter.data.get("vector")
     if found and "terms" in (averaged := found.get("averaged") or {}):
         found = averaged
     if not found or "terms" not in found:
-        return []
-    return [
-        (row.name, str(row.power), with_error(row.value, row.uncertainty), unit_label(row.unit))
-        for row in term_rows(found["terms"], found["uncertainty"], found["unit"], found["beside"])
-    ]
+        return None
+    return terms_table(
+        term_rows(found["terms"], found["uncertainty"], found["unit"], found["beside"])
+    )
 
 
 def output_factor(unit: str, of: str, scale: NominalScale | None) -> float:
@@ -248,11 +316,8 @@ def exchanged(whole: str, of: str, unit: str) -> str | None:
     return unit + rest if whole.startswith(of) and rest[:1] in ("", "/", "*") else None
 
 
-def rows_in_output_unit(chapter: Chapter, unit: str) -> list[list[str]]:
-    """The errors of every step, and the coefficients that are in the output's unit or per something, as cells.
-
-    Returns:
-        Name, value with its standard uncertainty, unit.
+def in_output_unit(chapter: Chapter, unit: str) -> ResultTable:
+    """The errors of every step, and the coefficients that are in the output's unit or per something.
 
     Raises:
         InputError: the output is in no such unit.
@@ -269,7 +334,7 @@ def rows_in_output_unit(chapter: Chapter, unit: str) -> list[list[str]]:
         if (shown := exchanged(one["unit"], c.unit, unit)) is not None:
             value = with_error(one["mean"] * factor, one["sd"] * factor)
             rows.append([one["name"], value, unit_label(shown)])
-    return rows
+    return plain_table(["quantity", "value", "unit"], rows, fold=40)
 
 
 NAMED = 4  # effects of the first model that are named

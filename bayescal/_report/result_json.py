@@ -8,7 +8,6 @@ from __future__ import annotations
 import importlib
 import math
 import platform
-from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from itertools import chain
@@ -30,7 +29,6 @@ from bayescal._data.measurements import Measurements
 from bayescal._model.frame import GROUPS
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
-from bayescal._model.unknown_effect import covariate_in
 from bayescal._report.whole_folder import files_of
 from bayescal._search.discover import Discovery
 from bayescal._search.next_experiment import NextExperiment
@@ -69,7 +67,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
         row["averaged"] = known.get(row["name"])
     found: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "allan", "missing")}
     for i, step in enumerate(trail.steps):
-        found["check"] += check_data(step.check, i)
+        found["check"] += [{"step": i, **row} for row in step.check.data()]
         found["pairs"] += [{"step": i, **as_json(pair)} for pair in step.check.pairs]
         if step.check.allan is not None:
             found["allan"].append({"step": i, **step.check.allan.data()})
@@ -217,26 +215,6 @@ def step_data(step: Step) -> dict[str, Any]:
     }
 
 
-def check_data(check: Check, step: int) -> list[dict[str, Any]]:
-    return [
-        {
-            "step": step,
-            "against": e.against,
-            "log_bayes_factor": e.log_bayes_factor,
-            "worst": {
-                "from": e.worst.low,
-                "to": e.worst.high,
-                "group": e.worst.group,
-                "size": e.worst.size,
-                "unit": check.unit,
-                "z": e.worst.z,
-                "covariate_unit": e.worst.covariate_unit,
-            },
-        }
-        for e in check.entries
-    ]
-
-
 def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
     return {
         "step": step,
@@ -259,11 +237,6 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
             if e.log_bayes_factor > 0
         ],
     }
-
-
-def is_quiet(c: Mapping[str, Any]) -> bool:
-    """An unknown dependence without evidence gets no bar, and no line."""
-    return covariate_in(c["effect"]) is not None and c["kind"] in (None, "not visible")
 
 
 def experiment_data(found: NextExperiment) -> dict[str, Any]:

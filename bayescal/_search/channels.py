@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayescal._core.formatting import Printed, number, probability, table, with_error
+from bayescal._core.formatting import number, probability, with_error
+from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._search.search_path import SearchPath
@@ -49,17 +50,16 @@ class Channels(Printed):
         models = (t.final.calibration.model for t in self.trails.values())
         return tuple(dict.fromkeys(n for model in models for n in model.names))
 
-    def __str__(self) -> str:
+    def _parts(self) -> list[str | ResultTable]:
         noise = ["noise", *(t.final.calibration.model.noise.law for t in self.trails.values())]
         rows = [*self._errors(), *map(self._effect, self.effects), noise]
-        parts = [table(["", *self.trails], rows)]
+        parts: list[str | ResultTable] = [plain_table(["", *self.trails], rows)]
         parts += [_shared_text(s) for s in self.shared if s.probability > 0.5]
         # Of a search that ended early; one that could not begin is not reliable, which is said.
         searches = {n: t.search for n, t in self.trails.items() if t.search is not None}
         parts += [f"{n}: {s.stopped}" for n, s in searches.items() if not s.complete]
         against = {n: t.gate.reason for n, t in self.trails.items() if not t.ok}
-        parts += [f"{n}: result not reliable: {why}" for n, why in against.items()]
-        return "\n".join(parts)
+        return [*parts, *(f"{n}: result not reliable: {why}" for n, why in against.items())]
 
     def _brief(self) -> str:
         return f"{', '.join(self.trails)}; effects {', '.join(self.effects) or 'none'}"

@@ -20,8 +20,9 @@ from bayescal._calibration.fit import fit
 from bayescal._calibration.guards import off_scale
 from bayescal._calibration.summary import null_directions
 from bayescal._core.errors import BayescalError, ModelError
-from bayescal._core.formatting import Printed, number, table, with_error
+from bayescal._core.formatting import number, with_error
 from bayescal._core.progress import stage
+from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.column import Column
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, coefficient_factor, same_dimension, unit_label
@@ -95,19 +96,21 @@ class InstrumentCheck(Printed):
         """Whether nothing is wrong."""
         return not self.errors
 
-    def __str__(self) -> str:
+    def _parts(self) -> list[str | ResultTable]:
         unit = unit_label(self.unit)
-        most = f"adds at most [{unit or 1}]"
-        head = ["unknown", most, "simulated", "came back", "unit", "remark"]
-        cells = []
-        for r in self.rows:
-            back = "–" if r.mean is None else with_error(r.mean, r.sd or 0.0)
-            sizes = number(r.adds), number(r.truth), back
-            cells.append([r.name, *sizes, unit_label(r.unit), r.remark])
+        columns = (
+            TableColumn("unknown", "name"),
+            TableColumn("adds at most", "adds", number, unit or "1"),
+            TableColumn("simulated", "truth", number),
+            TableColumn("came back", lambda r: (r["mean"], r["sd"]), _came_back),
+            TableColumn("unit", "unit", unit_label),
+            TableColumn("remark", "remark"),
+        )
+        shown = [ResultTable(columns, [vars(r) for r in self.rows], fold=24)] if self.rows else []
         said = [f"error: {e}" for e in self.errors] + [f"note: {n}" for n in self.notes]
         many = f"{len(self.errors)} error(s)" if self.errors else "no error"
         end = f"{self.instrument}, with noise of {number(self.noise)} {unit}".rstrip() + f": {many}"
-        return "\n".join([*([table(head, cells, fold=24)] if cells else []), *said, end])
+        return [*shown, *said, end]
 
     def _brief(self) -> str:
         return f"{self.instrument}: {len(self.rows)} unknowns, {len(self.errors)} errors"
@@ -119,6 +122,11 @@ class InstrumentCheck(Printed):
     def data(self) -> dict[str, Any]:
         """As JSON."""
         return {**vars(self), "rows": [vars(row) for row in self.rows], "ok": self.ok}
+
+
+def _came_back(found: tuple[float | None, float | None]) -> str:
+    mean, sd = found
+    return "–" if mean is None else with_error(mean, sd or 0.0)
 
 
 def check_instrument(

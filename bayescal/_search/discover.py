@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import textwrap
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,8 +15,9 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.sensor_noise import SHOWN_PROBABILITY
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, TimeIsUp
-from bayescal._core.formatting import WIDTH, Printed, number, probability, table, with_error
+from bayescal._core.formatting import WIDTH, number, probability, with_error
 from bayescal._core.progress import stage
+from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import amplitudes, sized
@@ -27,7 +28,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
-from bayescal._model.unknown_effect import FORMS, FREED, IN_TIME
+from bayescal._model.unknown_effect import FORMS, FREED, IN_TIME, covariate_in
 from bayescal._search.candidate import (
     Candidate,
     alike,
@@ -120,22 +121,19 @@ class Discovery(Printed):
         found = [n.probability for n in self.noise if Noise.correlates(n.law)]
         return sum(found) if found else None
 
-    def __str__(self) -> str:
+    def _parts(self) -> list[str | ResultTable]:
         """What is missing, and every candidate, the most probable first."""
-        lines = _findings(self)
+        lines: list[str | ResultTable] = [*_findings(self)]
         if self.noise:
             shown = [n for n in self.noise if n.probability >= SHOWN_PROBABILITY]
             lines.append(_folded(f"noise law (probability): {', '.join(map(str, shown))}"))
         lines += [self.stopped, *(textwrap.fill(f"unit? {w}", WIDTH) for w in self.off_scale)]
-        tested = [c for c in self.candidates if c.kind != "not testable"]
-        # An unknown dependence without evidence is not printed.
-        tested = [c for c in tested if not (c.unknown and c.kind in (None, "not visible"))]
-        head = ["candidate", "probability", "log BF", "expected size", "detectable", "remark"]
-        lines.append(table(head, [_candidate_row(c) for c in tested], fold=29) if tested else "")
-        if any(c.source == "refit" for c in tested):
+        shown = candidates_table([vars(c) for c in self.candidates])
+        lines += [shown] if shown.rows else []
+        if any(c["source"] == "refit" for c in shown.rows):
             lines.append("* log Bayes factor by refit; the others by score")
-        lines += _alike(self) + _not_testable(self)
-        return "\n".join(line for line in lines if line)
+        lines += [*_alike(self), *_not_testable(self)]
+        return [line for line in lines if line]
 
     def _brief(self) -> str:
         return "; ".join(_findings(self))
@@ -413,17 +411,40 @@ def _findings(found: Discovery) -> list[str]:
     return lines
 
 
-def _candidate_row(c: Candidate) -> list[str]:
-    remark = "not detectable in this experiment" if c.kind == "not visible" else c.kind or ""
-    factor = "–" if c.log_bayes_factor is None else f"{c.log_bayes_factor:z.1f}"
-    return [
-        c.effect,
-        probability(c.probability),
-        factor + ("*" if c.source == "refit" else " "),
-        f"{with_error(c.size or 0.0, c.size_sd or 0.0)} {unit_label(c.unit)}".rstrip(),
-        number(c.minimum_detectable, 2),
-        remark,
-    ]
+def candidates_table(candidates: Sequence[Mapping[str, Any]]) -> ResultTable:
+    """Candidates that the readings can test, as they stand in result.json; curves without evidence are left out."""
+
+    def factor(c: Mapping[str, Any]) -> str:
+        value = c["log_bayes_factor"]
+        shown = "–" if value is None else f"{value:z.1f}"
+        return shown + ("*" if c["source"] == "refit" else " ")
+
+    def size(c: Mapping[str, Any]) -> str:
+        return (
+            f"{with_error(c['size'] or 0.0, c['size_sd'] or 0.0)} {unit_label(c['unit'])}".rstrip()
+        )
+
+    columns = (
+        TableColumn("candidate", "effect"),
+        TableColumn("probability", "probability", probability),
+        TableColumn("log BF", factor),
+        TableColumn("expected size", size),
+        TableColumn("detectable", "minimum_detectable", lambda v: number(v, 2)),
+        TableColumn(
+            "remark",
+            "kind",
+            lambda kind: (
+                "not detectable in this experiment" if kind == "not visible" else kind or ""
+            ),
+        ),
+    )
+    tested = [c for c in candidates if c["kind"] != "not testable" and not is_quiet(c)]
+    return ResultTable(columns, tested, fold=29)
+
+
+def is_quiet(c: Mapping[str, Any]) -> bool:
+    """Whether a candidate is an unknown dependence without evidence, which gets no line and no bar."""
+    return covariate_in(c["effect"]) is not None and c["kind"] in (None, "not visible")
 
 
 def _folded(line: str) -> str:

@@ -18,9 +18,9 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import fit
 from bayescal._core.errors import ModelError
-from bayescal._core.formatting import table
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
+from bayescal._core.result_table import ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._inference.joint import expected, expected_with_slopes
 from bayescal._inference.least_squares import LeastSquares
@@ -54,7 +54,12 @@ class Experiment:
     @property
     def worst(self) -> float:
         """The least expected log Bayes factor of a truth against a rival: what it is ranked by."""
-        return min(self.expected.values())
+        return self.expected[self.hardest]
+
+    @property
+    def hardest(self) -> tuple[str, str]:
+        """The truth and the rival of which that is."""
+        return min(self.expected, key=lambda pair: self.expected[pair])
 
 
 @dataclass(frozen=True)
@@ -71,13 +76,14 @@ class NextExperiment:
 
     def __str__(self) -> str:
         """Feasible experiments, the most telling first."""
-        rows = []
-        for e in self.experiments:
-            (truth, rival), least = min(e.expected.items(), key=lambda item: item[1])
-            rows.append([e.name, f"{least:.1f}", f"{truth} against {rival}"])
+        columns = (
+            TableColumn("experiment", lambda e: e.name),
+            TableColumn("log Bayes factor", lambda e: e.worst, "{:.1f}".format),
+            TableColumn("least expected for", lambda e: " against ".join(e.hardest)),
+        )
         lines = [
             f"to tell apart: {', '.join(self.members)}",
-            table(["experiment", "log Bayes factor", "least expected for"], rows, fold=25),
+            str(ResultTable(columns, self.experiments, fold=25)),
         ]
         if self.experiments[0].worst < VERY_STRONG_NATS:
             lines.append(

@@ -18,8 +18,9 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.prior_influence import not_measured
 from bayescal._core.errors import InputError, ModelError
-from bayescal._core.formatting import number, table
+from bayescal._core.formatting import number
 from bayescal._core.progress import stage
+from bayescal._core.result_table import plain_table
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
@@ -111,7 +112,7 @@ class ReadingPlan:
         if np.isfinite(self.tolerance):
             lines[0] += f", {self.u / self.tolerance:.2g} of the tolerance"
         lines += [f"Note: {note}." for note in self.notes]
-        lines.append(table(head, rows, fold=30))
+        lines.append(str(plain_table(head, rows, fold=30)))
         if self.enough:
             lines.append(
                 f"Enough: none of these is expected to take off {100 * WORTH_SHARE:.0f} %."
@@ -130,7 +131,7 @@ class ReadingPlan:
                 f"{len(self.picked)} of the {len(best.readings)} readings of {best.name!r} give "
                 f"{100 * share:.0f} % of that:"
             )
-            lines.append(table([*head, _with_unit("u with it", unit)], rows))
+            lines.append(str(plain_table([*head, _with_unit("u with it", unit)], rows)))
         return "\n".join(lines)
 
     def data(self) -> dict[str, object]:

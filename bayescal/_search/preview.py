@@ -16,7 +16,8 @@ from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import ModelError
-from bayescal._core.formatting import Printed, number, with_error
+from bayescal._core.formatting import number, with_error
+from bayescal._core.result_table import Printed
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
@@ -59,15 +60,15 @@ class Preview(Printed):
     unit: str = ""
     shape: dict[str, float] = field(default_factory=dict)
 
-    def __str__(self) -> str:
+    def _parts(self) -> list[str]:
         unit = unit_label(self.output_unit)
         error = f"{number(self.rms_before)} to {number(self.rms)} {unit} rms"
         factor = self.log_bayes_factor
         evidence = "" if factor is None else f", log Bayes factor {factor:z.1f}"
         if self.size is None or self.size_sd is None:
-            return f"residuals from {error}{evidence}"
+            return [f"residuals from {error}{evidence}"]
         size = f"{with_error(self.size, self.size_sd)} {unit_label(self.unit)}".rstrip()
-        return f"{self.effect} would be {size}: residuals from {error}{evidence}"
+        return [f"{self.effect} would be {size}: residuals from {error}{evidence}"]
 
     def _brief(self) -> str:
         return str(self)

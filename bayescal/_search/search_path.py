@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -14,7 +14,8 @@ from bayescal._calibration.check_result import Check
 from bayescal._calibration.guards import doubts_of_the_mode
 from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
-from bayescal._core.formatting import Printed, number, probability, table
+from bayescal._core.formatting import number, probability
+from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
@@ -90,8 +91,17 @@ class Step:
 
     def raises_holdout(self, before: Step) -> bool:
         """Whether its hold-out error is more than a twentieth above that of the step before."""
-        now, then = self.holdout_rmse, before.holdout_rmse
-        return now is not None and then is not None and now > WORSE_RATIO * then
+        return rises(self.holdout_rmse, before.holdout_rmse)
+
+    def row(self, before: Step | None) -> dict[str, Any]:
+        """What a table of steps has of it: its errors, whether the one held out rises, evidence, P(complete)."""
+        evidence, found = self.calibration.log_evidence, self.discovery
+        return {
+            **self.errors(),
+            "rises": before is not None and self.raises_holdout(before),
+            "log_evidence": evidence and {"value": evidence[0], "se": evidence[1]},
+            "nothing_missing": found and found.nothing_missing,
+        }
 
     def errors(self) -> dict[str, Any]:
         """Title and errors as plain data, output unit: what result.json says of them, and what pictures show."""
@@ -192,37 +202,21 @@ class SearchPath(Printed):
         def save(self, folder: Path) -> None:
             """Write result.json, calibration.nc (of the last step) and loop.png; `save_search` attaches it."""
 
-    def __str__(self) -> str:
+    def _parts(self) -> list[str | ResultTable]:
         """The error, step by step: as fitted, of a new run, held out, and the floor."""
-        unit, columns = unit_label(self.final.calibration.unit), self._columns()
-        rises = [False, *(a.raises_holdout(b) for b, a in pairwise(self.steps))]
-        group = next((s.left_out.group for s in self.steps if s.left_out), "group")
-        cells = {
-            "step": [f"{i} {title}" for i, title in enumerate(columns["step"])],
-            f"as fitted [{unit}]": map(number, columns["as fitted"]),
-            "new run": map(number, columns["new run"]),
-            scheme(group): map(number, columns["left-out"]),
-            "held-out": [
-                f"{number(error)}{RISES * up}"
-                for error, up in zip(columns["held-out"], rises, strict=True)
-            ],
-            "floor": map(number, columns["floor"]),
-            "log evidence": ["–" if e is None else f"{e:z.1f}" for e in columns["log evidence"]],
-            "P(complete)": map(probability, columns["nothing missing"]),
-        }
-        if self.holdout is None:
-            del cells["held-out"]
-        note = (
-            f"\n{RISES.strip()} held-out error more than a twentieth above that of the step before"
-        )
-        rows = [list(row) for row in zip(*cells.values(), strict=True)]
-        lines = [table(list(cells), rows) + (note if any(rises) else "")]
+        lines = steps_parts(self.rows)
         found = [n for n, p in self.added.items() if p is not None]
         sure = [n for n in found if (self.added[n] or 0.0) >= settings().found_probability]
         likely = [f"{n} ({probability(self.added[n])})" for n in found if n not in sure]
         lines += [f"found: {', '.join(sure)}"] if sure else []
         lines += [f"more probable than not: {', '.join(likely)}"] if likely else []
-        return "\n".join(lines)
+        return lines
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """Each step as plain data: its errors, log evidence, and the probability that its model is complete."""
+        own = [step.row(before) for before, step in pairwise([None, *self.steps])]
+        return [{"number": i, **row} for i, row in enumerate(own)]
 
     @property
     def added(self) -> dict[str, float | None]:
@@ -239,23 +233,45 @@ class SearchPath(Printed):
         errors = f"error as fitted {number(first)} → {number(last)} {unit}"
         return f"{', '.join(s.title for s in self.steps)}; {errors}"
 
-    def _columns(self) -> dict[str, list[Any]]:
-        """A row for each step; errors in the output's unit, rms."""
-        steps = self.steps
-        evidence = [s.calibration.log_evidence for s in steps]
-        return {
-            "step": [s.title for s in steps],
-            "as fitted": [s.rmse_fitted for s in steps],
-            "new run": [s.rmse for s in steps],
-            "left-out": [s.left_out.rmse if s.left_out else None for s in steps],
-            "held-out": [s.holdout_rmse for s in steps],
-            "floor": [s.noise_floor for s in steps],
-            "unit": [s.calibration.unit for s in steps],
-            "log evidence": [e[0] if e else None for e in evidence],
-            "nothing missing": [
-                s.discovery.nothing_missing if s.discovery else None for s in steps
-            ],
-        }
+
+def rises(now: float | None, then: float | None) -> bool:
+    """Whether a hold-out error is more than a twentieth above another."""
+    return now is not None and then is not None and now > WORSE_RATIO * then
+
+
+def steps_parts(rows: Sequence[Mapping[str, Any]]) -> list[str | ResultTable]:
+    """Errors of steps, and what a mark beside one means; of `Step.row` or the steps of a result.json."""
+    unit = unit_label(rows[-1]["unit"])
+    group = next((r["leave_one_group_out"]["group"] for r in rows if r["leave_one_group_out"]), "")
+
+    def held_out(row: Mapping[str, Any]) -> str:
+        return f"{number(row['holdout_rmse'])}{RISES * row['rises']}"
+
+    apart = [TableColumn("held-out", held_out, name="")]
+    columns = (
+        TableColumn("step", lambda r: r["title"], None),
+        TableColumn("step", lambda r: f"{r['number']} {r['title']}", name=""),
+        TableColumn("as fitted", "rmse_fitted", number, unit),
+        TableColumn("new run", "rmse", number),
+        TableColumn(
+            scheme(group or "group"),
+            lambda r: out["rmse"] if (out := r["leave_one_group_out"]) else None,
+            number,
+            name="left-out",
+        ),
+        *(apart if any(r["holdout_rmse"] is not None for r in rows) else []),
+        TableColumn("held-out", "holdout_rmse", None),
+        TableColumn("floor", "noise_floor", number),
+        TableColumn("unit", "unit", None),
+        TableColumn(
+            "log evidence",
+            lambda r: e["value"] if (e := r["log_evidence"]) else None,
+            lambda v: "–" if v is None else f"{v:z.1f}",
+        ),
+        TableColumn("P(complete)", "nothing_missing", probability, name="nothing missing"),
+    )
+    note = f"{RISES.strip()} held-out error more than a twentieth above that of the step before"
+    return [ResultTable(columns, rows), *[note] * any(r["rises"] for r in rows)]
 
 
 def _nearest(best: Candidate, added: int) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.summary import null_vectors, untold
-from bayescal._core.formatting import Printed
+from bayescal._core.result_table import Printed
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, AXES, DIRECTION, RATE, TURNED, magnitude
 from bayescal._inference.assembly import Assembly
@@ -84,16 +84,16 @@ class Undetermined(Printed):
     add: tuple[AddedPose, ...] = ()
     left: int = 0
 
-    def __str__(self) -> str:
+    def _parts(self) -> list[str]:
         if not self.combinations:
-            return f"{self.readings} readings determine every coefficient."
+            return [f"{self.readings} readings determine every coefficient."]
         lines = [f"{self.readings} readings do not determine:"]
         lines += [f"  {words}" for words in self.combinations]
         if self.add:
             lines += ["Add one each:", *(f"  {pose}" for pose in self.add)]
         if self.left:
             lines.append(f"{self.left} combination(s) are determined by no further pose.")
-        return "\n".join(lines)
+        return lines
 
     def _brief(self) -> str:
         return f"{len(self.combinations)} combinations not determined, {len(self.add)} poses to add"

@@ -27,7 +27,8 @@ from bayescal._calibration.prior_influence import (
 )
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH, number, table, with_error
+from bayescal._core.formatting import WIDTH, number, with_error
+from bayescal._core.result_table import ResultTable, TableColumn
 from bayescal._data.unit_conversion import (
     coefficient_factor,
     convert,
@@ -74,12 +75,6 @@ class Contribution:
     sensitivity: float
     contribution: float
     share: float
-
-    def cells(self) -> list[str]:
-        """Name, estimate, sensitivity, contribution and share as people read them."""
-        estimate = f"{with_error(self.value, self.uncertainty)} {unit_label(self.unit)}".strip()
-        parts = number(self.sensitivity), number(self.contribution)
-        return [self.name, estimate, *parts, f"{100 * self.share:z.1f} %"]
 
 
 @dataclass(frozen=True)
@@ -169,33 +164,53 @@ class Budget:
     def __str__(self) -> str:
         return budget_text(self.shown())
 
+    @property
+    def place(self) -> str:
+        """The operating point, in words."""
+        at = self.at.items()
+        return ", ".join(
+            f"{n} = {number(v, 4)} {unit_label(self.at_units[n])}".strip() for n, v in at
+        )
+
+    def tables(self) -> tuple[ResultTable, ResultTable]:
+        """By coefficient, and by where it comes from."""
+        tail = (
+            TableColumn(
+                f"contribution {unit_label(self.unit)}".strip(),
+                lambda one: number(one.contribution),
+            ),
+            TableColumn("share", lambda one: f"{100 * one.share:z.1f} %"),
+        )
+        by_coefficient = (
+            TableColumn("coefficient", lambda c: c.name),
+            TableColumn(
+                "estimate",
+                lambda c: f"{with_error(c.value, c.uncertainty)} {unit_label(c.unit)}".strip(),
+            ),
+            TableColumn("sensitivity", lambda c: number(c.sensitivity)),
+            *tail,
+        )
+        by_source = (
+            TableColumn("the same by where it comes from", lambda s: s.name),
+            TableColumn("type", lambda s: s.kind),
+            *tail,
+        )
+        return ResultTable(by_coefficient, self.coefficients), ResultTable(by_source, self.sources)
+
 
 def budget_text(found: Budget) -> str:
     """Both tables of an uncertainty budget; k and the kind of each interval said."""
     unit = unit_label(found.unit)
-    at = ", ".join(
-        f"{name} = {number(value, 4)} {unit_label(found.at_units[name])}".strip()
-        for name, value in found.at.items()
-    )
+    by_coefficient, by_source = found.tables()
     seen = [c for c in found.coefficients if abs(c.share) >= SMALL]
     left = len(found.coefficients) - len(seen)
     hidden = f" {left} coefficients below {SMALL:.2%} are not shown." if left else ""
-    tail = [f"contribution {unit}".strip(), "share"]
     parts = [
-        f"Uncertainty budget of {found.stimulus} at {at}",
-        table(
-            ["coefficient", "estimate", "sensitivity", *tail],
-            [c.cells() for c in seen],
-        ),
+        f"Uncertainty budget of {found.stimulus} at {found.place}",
+        str(replace(by_coefficient, rows=seen)),
         "Shares count correlations and add up to 100 %; a negative share reduces the variance."
         + hidden,
-        table(
-            ["the same by where it comes from", "type", *tail],
-            [
-                [s.name, s.kind, number(s.contribution), f"{100 * s.share:.1f} %"]
-                for s in found.sources
-            ],
-        ),
+        str(by_source),
         f"Combined standard uncertainty {number(found.uncertainty)} {unit}; with the noise of one reading "
         f"({number(found.noise)} {unit}): {number(found.expanded_reading / found.k)} {unit}.",
         f"Expanded uncertainty (k = {found.k:g}): {number(found.expanded)} {unit}; with the noise of one reading: "

@@ -36,7 +36,8 @@ from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.prior_influence import NotMeasured, not_measured
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH, Printed, number, table, with_error
+from bayescal._core.formatting import WIDTH, number, with_error
+from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.unknown_effect import covariate_in
@@ -311,46 +312,39 @@ class Decisions(Printed):
         said = ", ".join(f"{d.quantity} {d.decision}" for d in self.decisions)
         return f"{'conforms' if self.conforms else 'not shown to conform'}: {said}"
 
-    def _columns(self) -> dict[str, list[Any]]:
-        each = self.decisions
-        return {
-            "limit": [d.limit for d in each],
-            "estimate": [worst(d) for d in each],
-            "uncertainty": [d.uncertainty for d in each],
-            "unit": [d.unit for d in each],
-            "probability": [d.probability for d in each],
-            "decision": [d.decision for d in each],
-        }
+    def table(self) -> ResultTable:
+        """Each limit: estimate, probability of conformity, accepted estimates, decision."""
 
-    def __str__(self) -> str:
-        return _text(self)
+        def estimate(d: Decision) -> str:
+            return f"{with_error(worst(d), d.uncertainty)} {unit_label(d.unit)}".strip()
+
+        columns = (
+            TableColumn("limit", lambda d: d.limit),
+            TableColumn("estimate", estimate, name=""),
+            TableColumn("estimate", worst, None),
+            TableColumn("uncertainty", lambda d: d.uncertainty, None),
+            TableColumn("unit", lambda d: d.unit, None),
+            TableColumn("probability", lambda d: d.probability, None),
+            TableColumn(
+                "p(conforms)", lambda d: percent(d.probability, d.probability_error), name=""
+            ),
+            TableColumn("accepted from … to", _accepted, name=""),
+            TableColumn("decision", lambda d: d.decision),
+        )
+        return ResultTable(columns, self.decisions)
+
+    def _parts(self) -> list[str | ResultTable]:
+        said = ["\n".join(_fill(line) for line in statement_lines(d)) for d in self.decisions]
+        of_each = (note for d in self.decisions for note in (*d.recalibration.notes, *d.notes))
+        said += [_fill(note) for note in dict.fromkeys((*of_each, *self.notes))]
+        rule = _fill(f"Decision rule: {self.rule_in_words}.")
+        return [rule, "", self.table(), *(f"\n{one}" for one in said)]
 
 
 def worst(d: Decision) -> float:
     """The end of the estimate that is nearer to its limit."""
     low, high = d.estimate
     return high if d.tolerance.high - high <= low - d.tolerance.low else low
-
-
-def decision_cells(d: Decision) -> list[str]:
-    """Limit, estimate, probability of conformity, accepted estimates and decision, as people read them."""
-    return [
-        d.limit,
-        f"{with_error(worst(d), d.uncertainty)} {unit_label(d.unit)}".strip(),
-        percent(d.probability, d.probability_error),
-        _accepted(d),
-        d.decision,
-    ]
-
-
-def _text(found: Decisions) -> str:
-    rows = [decision_cells(d) for d in found.decisions]
-    head = ["limit", "estimate", "p(conforms)", "accepted from … to", "decision"]
-    parts = [_fill(f"Decision rule: {found.rule_in_words}."), table(head, rows)]
-    parts += ["\n".join(_fill(line) for line in statement_lines(d)) for d in found.decisions]
-    of_each = (note for d in found.decisions for note in (*d.recalibration.notes, *d.notes))
-    parts += [_fill(note) for note in dict.fromkeys((*of_each, *found.notes))]
-    return "\n\n".join(parts)
 
 
 def _fill(text: str) -> str:

@@ -42,8 +42,9 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import number, table
+from bayescal._core.formatting import number
 from bayescal._core.quoting import ascii_text, one_line
+from bayescal._core.result_table import plain_table
 from bayescal._core.version import __version__
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, convert, unit_label
 from bayescal._use.compensation_program import NOT_RELIABLE, STIMULUS, inputs_at_fit
@@ -362,8 +363,8 @@ class FirmwareParameters:
             ]
             for name, p in self.axes.items()
         ]
-        laid_out = table(list(map(spelled, head)), [list(map(spelled, row)) for row in rows])
-        return [*laid_out.splitlines(), *map(spelled, self.notes)]
+        laid_out = plain_table([*map(spelled, head)], [[*map(spelled, row)] for row in rows])
+        return [*str(laid_out).splitlines(), *map(spelled, self.notes)]
 
     def text(self) -> str:
         """The parameter file, ASCII."""

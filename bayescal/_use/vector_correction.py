@@ -45,7 +45,8 @@ from bayescal._calibration.description import identity
 from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import usual_columns, with_columns
 from bayescal._core.errors import InputError, ModelError
-from bayescal._core.formatting import number, table, with_error
+from bayescal._core.formatting import number, with_error
+from bayescal._core.result_table import ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, MAGNITUDE, TURNED, magnitude
 from bayescal._data.still_stretches import LoggedRun, in_common, logged_runs, per_sample
@@ -301,11 +302,7 @@ class VectorCorrection:
 
     def __str__(self) -> str:
         """Offset, matrix and what else there is, as exports have them."""
-        rows = [
-            [str(row), with_error(row.value, row.uncertainty), unit_label(row.unit)]
-            for row in self.rows
-        ]
-        return table(["correction", "value ± standard uncertainty", "unit"], rows)
+        return str(terms_table(self.rows))
 
     def __call__(
         self,
@@ -420,6 +417,16 @@ class TermRow(NamedTuple):
 
     def __str__(self) -> str:
         return self.name + ("", " by T − T0", " by (T − T0)²", " by (T − T0)³")[self.power]
+
+
+def terms_table(rows: Sequence[TermRow]) -> ResultTable:
+    """Terms of a correction with their standard uncertainties."""
+    columns = (
+        TableColumn("correction", str),
+        TableColumn("value ± standard uncertainty", lambda r: with_error(r.value, r.uncertainty)),
+        TableColumn("unit", lambda r: unit_label(r.unit)),
+    )
+    return ResultTable(columns, rows)
 
 
 def term_rows(

@@ -25,7 +25,8 @@ from bayescal._calibration.compare import compare
 from bayescal._calibration.summary import summary
 from bayescal._core import deadline
 from bayescal._core.errors import BayescalError, InputError, ModelError, NotDrawn
-from bayescal._core.formatting import WIDTH, number, table, with_error
+from bayescal._core.formatting import WIDTH, number, with_error
+from bayescal._core.result_table import plain_table
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import set_aside
 from bayescal._data.unit_conversion import unit_label
@@ -473,7 +474,7 @@ class Session:
         values = [{t["name"]: with_error(t["mean"], t["sd"]) for t in own} for own in told]
         units = {t["name"]: unit_label(t["unit"]) for own in told for t in own}
         rows = [[n, *(v.get(n, "–") for v in values), unit] for n, unit in units.items()]
-        return f"{compare(fits)}\n\n{table(['', *fits, 'unit'], rows)}"
+        return f"{compare(fits)}\n\n{plain_table(['', *fits, 'unit'], rows)}"
 
     def budget(self, at: Mapping[str, float]) -> Budget:
         """`bc.budget` of the current model."""

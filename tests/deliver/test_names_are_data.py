@@ -20,7 +20,6 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import bayescal as bc
-from bayescal._core.formatting import as_html, table
 from bayescal._core.quoting import (
     c_comment,
     csv_cell,
@@ -32,6 +31,7 @@ from bayescal._core.quoting import (
     python_words,
     xml_text,
 )
+from bayescal._core.result_table import as_html, plain_table
 from bayescal._use.code_writer import as_text, load_program
 from bayescal._use.compensation_program import from_data
 from bayescal_models import mems_gyro
@@ -306,7 +306,7 @@ def test_no_hostile_name_is_markup(name) -> None:
     seen = Seen(f'<p title="{html_text(name)}">{html_text(name)}</p>')
     assert seen.tags == ["p", "title"]
     assert seen.text == name
-    printed = as_html(lambda: table(["effect", "size"], [[name, "1"]]))
+    printed = as_html([plain_table(["effect", "size"], [[name, "1"]])])
     assert set(Seen(printed).tags) <= {
         *("table", "thead", "tbody", "tr", "th", "td", "p", "br", "style")
     }

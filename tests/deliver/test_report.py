@@ -145,7 +145,7 @@ def test_intervals_are_not_confused(pages) -> None:
     table = page.source.split(
         "Coefficients, between-group standard deviations, shapes, noise</caption>"
     )[1]
-    row = re.search(rf'<tr><th scope="row">{HIDDEN}</th>(.*?)</tr>', table)
+    row = re.search(rf'<tr><th scope="row" class="t">{HIDDEN}</th>(.*?)</tr>', table)
     assert row is not None
     _, value, u, k2, credible, _ = re.findall(r"<td[^>]*>(.*?)</td>", row[1])
     expanded = float(value.split(" ± ")[1])

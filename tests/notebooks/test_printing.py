@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 
 import bayescal as bc
-from bayescal._core.formatting import as_html, table
+from bayescal._core.result_table import as_html, plain_table
 from bayescal._data.column import Source
 from bayescal_models import still_sensor
 from bayescal_models.mems_gyro import INSTRUMENT, simulate
@@ -101,11 +101,9 @@ def test_names_of_files_models_and_effects_are_escaped(results) -> None:
 
 
 def test_a_table_in_html_has_its_cells_in_their_columns() -> None:
-    def said() -> str:
-        rows = [["a", "1", "a long reason that is folded " * 4], ["b", "−2.5", ""]]
-        return f"before\n{table(['name', 'ẋ', 'why'], rows, fold=20)}\nafter: this is no row"
-
-    found = as_html(said)
+    rows = [["a", "1", "a long reason that is folded " * 4], ["b", "−2.5", ""]]
+    shown = plain_table(["name", "ẋ", "why"], rows, fold=20)
+    found = as_html(["before", shown, "after: this is no row"])
     cells = re.findall(r"<td[^>]*>(.*?)</td>", found)
     assert [cells[0], cells[1], *cells[3:]] == ["a", "1", "b", "−2.5", ""]
     assert cells[2].split() == ("a long reason that is folded " * 4).split()

@@ -292,7 +292,7 @@ class ResidualsOfState:
         side = "positive" if worst.worst.size > 0 else "negative"
         return (
             f"{rms}Against {worst.against} they are systematically {side}: {worst.worst.size:+.3g} {self.unit} on "
-            f"average, {place_in_words(worst)} (z = {worst.worst.z:+.1f}; log Bayes factor "
+            f"average, {place_in_words(worst.data(self.check.unit))} (z = {worst.worst.z:+.1f}; log Bayes factor "
             f"{worst.log_bayes_factor:.1f})."
         ).replace("-", "−")
 

@@ -243,7 +243,7 @@ class AllanPane(Pane):
     def show(self, state: Any) -> None:
         found: AllanCheck | None = state.step.check.allan
         self.told.object = NONE if found is None else found.sentence()
-        self.terms.object = "" if found is None else found.table()
+        self.terms.object = "" if found is None else str(found.table())
         self.figures = [] if found is None else [allan_figure(found, self.bench.palette)]
         self.plot[:] = [plot(made) for made in self.figures]
 

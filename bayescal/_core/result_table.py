@@ -1,0 +1,210 @@
+"""A result as tables and lines, said once: its text, its HTML and its numbers are made of them here alone.
+
+A table is columns over rows of plain data, as they stand in a result's JSON, so that a result in memory and one that
+was read from a file are the same table on the screen, in a report and in the workbench.
+"""
+
+from __future__ import annotations
+
+import textwrap
+import unicodedata
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from bayescal._core.formatting import WIDTH
+from bayescal._core.quoting import html_text
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+BRIEF = 200  # characters of a `repr`
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """One column.
+
+    Attributes:
+        head: above it; its unit is said with it.
+        of: what a row has in it: a key of the row, or what takes it from the row.
+        show: that as people read it; None for what is only in the numbers, not printed.
+        unit: of all its values, as people read it; stands behind the head.
+        left: whether it is flush left; None: where it is the first.
+        name: of its numbers; that of `head` if None, and "" for what has none.
+    """
+
+    head: str
+    of: str | Callable[[Any], Any] = ""
+    show: Callable[[Any], str] | None = str
+    unit: str = ""
+    left: bool | None = None
+    name: str | None = None
+
+    def value(self, row: Any) -> Any:
+        """What a row has in it."""
+        return row[self.of or self.head] if isinstance(self.of, str) else self.of(row)
+
+    @property
+    def heading(self) -> str:
+        """What stands above it."""
+        return f"{self.head} [{self.unit}]" if self.unit else self.head
+
+
+@dataclass(frozen=True)
+class ResultTable:
+    """Columns over rows of plain data.
+
+    Attributes:
+        columns: what is shown of a row, in order; the first names the row.
+        rows: a mapping each.
+        fold: if not zero, the last column is flush left, and in text folded to this width or to what is left of the
+            page, whichever is more.
+    """
+
+    columns: tuple[TableColumn, ...]
+    rows: Sequence[Any]
+    fold: int = 0
+
+    @property
+    def shown(self) -> list[TableColumn]:
+        """The columns that are printed."""
+        return [c for c in self.columns if c.show is not None]
+
+    @property
+    def head(self) -> list[str]:
+        return [c.heading for c in self.shown]
+
+    @property
+    def cells(self) -> list[list[str]]:
+        """The rows as people read them; a line break in a cell stays one."""
+        return [[c.show(c.value(row)) for c in self.shown if c.show] for row in self.rows]
+
+    @property
+    def flush_left(self) -> list[bool]:
+        own = [i == 0 if c.left is None else c.left for i, c in enumerate(self.shown)]
+        return [*own[:-1], own[-1] or self.fold > 0]
+
+    def only(self, *heads: str) -> ResultTable:
+        """The same with these columns, in this order."""
+        known = {c.head: c for c in self.shown}
+        return replace(self, columns=tuple(known[head] for head in heads), fold=0)
+
+    def data(self) -> dict[str, list[Any]]:
+        """Its numbers in full: name of a column → one value a row."""
+        named = {c.head if c.name is None else c.name: c for c in self.columns}
+        return {
+            name: [column.value(row) for row in self.rows] for name, column in named.items() if name
+        }
+
+    def __str__(self) -> str:
+        """As text: columns under a ruled head."""
+        return _text(self.head, self.cells, self.flush_left, self.fold)
+
+    def html(self) -> str:
+        """As HTML, everything in it escaped."""
+
+        def row(cells: list[str], tag: str) -> str:
+            made = (
+                f'<{tag} style="text-align: {"left" if flush else "right"}">'
+                f"{html_text(cell).replace(chr(10), '<br>')}</{tag}>"
+                for cell, flush in zip(cells, self.flush_left, strict=True)
+            )
+            return f"<tr>{''.join(made)}</tr>"
+
+        body = "".join(row(cells, "td") for cells in self.cells)
+        return f"<table><thead>{row(self.head, 'th')}</thead><tbody>{body}</tbody></table>"
+
+
+def plain_table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1, fold: int = 0
+) -> ResultTable:
+    """A table of cells that are text already, of which so many columns are flush left."""
+    columns = (
+        TableColumn(name, lambda row, i=i: row[i], left=i < left) for i, name in enumerate(head)
+    )
+    return ResultTable(tuple(columns), [*rows], fold)
+
+
+def _text(head: list[str], rows: list[list[str]], flush_left: Sequence[bool], fold: int = 0) -> str:
+    widths = [
+        max(_width(t) for r in [head, *rows] for t in r[i].split("\n")) for i in range(len(head))
+    ]
+    if fold:
+        room = WIDTH - sum(widths[:-1]) - 2 * (len(head) - 1)
+        widths[-1] = min(widths[-1], max(room, fold))
+    indent = " " * (sum(widths[:-1]) + 2 * (len(widths) - 1))
+
+    def line(cells: list[str]) -> str:
+        *most, last = cells
+        folded = [t for part in last.split("\n") for t in _folded(part, widths[-1] if fold else 0)]
+        parts = []
+        for cell, width, flush in zip([*most, folded[0]], widths, flush_left, strict=True):
+            space = " " * (width - _width(cell))
+            parts.append(cell + space if flush else space + cell)
+        return "\n".join(["  ".join(parts).rstrip(), *(indent + rest for rest in folded[1:])])
+
+    return "\n".join([line(head), "  ".join("─" * w for w in widths), *map(line, rows)])
+
+
+def _width(text: str) -> int:
+    """Columns that a text takes: the mark over a letter takes none."""
+    return sum(not unicodedata.combining(c) for c in text)
+
+
+def _folded(text: str, width: int) -> list[str]:
+    return [text] if _width(text) <= width or not width else textwrap.wrap(text, width)
+
+
+class Printed:
+    """A result that prints itself.
+
+    A class says `_brief`, what it is in a few words, and `_parts`, the lines and tables that it is printed as. Its
+    text, its HTML in a notebook and its numbers are made of these, so that all say the same.
+    """
+
+    def _brief(self) -> str:
+        raise NotImplementedError
+
+    def _parts(self) -> Sequence[str | ResultTable]:
+        raise NotImplementedError
+
+    def _columns(self) -> Mapping[str, Sequence[Any]]:
+        """The numbers behind its table: name → one value a row, the first naming the row."""
+        return next(part for part in self._parts() if isinstance(part, ResultTable)).data()
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self._parts()))
+
+    def __repr__(self) -> str:
+        said = textwrap.shorten(self._brief(), BRIEF, placeholder=" …")
+        return f"<{type(self).__name__}: {said}>"
+
+    def _repr_html_(self) -> str:
+        return as_html(self._parts())
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The table that is printed, its numbers in full: a `pandas.DataFrame`, its rows by name."""
+        import pandas as pd  # only where it is asked for
+
+        frame = pd.DataFrame(dict(self._columns()))
+        return frame.set_index(frame.columns[0])
+
+    def to_xarray(self) -> xr.Dataset:
+        """The same as an `xarray.Dataset` along the rows' names."""
+        return self.to_pandas().to_xarray()
+
+
+def as_html(parts: Sequence[str | ResultTable]) -> str:
+    """Lines and tables as HTML, everything in them escaped."""
+    made, lines = [], list[str]()
+    for part in [*parts, None]:
+        if isinstance(part, str):
+            lines.append(part)
+            continue
+        if text := "\n".join(lines).strip("\n"):
+            made.append(f"<p>{html_text(text).replace(chr(10), '<br>')}</p>")
+        made += [] if part is None else [part.html()]
+        lines = []
+    return "".join(made)
