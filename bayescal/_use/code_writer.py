@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -122,6 +122,11 @@ FILTERS = {"text": _text, "unit": _unit, "meaning": _meaning}
 
 
 FORMATS = {".json": "json", ".h": "c", ".py": "python", ".html": "html"}
+# Of a program by itself; C and Python (`LANGUAGES`) take the name of the sensor, and may go without uncertainty.
+TEXTS: dict[str, Callable[[CompensationProgram], str]] = {
+    "json": lambda program: json_text(program.data(), indent=1),
+    "html": page,
+}
 
 
 def sensor_name(given: str | None, instrument: str) -> str:
@@ -221,16 +226,16 @@ def as_text(
         InputError: another format, a name that is none in C, or a page or JSON without uncertainty.
     """
     if format not in FORMATS.values():
+        *others, last = FORMATS.values()
         raise InputError(
-            f"a compensator cannot be written as {format!r}: choose json, c, python or html (.json, .h, .py, .html)"
+            f"a compensator cannot be written as {format!r}: choose {', '.join(others)} or {last} "
+            f"({', '.join(FORMATS)})"
         )
     name = sensor_name(name, program.about.instrument)
     if not uncertainty:
         refuse_without_uncertainty(format)
-    if format == "json":
-        return json_text(program.data(), indent=1)
-    if format == "html":
-        return page(program)
+    if format in TEXTS:
+        return TEXTS[format](program)
     return _from_template(program, LANGUAGES[format], name, uncertainty)
 
 
