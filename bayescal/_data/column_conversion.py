@@ -25,7 +25,6 @@ from bayescal._data.header_matching import (
     channels_beside,
     output_name,
     plain,
-    unit_in,
     unit_of,
 )
 from bayescal._data.pose_rows import MAGNITUDE
@@ -36,6 +35,7 @@ from bayescal._data.unit_conversion import (
     parse,
     pretty,
     same_dimension,
+    unit_in,
 )
 from bayescal._tables.cells import EXAMPLE, Cells, date_text, from_first, unit_of_counts
 from bayescal._tables.raw_table import Header, Problem, Problems, Table, load_whole, option

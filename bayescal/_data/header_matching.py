@@ -27,10 +27,10 @@ from bayescal._data.column import TAKEN, UNCERTAINTY, Column, NominalScale
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.unit_conversion import (
     ANY,
-    BASE,
-    DERIVED,
+    KNOWN,
     SPELLINGS,
     STANDARD_GRAVITY,
+    WHERE_EXPECTED,
     alike,
     base_unit,
     convert,
@@ -38,6 +38,8 @@ from bayescal._data.unit_conversion import (
     parse,
     pretty,
     same_dimension,
+    spelled,
+    unit_in,
 )
 from bayescal._tables.cells import LATEST, ORDERS
 from bayescal._tables.raw_table import (
@@ -254,19 +256,6 @@ def unit_of(header: Header, ours: str, options: ReadOptions) -> str | None:
     return header.unit or None
 
 
-# Spellings that are one thing only where a quantity of this kind is expected.
-_SPELLINGS = {
-    "degC": ("C", "deg C", "degrees C", "deg. C", "celcius", "Cel", "°", "º", "deg", "degree", "degrees"),
-    "degF": ("F", "deg F", "degrees F", "fahrenheit"),
-    "deg/s": ("deg_s", "degs", "deg_sec", "deg_per_s", "deg_per_sec", "degps", "deg per s", "deg per sec"),
-    "deg/h": ("deg_h", "deg_hr", "deg_per_h", "deg_per_hr", "deg per h", "deg per hr"),
-    "rad/s": ("rad_s", "radps", "rads", "rad_sec", "rad_per_s", "rad_per_sec", "rad per s"),
-    "m/s^2": ("m_s2", "ms2", "mps2", "m_per_s2", "m_s_2", "mss", "m per s2", "m/s/s"),
-    "g": ("G", "gee", "gn"),
-    "ug": ("micro_g", "micro g"),
-    "arcsec": ("sec of arc", "asec"),
-    "s": ("s.", "sec.", "seconds"),
-}  # fmt: skip
 _WORDS = {  # may be others
     *("min", "day", "days", "bar", "rev", "count", "counts"),
     *("second", "minute", "hour", "degree"),
@@ -299,26 +288,6 @@ def readings_of(header: Header) -> tuple[Header, ...]:
     return tuple(found)
 
 
-def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
-    """A text as a unit of one of these kinds; None if it is none, or could be two.
-
-    Args:
-        text: as it stands in a header.
-        kinds: units whose dimension is expected; "any" expects none.
-    """
-    if _is(text, kinds):
-        return text
-    if ANY in kinds:
-        return None
-    lower, spellings = text.lower(), _SPELLINGS.items()
-    own = {u for u, texts in spellings if text in texts}
-    loose = {u for u, texts in spellings if len(text) > 1 and lower in map(str.lower, texts)}
-    folded = {u for u in (*BASE, *DERIVED) if u.lower() == lower}
-    tried = ({u for u in some if _is(u, kinds)} for some in (own or loose, folded, {lower}))
-    found = next((some for some in tried if some), set())
-    return found.pop() if len(found) == 1 else None
-
-
 def unit_behind(header: Header) -> Header | None:
     """The reading of a header that ends in a unit, whatever its quantity: in brackets, or of two letters behind _."""
     if header.unit:
@@ -339,7 +308,7 @@ def like_a_unit(header: Header) -> str | None:
     end = header.raw[-_LONGEST:]
     if found := next((f for p in _BRACKETS if (f := p.fullmatch(end))), None):
         return None if found[2].strip().isdigit() else found[2].strip()
-    known = {text for texts in _SPELLINGS.values() for text in texts if text.isascii()}
+    known = {text for texts in WHERE_EXPECTED.values() for text in texts if text.isascii()}
     for reading in readings_of(header):
         unit = reading.unit or ""
         near = get_close_matches(unit.lower(), _LONG_UNITS, 1, 0.8) if len(unit) > 3 else []
@@ -348,18 +317,7 @@ def like_a_unit(header: Header) -> str | None:
     return None
 
 
-_LONG_UNITS = [u.lower() for u in (*BASE, *DERIVED, *SPELLINGS) if len(u) > 3 and u not in _WORDS]
-
-
-def spelled(text: str) -> str | None:
-    """The one unit that a text is another spelling of, such as degC of C; None if there is none or several."""
-    found = [unit for unit, texts in _SPELLINGS.items() if text in texts]
-    return found[0] if len(found) == 1 else None
-
-
-def _is(unit: str, kinds: tuple[str, ...]) -> bool:
-    """Whether a text is a known unit of one of these kinds."""
-    return any(alike(unit, unit if kind == ANY else kind) for kind in kinds)
+_LONG_UNITS = [u.lower() for u in (*KNOWN, *SPELLINGS) if len(u) > 3 and u not in _WORDS]
 
 
 def plain(name: str) -> str:

@@ -2,7 +2,8 @@
 
 The units are our own: customary tables read g as gram and Hz as an angle rate, while here g is the local
 acceleration of gravity, angle and frequency are dimensions of their own, and dps is known. Base units are
-s, K (written degC where it is a difference), rad, µg of local g, V, Hz and m.
+s, K (written degC where it is a difference), rad, µg of local g, V, Hz and m. All that is known of a unit, its other
+spellings too, stands in its row of `REGISTRY`.
 
 A file's units become fixed ones when it is read: inside the library nothing is converted but coefficients, between the
 units that are declared for them, their slot and the columns that their basis takes.
@@ -19,6 +20,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,55 +30,96 @@ from bayescal._core.errors import InputError
 STANDARD_GRAVITY = 9.80665  # m/s²
 ANY = "any"  # in place of a unit: the column is kept in the fixed unit of whatever it is in
 
-BASE = {
-    "s": "time",
-    "K": "temperature",
-    "rad": "angle",
-    "ug": "acceleration in local g",
-    "V": "voltage",
-    "Hz": "frequency",
-    "m": "length",
-    "A": "current",
-    "ohm": "resistance",
-    "W": "power",
-    "Pa": "pressure",
-    "uT": "magnetic flux density",
-    "count": "count",
-}
+
+class Unit(NamedTuple):
+    """A row of the registry.
+
+    Attributes:
+        name: as the library writes it.
+        size: in its base; 0 for a product of units that only has other spellings.
+        base: a product of base units; empty for a plain number.
+        prefixes: of the SI, that it is known with too.
+        also: how else it is written anywhere, parted by spaces.
+        here: how else where a unit of its kind is expected, and nothing else can be meant; parted by commas.
+        shown: to people, where that is not its name.
+        zero: of a temperature scale, K.
+        kind: of a base unit, what it is a unit of.
+    """
+
+    name: str
+    size: float
+    base: str = ""
+    prefixes: str = ""
+    also: str = ""
+    here: str = ""
+    shown: str = ""
+    zero: float | None = None
+    kind: str = ""
+
+
 _DEGREE = math.pi / 180
-DERIVED = {
-    "ns": (1e-9, "s"), "us": (1e-6, "s"), "ms": (1e-3, "s"),
-    "min": (60.0, "s"), "h": (3600.0, "s"), "day": (86400.0, "s"),
-    "degC": (1.0, "K"), "delta_degC": (1.0, "K"), "mK": (1e-3, "K"),
-    "degF": (5 / 9, "K"), "delta_degF": (5 / 9, "K"),
-    "prad": (1e-12, "rad"), "nrad": (1e-9, "rad"), "urad": (1e-6, "rad"), "mrad": (1e-3, "rad"),
-    "deg": (_DEGREE, "rad"), "mdeg": (_DEGREE / 1000, "rad"), "arcmin": (_DEGREE / 60, "rad"),
-    "arcsec": (_DEGREE / 3600, "rad"), "mas": (_DEGREE / 3.6e6, "rad"), "rev": (2 * math.pi, "rad"),
-    "ng": (1e-3, "ug"), "mg": (1e3, "ug"), "g": (1e6, "ug"),
-    "nV": (1e-9, "V"), "uV": (1e-6, "V"), "mV": (1e-3, "V"), "kV": (1e3, "V"),
-    "mHz": (1e-3, "Hz"), "kHz": (1e3, "Hz"), "MHz": (1e6, "Hz"),
-    "Gal": (1e-2, "m/s**2"), "mGal": (1e-5, "m/s**2"), "uGal": (1e-8, "m/s**2"),
-    "nm": (1e-9, "m"), "um": (1e-6, "m"), "mm": (1e-3, "m"), "cm": (1e-2, "m"), "km": (1e3, "m"),
-    "kohm": (1e3, "ohm"), "Mohm": (1e6, "ohm"), "mW": (1e-3, "W"),
-    "uA": (1e-6, "A"), "mA": (1e-3, "A"),
-    "hPa": (1e2, "Pa"), "kPa": (1e3, "Pa"), "mbar": (1e2, "Pa"), "bar": (1e5, "Pa"),
-    "nT": (1e-3, "uT"), "mT": (1e3, "uT"), "gauss": (1e2, "uT"),
-    "mdps": (_DEGREE / 1000, "rad/s"),
-    "dps": (_DEGREE, "rad/s"), "dph": (_DEGREE / 3600, "rad/s"), "rpm": (math.pi / 30, "rad/s"),
-    "percent": (1e-2, ""), "ppm": (1e-6, ""), "ppb": (1e-9, ""),
-}  # fmt: skip
-SPELLINGS = {
-    "sec": "s", "second": "s", "seconds": "s", "minute": "min", "minutes": "min",
-    "hr": "h", "hour": "h", "hours": "h", "days": "day", "kelvin": "K", "celsius": "degC",
-    "radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg",
-    "arcseconds": "arcsec", "arcsecond": "arcsec", "arcminutes": "arcmin", "gal": "Gal", "mgal": "mGal",
-    "msec": "ms", "usec": "us",
-    "VDC": "V", "Vdc": "V", "VAC": "V", "mVDC": "mV", "uVDC": "uV", "ohms": "ohm", "kohms": "kohm", "Ohm": "ohm",
-    "kOhm": "kohm", "Ohms": "ohm", "OHM": "ohm", "Volt": "V", "Volts": "V", "VOLT": "V", "Celsius": "degC",
-    "DegC": "degC", "DEGC": "degC", "Degrees": "deg", "Seconds": "s", "Sec": "s", "Kelvin": "K",
-    "volt": "V", "volts": "V", "hertz": "Hz", "counts": "count", "LSB": "count", "lsb": "count",
-}  # fmt: skip
-_OFFSETS = {"degC": 273.15, "K": 0.0, "degF": 459.67 * 5 / 9}  # K at the unit's zero
+_PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "h": 1e2, "k": 1e3, "M": 1e6}
+REGISTRY = (
+    Unit("s", 1, "s", "n", "sec second seconds Sec Seconds", "s., sec., seconds", kind="time"),
+    Unit("ms", 1e-3, "s", also="msec"),
+    Unit("us", 1e-6, "s", also="usec"),
+    Unit("min", 60, "s", also="minute minutes"),
+    Unit("h", 3600, "s", also="hr hour hours"),
+    Unit("day", 86400, "s", also="days"),
+    Unit("K", 1, "K", "m", "kelvin Kelvin", zero=0.0, kind="temperature"),
+    Unit("degC", 1, "K", "", "celsius Celsius DegC DEGC",
+         "C, deg C, degrees C, deg. C, celcius, Cel, °, º, deg, degree, degrees", "°C", 273.15),
+    Unit("delta_degC", 1, "K", shown="°C"),
+    Unit("degF", 5 / 9, "K", "", "", "F, deg F, degrees F, fahrenheit", "°F", 459.67 * 5 / 9),
+    Unit("delta_degF", 5 / 9, "K", shown="°F"),
+    Unit("rad", 1, "rad", "pnum", "radian radians", kind="angle"),
+    Unit("deg", _DEGREE, "rad", "m", "degree degrees Degrees", shown="°"),
+    Unit("arcmin", _DEGREE / 60, "rad", also="arcminutes"),
+    Unit("arcsec", _DEGREE / 3600, "rad", "", "arcsecond arcseconds", "sec of arc, asec"),
+    Unit("mas", _DEGREE / 3.6e6, "rad"),
+    Unit("rev", 2 * math.pi, "rad"),
+    Unit("rad/s", 0, here="rad_s, radps, rads, rad_sec, rad_per_s, rad_per_sec, rad per s"),
+    Unit("deg/s", 0, here="deg_s, degs, deg_sec, deg_per_s, deg_per_sec, degps, deg per s, deg per sec"),
+    Unit("deg/h", 0, here="deg_h, deg_hr, deg_per_h, deg_per_hr, deg per h, deg per hr"),
+    Unit("dps", _DEGREE, "rad/s", "m", shown="°/s"),
+    Unit("dph", _DEGREE / 3600, "rad/s", shown="°/h"),
+    Unit("rpm", math.pi / 30, "rad/s"),
+    Unit("ug", 1, "ug", here="micro_g, micro g", kind="acceleration in local g"),
+    Unit("g", 1e6, "ug", "nm", "", "G, gee, gn"),
+    Unit("m/s^2", 0, here="m_s2, ms2, mps2, m_per_s2, m_s_2, mss, m per s2, m/s/s"),
+    Unit("Gal", 1e-2, "m/s**2", "u", "gal"),
+    Unit("mGal", 1e-5, "m/s**2", also="mgal"),
+    Unit("m", 1, "m", "numck", kind="length"),
+    Unit("V", 1, "V", "nk", "volt volts Volt Volts VOLT VDC Vdc VAC", kind="voltage"),
+    Unit("mV", 1e-3, "V", also="mVDC"),
+    Unit("uV", 1e-6, "V", also="uVDC"),
+    Unit("Hz", 1, "Hz", "mkM", "hertz", kind="frequency"),
+    Unit("A", 1, "A", "um", kind="current"),
+    Unit("ohm", 1, "ohm", "M", "ohms Ohm Ohms OHM", kind="resistance"),
+    Unit("kohm", 1e3, "ohm", also="kohms kOhm"),
+    Unit("W", 1, "W", "m", kind="power"),
+    Unit("Pa", 1, "Pa", "hk", kind="pressure"),
+    Unit("bar", 1e5, "Pa", "m"),
+    Unit("uT", 1, "uT", kind="magnetic flux density"),
+    Unit("nT", 1e-3, "uT"),
+    Unit("mT", 1e3, "uT"),
+    Unit("gauss", 1e2, "uT"),
+    Unit("count", 1, "count", also="counts LSB lsb", kind="count"),
+    Unit("percent", 1e-2, shown="%"),
+    Unit("ppm", 1e-6),
+    Unit("ppb", 1e-9),
+)  # fmt: skip
+BASE = {unit.name: unit.kind for unit in REGISTRY if unit.kind}
+KNOWN = {
+    prefix + unit.name: (_PREFIXES.get(prefix, 1.0) * unit.size, unit.base)
+    for unit in REGISTRY
+    for prefix in ("", *unit.prefixes)
+    if unit.size
+}
+SPELLINGS = {text: unit.name for unit in REGISTRY for text in unit.also.split()}
+WHERE_EXPECTED = {unit.name: unit.here.split(", ") for unit in REGISTRY if unit.here}
+_ZEROS = {unit.name: unit.zero for unit in REGISTRY if unit.zero is not None}
+_SHOWN = {unit.name: unit.shown for unit in REGISTRY if unit.shown} | {"mdeg": "m°"}
 _REWRITTEN = {
     "μ": "u", "µ": "u", "º": "°", "℃": "degC", "℉": "degF", "°C": "degC", "°F": "degF", "°": "deg",
     "%RH": "%", "%rH": "%", "%rh": "%", "% RH": "%", "\u03a9": "ohm", "\u2126": "ohm",
@@ -121,7 +164,7 @@ def parse(text: str) -> ParsedUnit:
         raise InputError(
             f"[{text}] is not a unit: write one such as [ug/mg^2] or [deg/s/degC]"
         ) from error
-    return ParsedUnit(factor, powers, _OFFSETS.get(plain), names)
+    return ParsedUnit(factor, powers, _ZEROS.get(plain), names)
 
 
 def _as_python(plain: str) -> str:
@@ -133,7 +176,7 @@ def _as_python(plain: str) -> str:
 def _factors(part: ast.expr) -> list[tuple[str, float]]:
     """The names in a parsed product, quotient or power, each with its power."""
     match part:
-        case ast.Name(id=name) if name in BASE or name in DERIVED:
+        case ast.Name(id=name) if name in KNOWN:
             return [(name, 1.0)]
         case ast.Constant(value=1):
             return []
@@ -150,7 +193,7 @@ def _in_base(product: Iterable[tuple[str, float]]) -> tuple[float, dict[str, flo
     """A product of known names in base units: a factor, and their powers."""
     factor, powers = 1.0, dict[str, float]()
     for name, power in product:
-        own, base = DERIVED.get(name, (1.0, name))
+        own, base = KNOWN[name]
         factor *= own**power
         inner = _factors(ast.parse(base, mode="eval").body) if base else []
         for unit, base_power in inner:
@@ -175,7 +218,7 @@ def normalised(text: str) -> str:
     plain = NAME.sub(lambda m: SPELLINGS.get(m[0], m[0]), plain)
     names = NAME.findall(plain)
     for name in names:
-        if name not in BASE and name not in DERIVED:
+        if name not in KNOWN:
             raise InputError(f"[{text}] is not a unit known here: {name!r} is none{_near(name)}")
     # Without its powers, each name as "u", a unit may hold operators and a lone 1, as in 1/degC.
     rest = NAME.sub("u", EXPONENT.sub("", plain))
@@ -194,17 +237,43 @@ _MEANT = {"C": "degC", "F": "degF", "S": "s"}
 def _near(name: str) -> str:
     if name in _OTHERS:
         return f" ({name!r} is {_OTHERS[name]}; is {_MEANT[name]} meant?)"
-    known = [*BASE, *DERIVED]
-    near = [k for k in known if k.lower() == name.lower()]
-    near = near or difflib.get_close_matches(name, known, 3)
-    return f" (is {' or '.join(near)} meant?)" if near else f" (known are {', '.join(known)})"
+    near = [k for k in KNOWN if k.lower() == name.lower()]
+    near = near or difflib.get_close_matches(name, KNOWN, 3)
+    return f" (is {' or '.join(near)} meant?)" if near else f" (known are {', '.join(KNOWN)})"
+
+
+def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
+    """A text as a unit of one of these kinds; None if it is none, or could be two.
+
+    Args:
+        text: as it stands in a header.
+        kinds: units whose dimension is expected; "any" expects none.
+    """
+    if _is(text, kinds):
+        return text
+    if ANY in kinds:
+        return None
+    lower, spellings = text.lower(), WHERE_EXPECTED.items()
+    own = {u for u, texts in spellings if text in texts}
+    loose = {u for u, texts in spellings if len(text) > 1 and lower in map(str.lower, texts)}
+    folded = {u for u in KNOWN if u.lower() == lower}
+    tried = ({u for u in some if _is(u, kinds)} for some in (own or loose, folded, {lower}))
+    found = next((some for some in tried if some), set())
+    return found.pop() if len(found) == 1 else None
+
+
+def spelled(text: str) -> str | None:
+    """The one unit that a text is another spelling of, such as degC of C; None if there is none or several."""
+    found = [unit for unit, texts in WHERE_EXPECTED.items() if text in texts]
+    return found[0] if len(found) == 1 else None
+
+
+def _is(unit: str, kinds: tuple[str, ...]) -> bool:
+    """Whether a text is a known unit of one of these kinds."""
+    return any(alike(unit, unit if kind == ANY else kind) for kind in kinds)
 
 
 EARTH_GRAVITY = (9.7, 9.9)  # m/s²; nowhere on Earth is it outside
-_PRETTY = {
-    "degC": "°C", "delta_degC": "°C", "degF": "°F", "delta_degF": "°F", "deg": "°", "mdeg": "m°",
-    "dps": "°/s", "dph": "°/h", "percent": "%",
-}  # fmt: skip
 
 
 def convert(
@@ -458,9 +527,7 @@ def unit_label(unit: str) -> str:
 
 
 def _pretty_name(name: str) -> str:
-    if name in _PRETTY:
-        return _PRETTY[name]
-    return "µ" + name[1:] if name[0] == "u" else name
+    return _SHOWN.get(name) or ("µ" + name[1:] if name[0] == "u" else name)
 
 
 def _raised(name: str, power: float) -> str:

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayescal._core.errors import InputError
-from bayescal._data.header_matching import unit_in
 from bayescal._data.unit_conversion import (
     base_unit,
     coefficient_factor,
@@ -19,6 +18,7 @@ from bayescal._data.unit_conversion import (
     parse,
     pretty,
     same_dimension,
+    unit_in,
 )
 
 FAMILIES = [
