@@ -18,15 +18,13 @@ from bayescal._data.column import (
     placeholders,
 )
 from bayescal._data.header_matching import (
-    DAYS,
     InstrumentLike,
     MatchedFile,
     ReadOptions,
-    channels_beside,
     output_name,
-    plain,
     unit_of,
 )
+from bayescal._data.header_rules import DAYS, channels_beside, plain
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.unit_conversion import (
     ANY,

@@ -1,36 +1,40 @@
-"""Which header means which column: what has one reading is taken and said, what looks like a column is offered.
+"""A file's headers understood for an instrument, by the rules of `header_rules`, and what the user says beside it.
 
-A header has several possible readings as a name and a unit ("Temp (°C)", "gyro_z_dps", 'angle/"'); one counts only if
-the quantity that is expected there has a unit of its kind. So "Temp_C" is a temperature in °C, since nothing else that
-is written C is a temperature.
-
-What a user says beside a file are its `ReadOptions`: it may call its columns otherwise (`columns=`), and leave their
-units out or get them wrong (`units=`). Columns that no instrument asked for are kept if they have a unit: an effect of
-the user may need them; no file is refused for them.
+What a user says are the `ReadOptions`: a file may call its columns otherwise (`columns=`), and leave their units out or
+get them wrong (`units=`). Columns that no instrument asked for are kept if they have a unit: an effect of the user may
+need them; no file is refused for them.
 """
 
 from __future__ import annotations
 
 import contextlib
-import difflib
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
-from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import TAKEN, UNCERTAINTY, Column, NominalScale
+from bayescal._data.header_rules import (
+    DAYS,
+    RAW,
+    ColumnRule,
+    by_name,
+    called,
+    fits,
+    like_a_unit,
+    plain,
+    raw_unit,
+    readings_of,
+    unit_behind,
+)
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.unit_conversion import (
     ANY,
-    KNOWN,
-    SPELLINGS,
     STANDARD_GRAVITY,
-    WHERE_EXPECTED,
     alike,
     base_unit,
     convert,
@@ -256,99 +260,6 @@ def unit_of(header: Header, ours: str, options: ReadOptions) -> str | None:
     return header.unit or None
 
 
-_WORDS = {  # may be others
-    *("min", "day", "days", "bar", "rev", "count", "counts"),
-    *("second", "minute", "hour", "degree"),
-}
-_BRACKETS = [
-    re.compile(rf"(.+?)[\s_,:/]*\{a}\s*(.+?)\s*\{b}", re.DOTALL)
-    for a, b in ("()", "[]", "{}", "<>")
-]
-_BEHIND_SLASH = re.compile(r"([^/]*?[^/\s])\s*/\s*(.+)", re.DOTALL)
-_LONGEST = 80  # characters of a header, from its end, in which a unit is looked for
-_BEHIND_COMMA = re.compile(r"(.+?)\s*[,:;]\s*(.+)", re.DOTALL)
-
-
-@lru_cache(maxsize=4096)  # each is asked for by many columns
-def readings_of(header: Header) -> tuple[Header, ...]:
-    """Every way to part a header into a name and, if it has one, the text of a unit; the plainest first."""
-    if header.unit:
-        return (header,)
-    found = [header]
-    before, end = header.raw[:-_LONGEST], header.raw[-_LONGEST:]
-    for pattern in (*_BRACKETS, _BEHIND_SLASH, _BEHIND_COMMA):
-        if parts := pattern.fullmatch(end):
-            unit = parts[2].strip()
-            unit = unit[1:-1] if unit[:1] + unit[-1:] == "()" else unit
-            found.append(Header(header.raw, (before + parts[1]).strip(), unit))
-    for gap in re.finditer(r"[_\s.]+", end):
-        name, unit = before + end[: gap.start()], end[gap.end() :]
-        if name and unit and unit[0] not in "([{<":
-            found.append(Header(header.raw, name, unit))
-    return tuple(found)
-
-
-def unit_behind(header: Header) -> Header | None:
-    """The reading of a header that ends in a unit, whatever its quantity: in brackets, or of two letters behind _."""
-    if header.unit:
-        return None
-    for reading in readings_of(header):
-        unit = reading.unit or ""
-        brackets = header.raw[-1:] in tuple(")]}>")
-        if unit_in(unit, (ANY,)) and (brackets or (len(unit) > 1 and unit not in _WORDS)):
-            return reading
-    return None
-
-
-def like_a_unit(header: Header) -> str | None:
-    """What a header without a known unit ends in that may be meant as one; None if there is nothing of that kind.
-
-    That is what stands in brackets, unless it is a number, and behind a gap what is written nearly as a unit is.
-    """
-    end = header.raw[-_LONGEST:]
-    if found := next((f for p in _BRACKETS if (f := p.fullmatch(end))), None):
-        return None if found[2].strip().isdigit() else found[2].strip()
-    known = {text for texts in WHERE_EXPECTED.values() for text in texts if text.isascii()}
-    for reading in readings_of(header):
-        unit = reading.unit or ""
-        near = get_close_matches(unit.lower(), _LONG_UNITS, 1, 0.8) if len(unit) > 3 else []
-        if (unit in known and unit != "G") or unit == "K" or near:
-            return unit
-    return None
-
-
-_LONG_UNITS = [u.lower() for u in (*KNOWN, *SPELLINGS) if len(u) > 3 and u not in _WORDS]
-
-
-def plain(name: str) -> str:
-    """A name without what people write differently: case, spaces, "temp" for temperature."""
-    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)  # boardTemp as board_Temp
-    words = re.sub(r"[^a-z0-9]+", "_", parted.lower()).strip("_").split("_")
-    return "_".join("temperature" if word in ("temp", "tmp") else word for word in words)
-
-
-# Further names of columns that many instruments have, the likeliest first; a single letter counts as it is written.
-_SYNONYMS: dict[str, tuple[tuple[str, ...], ...]] = {
-    "time": (
-        ("t", "timestamp", "time_stamp", "date_time", "datetime", "epoch", "unix_time", "utc", "time_utc", "utc_time"),
-        ("date_and_time", "time_and_date", "zeitstempel", "datum_uhrzeit", "datum_zeit", "scan_time"),
-        ("sample_time", "start_time", "local_time"),
-        ("elapsed", "elapsed_time", "relative_time", "x_value", "millis", "zeit", "uhrzeit", "time_of_day", "heure"),
-        ("date", "datum"),
-    ),
-    "temperature": (("T", "temperatur", "thermometer"),),
-    "run": (("run_no", "run_nr", "run_number", "run_id", "test_run"),),
-    "device": (("device_id", "serial", "serial_no", "serial_number", "sn"),),
-}  # fmt: skip
-# What is logged under a name that begins so, for a column that is missing.
-_LIKELY = {
-    "deg/s": ("gyr", "rate", "omega", "gx", "gy", "gz", "wx", "wy", "wz"),
-    "ug": ("acc", "ax", "ay", "az"),
-    "rad": ("tilt", "angle", "incl", "roll", "pitch"),
-}
-DAYS = ("date", "datum", "day", "tag")  # a column of these beside one of times of day
-
-
 @dataclass
 class MatchedFile:
     """A file whose headers are understood, for an instrument.
@@ -375,8 +286,7 @@ class MatchedFile:
     def __post_init__(self) -> None:
         """Read the headers."""
         self.expected = expected_columns(self.instrument)
-        headers, notes = list(self.table.headers), list(self.table.notes)
-        positions = self.positions
+        headers, notes, positions = list(self.table.headers), list(self.table.notes), self.positions
 
         def take(position: int, reading: Header, say: str) -> None:
             old, headers[position] = headers[position], reading
@@ -386,7 +296,7 @@ class MatchedFile:
 
         for ours, theirs in self.options.columns.items():
             asked = in_one_line(theirs)
-            position = _named(headers, asked)
+            position = called(headers, asked)
             if position is None:
                 came = f"no such column, but columns={{{ours!r}: {theirs!r}}}"
                 self.problem(theirs, came, cure=_there(self.table, theirs))
@@ -397,26 +307,34 @@ class MatchedFile:
             else:
                 positions[ours] = position
                 header = headers[position]
-                found = _fitting(header, self._kinds(ours), self.options.units)
+                found = self.rule(ours).fitting(header, self.options.units)
                 name = header.name if asked in (header.name, header.raw) else asked
                 take(position, replace(found or header, name=name), ours)
-        said = set(positions)
-        free = set(range(len(headers))) - set(positions.values())
-        exact, named = {headers[i].name: i for i in free}, _by_name(headers)
+        said, free = set(positions), set(range(len(headers))) - set(positions.values())
+        exact, named = {headers[i].name: i for i in free}, by_name(headers)
         for name, column in self.expected.items():
-            if name in self.options.columns:
-                continue
+            also = [n for n in column.also if n in exact]
             found = dict[int, Header]()
-            if name in exact:
+            if name in self.options.columns:
+                pass
+            elif name in exact:
                 own = headers[exact[name]]
-                unit = own.unit and unit_in(own.unit, self._kinds(name))
+                unit = own.unit and unit_in(own.unit, self.rule(name).kinds)
                 found = {exact[name]: replace(own, unit=unit or own.unit)}
-            elif exact.keys().isdisjoint(column.also):
-                found = self._candidates(column, headers, named, free)
+            elif not also:
+                found = self.rule(name).among(headers, named, free, self.options.units)
             if len(found) == 1:
                 positions[name], reading = found.popitem()
                 free.discard(positions[name])
                 take(positions[name], replace(reading, name=name), name)
+            for other in (n for n in also if n not in self.expected):
+                if name in positions:
+                    first = self.table.headers[positions[name]].raw
+                    second = headers[exact[other]].raw
+                    self.problem(second, f"a second {name!r} beside {first!r}", cure="Remove one")
+                else:
+                    positions[name] = exact[other]
+                    free.discard(exact[other])
         for i in sorted(free):
             reading = unit_behind(headers[i])
             if reading and reading.name not in self.expected:
@@ -431,18 +349,25 @@ class MatchedFile:
                 positions[name] = i
         self.table = replace(self.table, headers=tuple(headers), notes=tuple(notes))
         for name, column in self.expected.items():
-            for other in (n for n in column.also if n in positions and n not in self.expected):
-                if name in positions:
-                    first, second = (self.header(n).raw for n in (name, other))
-                    self.problem(second, f"a second {name!r} beside {first!r}", cure="Remove one")
-                else:
-                    positions[name] = positions.pop(other)
-            if column.unit is None and name in positions:
-                unit = self.header(name).unit
-                if unit not in (None, "", "1", "-"):
-                    came, meant = f"carries the unit {unit}", f"a label (text) as {name!r}"
-                    cure = "Remove the unit, or rename the column"
-                    self.problem(self.header(name).raw, came, meant, cure)
+            unit = self.header(name).unit if name in positions else None
+            if column.unit is None and unit not in (None, "", "1", "-"):
+                came, meant = f"carries the unit {unit}", f"a label (text) as {name!r}"
+                cure = "Remove the unit, or rename the column"
+                self.problem(self.header(name).raw, came, meant, cure)
+
+    def rule(self, name: str) -> ColumnRule:
+        """How the header of a column of ours is known."""
+        column, output = self.expected.get(name), output_name(self.instrument)
+        if column is None:
+            return ColumnRule(Column(name, ANY), (ANY,))
+        scale = self.options.nominal_scale or self.instrument.nominal_scale
+        if column.unit is None:
+            kinds = ()
+        elif scale and name in (output, UNCERTAINTY) and column.unit != ANY:
+            kinds = (column.unit, scale.unit)
+        else:
+            kinds = (column.unit,)
+        return ColumnRule(column, kinds, name == output)
 
     def header(self, name: str) -> Header:
         """The header of a column by our name."""
@@ -463,32 +388,6 @@ class MatchedFile:
         made = Problem(self.table.file, came, expected, cure, option, column, sentence=sentence)
         self.problems.append(made.at([int(row) for row in rows], self.table.place))
 
-    def _kinds(self, name: str) -> tuple[str, ...]:
-        """Units of the kinds that a column may be in; "any" for one that no instrument knows; none for a label."""
-        column = self.expected.get(name)
-        if column is not None and column.unit is None:
-            return ()
-        unit = ANY if column is None or column.unit is None else column.unit
-        scale = self.options.nominal_scale or self.instrument.nominal_scale
-        raw = scale and name in (output_name(self.instrument), UNCERTAINTY) and unit != ANY
-        return (unit, scale.unit) if scale and raw else (unit,)
-
-    def _candidates(
-        self,
-        column: Column,
-        headers: Sequence[Header],
-        named: Mapping[str, list[int]],
-        free: Collection[int],
-    ) -> dict[int, Header]:
-        """The free headers that can be read as a column: under its own name, else under other names that it has."""
-        kinds, own = self._kinds(column.name), {plain(n) for n in (column.name, *column.also)}
-        for names in (own, *map(set, _SYNONYMS.get(column.name, ()))):
-            at = sorted({i for name in names for i in named.get(name, ()) if i in free})
-            found = {i: _meant(headers[i], names, kinds, self.options.units) for i in at}
-            if found := {i: reading for i, reading in found.items() if reading}:
-                return found
-        return {}
-
     def note_missing(self) -> tuple[dict[str, tuple[int, Header]], set[int]]:
         """Note the columns that the instrument needs and the file has not.
 
@@ -498,7 +397,6 @@ class MatchedFile:
             Those that one header looks like, and where; and where all headers stand that look like one.
         """
         offered: dict[str, tuple[int, Header]] = {}
-        output = output_name(self.instrument)
         taken = {self.positions[name] for name in self.expected if name in self.positions}
         free = [h for i, h in enumerate(self.table.headers) if h.name and i not in taken]
         lacking = [
@@ -506,7 +404,7 @@ class MatchedFile:
             for name, column in self.expected.items()
             if _needed(column) and name not in self.positions and name not in self.options.columns
         ]
-        alike = {c.name: _alike(c, free, c.name == output) for c in lacking}
+        alike = {c.name: self.rule(c.name).resembled(free) for c in lacking}
         place = {h.raw: i for i, h in reversed([*enumerate(self.table.headers)])}
         single = [found[0].raw for found in alike.values() if len(found) == 1]
         for column in lacking:
@@ -515,8 +413,9 @@ class MatchedFile:
             one = len(found) == 1 and single.count(found[0].raw) == 1
             self._note_lack(column, found, one)
             if one:
-                raw = ("V", "Hz", "A", "count") if column.name == output else ()
-                reading = _fitting(found[0], (column.unit or "1", *raw), {}) or found[0]
+                rule = self.rule(column.name)
+                kinds = (column.unit or "1", *(RAW if rule.output else ()))
+                reading = replace(rule, kinds=kinds).fitting(found[0], {}) or found[0]
                 offered[column.name] = place[reading.raw], replace(reading, name=found[0].name)
         return offered, {place[h.raw] for found in alike.values() for h in found}
 
@@ -529,8 +428,8 @@ class MatchedFile:
                 f"{', '.join(h.raw for h in alike[:4])} look{'s' * (len(alike) == 1)} like it. "
             )
             chosen = option("--columns", f"{column.name}={alike[0].raw}")
-            raw = next((r.unit for r in readings_of(alike[0]) if _raw(r.unit or "")), None)
-            converts = column.unit in (None, ANY) or (raw and _fits(raw, (column.unit,)))
+            raw = raw_unit(alike[0])
+            converts = column.unit in (None, ANY) or (raw and fits(raw, column.unit))
             if raw and self.options.nominal_scale is None and not converts:
                 per = f"({column.unit})" if "/" in str(column.unit) else column.unit
                 chosen += f" {option('--nominal-scale', f'NUMBER {unit_in(raw, (ANY,))}/{per}')}"
@@ -574,22 +473,12 @@ class MatchedFile:
                     self.expected[name] = replace(column, unit=fixed_unit(unit))
 
     def could_be(self, header: Header) -> str | None:
-        """The column that the instrument could use, which the file lacks and a header names in part; None for none."""
-        for name, column in self.expected.items():
-            if (
-                column.unit is None
-                or name in self.positions
-                or _needed(column)  # which is said of the file
-                or name == UNCERTAINTY
-            ):
-                continue
-            others = (n for names in _SYNONYMS.get(name, ()) for n in names if len(n) > 2)
-            own = {*(plain(n) for n in (name, *column.also)), *others}
-            for reading in readings_of(header):
-                words = plain(reading.name)
-                if words in own or set(plain(name).split("_")) <= set(words.split("_")):
-                    return name
-        return None
+        """The column that the instrument could use, which the file lacks and a header names in part; None for none.
+
+        What the file must have is none of them: that it lacks it is said of the file.
+        """
+        free = (n for n, c in self.expected.items() if n not in self.positions and not _needed(c))
+        return next((name for name in free if self.rule(name).could_be(header)), None)
 
     def further_columns(self, passed: Collection[int]) -> tuple[dict[str, Column], list[str]]:
         """The columns beyond the instrument's that are kept, in base units, and why others are not.
@@ -664,137 +553,6 @@ def _needed(column: Column) -> bool:
     return column.required and column.default is None
 
 
-def _named(headers: list[Header], name: str) -> int | None:
-    """Where a header is that a user calls so: all of it, its name, or its name in one of its readings."""
-    for names in (
-        lambda h: [h.raw],
-        lambda h: [h.name],
-        lambda h: [r.name for r in readings_of(h)],
-    ):
-        found = [i for i, header in enumerate(headers) if name in names(header)]
-        if len(found) == 1:
-            return found[0]
-    return None
-
-
-def _by_name(headers: Sequence[Header]) -> dict[str, list[int]]:
-    """Where the headers are of which one reading has a name, as names are compared."""
-    found: dict[str, list[int]] = {}
-    for i, header in enumerate(headers):
-        for name in {_compared(reading) for reading in readings_of(header)}:
-            found.setdefault(name, []).append(i)
-    return found
-
-
-def _compared(reading: Header) -> str:
-    """The name of a reading as names are compared; a single letter is a symbol, whose case matters."""
-    name = reading.name.strip()
-    return name if len(name) == 1 else plain(name)
-
-
-def _meant(
-    header: Header, names: set[str], kinds: tuple[str, ...], given: Mapping[str, str]
-) -> Header | None:
-    """The reading of a header as a column of one of these names, in a unit of its kind or in none."""
-    for reading in sorted(readings_of(header), key=lambda r: r.unit is None):  # "T (°)" has one
-        if _compared(reading) not in names:
-            continue
-        if reading.unit is None:
-            return reading
-        if unit := unit_in(reading.unit, kinds):
-            return replace(reading, unit=unit)
-        if header.raw in given or reading.name in given:
-            unit = given.get(reading.name, "")
-            return replace(reading, unit=unit if unit_in(unit, (ANY,)) else None)
-    return None
-
-
-def _fitting(header: Header, kinds: tuple[str, ...], given: Mapping[str, str]) -> Header | None:
-    """The reading of a header with a unit of its kind, if it has just one."""
-    found = {
-        unit: replace(reading, unit=unit)
-        for reading in readings_of(header)
-        if reading.unit
-        and (unit := unit_in(reading.unit, kinds))
-        and any(map(str.isalpha, pretty(unit)))
-    }
-    return found.popitem()[1] if len(found) == 1 and header.raw not in given else None
-
-
-def _alike(column: Column, headers: list[Header], raw_output: bool) -> list[Header]:
-    """Headers that may mean a column: by a name nearly its own, by what is usual, or by their unit."""
-
-    def with_unit(accepted: Callable[[str], bool]) -> list[Header]:
-        return [h for h in headers if any(accepted(r.unit or "") for r in readings_of(h))]
-
-    names = {h.raw: {plain(r.name) for r in readings_of(h)} for h in headers}
-    known = [name for own in names.values() for name in own]
-    word = plain(column.name)
-    close = {*difflib.get_close_matches(word, known, 1, 0.75)}
-    close |= {n for n in known if word in n.split("_")}
-    fitting = with_unit(lambda unit: _fits(unit, (column.unit or "",)))
-    fits = {h.raw for h in fitting}
-    if near := [h for h in headers if not names[h.raw].isdisjoint(close)]:
-        return [h for h in near if h.raw in fits] or near
-    if column.unit is None:
-        return []
-    usual = [w for unit, w in _LIKELY.items() if column.unit == ANY or alike(unit, column.unit)]
-    named = [h for h in headers for words in usual if plain(h.name).startswith(words)]
-    return [h for h in named if h.raw in fits] or named or fitting or raw_output * with_unit(_raw)
-
-
-def _raw(unit: str) -> bool:
-    """Whether a unit is one of a sensor's raw output, which a nominal scale turns into another."""
-    known = unit_in(unit, (ANY,))
-    return bool(known) and any(alike(str(known), kind) for kind in ("V", "Hz", "A", "count"))
-
-
-def _fits(unit: str, kinds: tuple[str, ...]) -> bool:
-    """Whether a unit is of these kinds; one that is of another kind too (deg) is not."""
-    own = any(alike(unit, kind) for kind in kinds if kind != ANY)
-    other = bool(unit_in(unit, (ANY,))) and not own
-    return bool(unit_in(unit, kinds)) and (ANY in kinds or not other)
-
-
-_AXIS = re.compile(
-    r"(?:^|[\W_\d])[xyzXYZ](?=$|[\W_])|(?<=[a-z])[XYZ](?=$|[\W_])|^[xyz](?=acc|gyr|mag)"
-)
-# What a channel of the output's own axis is in; one in another unit, such as a drive voltage, is of the same sensor.
-_MOTION = ("m/s^2", "rad/s", "rad", "uT", "count")
-
-
-def channels_beside(output: str, columns: Mapping[str, str | None], unit: str | None) -> list[str]:
-    """Columns that are channels of the unit whose output this is: of another axis, of its own and another motion, or
-    of another number and alike.
-
-    Channels of one unit see the same temperature and time, so that each follows the others, and causes none of them.
-
-    Args:
-        output: the file's name of the output, such as "acc_z" or "dut 3".
-        columns: name → unit, of those that no instrument declares.
-        unit: of the output.
-    """
-    numbered, axis = re.sub(r"\d+", "#", output), _axis(output)
-    found = []
-    for name, own in columns.items():
-        alike = own and unit and same_dimension(own, unit) and re.sub(r"\d+", "#", name) == numbered
-        another = axis and (its := _axis(name)) and (its != axis or _moves(own))
-        if another or (alike and "#" in numbered):
-            found.append(name)
-    return found
-
-
-def _axis(name: str) -> str:
-    """The letter of the axis that a name ends in or begins with; "" if there is none."""
-    found = _AXIS.findall(name)
-    return found[-1][-1].lower() if found else ""
-
-
-def _moves(unit: str | None) -> bool:
-    """Whether a unit is of a motion or a field, or of none."""
-    return unit is None or any(same_dimension(unit, motion) for motion in _MOTION)
-
-
 def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Problems) -> None:
     """Note each unit for a column that no file has, and each column to ignore: it was meant for one."""
     known = {
@@ -822,5 +580,5 @@ def names_in(table: Table) -> str:
 def _there(table: Table, name: str) -> str:
     """What a file has in place of a column of this name, and which of them may be meant."""
     names = {header.name.lower(): header.raw for header in table.headers if header.name}
-    near = difflib.get_close_matches(name.lower(), names, 1)
+    near = get_close_matches(name.lower(), names, 1)
     return f"It has: {names_in(table)}" + (f" (is {names[near[0]]!r} meant?)" if near else "")

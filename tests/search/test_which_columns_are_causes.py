@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._data.header_matching import channels_beside
+from bayescal._data.header_rules import channels_beside
 from bayescal_models import still_sensor
 from tests.support.command_line import GYRO, TABLE, needs_installation, run
 from tests.support.command_line import QUICK as LEAST_SQUARES

@@ -1,0 +1,298 @@
+"""Which header means which column: the rules, as tables, and the one matcher that applies them.
+
+A header has several possible readings as a name and a unit ("Temp (°C)", "gyro_z_dps", 'angle/"'); one counts only if
+the quantity that is expected there has a unit of its kind. So "Temp_C" is a temperature in °C, since nothing else that
+is written C is a temperature. What has one reading is taken and said; what looks like a column is offered.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from functools import lru_cache
+
+from bayescal._data.column import UNCERTAINTY, Column
+from bayescal._data.unit_conversion import (
+    ANY,
+    KNOWN,
+    SPELLINGS,
+    WHERE_EXPECTED,
+    alike,
+    pretty,
+    same_dimension,
+    unit_in,
+)
+from bayescal._tables.raw_table import Header
+
+# Further names of columns that many instruments have, the likeliest tier first, tiers parted by bars; a single letter
+# is a symbol, whose case matters.
+NAMES = {
+    "time": "t timestamp time_stamp date_time datetime epoch unix_time utc time_utc utc_time | date_and_time "
+    "time_and_date zeitstempel datum_uhrzeit datum_zeit scan_time | sample_time start_time local_time | elapsed "
+    "elapsed_time relative_time x_value millis zeit uhrzeit time_of_day heure | date datum",
+    "temperature": "T temperatur thermometer",
+    "run": "run_no run_nr run_number run_id test_run",
+    "device": "device_id serial serial_no serial_number sn",
+}
+# How names begin under which what is missing is logged, by its unit.
+BEGINNINGS = {
+    "deg/s": ("gyr", "rate", "omega", "gx", "gy", "gz", "wx", "wy", "wz"),
+    "ug": ("acc", "ax", "ay", "az"),
+    "rad": ("tilt", "angle", "incl", "roll", "pitch"),
+}
+DAYS = ("date", "datum", "day", "tag")  # a column of these beside one of times of day
+RAW = (
+    "V",
+    "Hz",
+    "A",
+    "count",
+)  # units of a sensor's raw output, which a nominal scale turns into another
+# What a channel of the output's own axis is in; one in another unit, such as a drive voltage, is of the same sensor.
+MOTION = ("m/s^2", "rad/s", "rad", "uT", "count")
+WORDS = frozenset(  # units that may be other words
+    ["min", "day", "days", "bar", "rev", "count", "counts", "second", "minute", "hour", "degree"]
+)
+_LONG_UNITS = [u.lower() for u in (*KNOWN, *SPELLINGS) if len(u) > 3 and u not in WORDS]
+
+_LONGEST = 80  # characters of a header, from its end, in which a unit is looked for
+_BRACKETS = [
+    re.compile(rf"(.+?)[\s_,:/]*\{a}\s*(.+?)\s*\{b}", re.DOTALL)
+    for a, b in ("()", "[]", "{}", "<>")
+]
+_BEHIND_SLASH = re.compile(r"([^/]*?[^/\s])\s*/\s*(.+)", re.DOTALL)
+_BEHIND_COMMA = re.compile(r"(.+?)\s*[,:;]\s*(.+)", re.DOTALL)
+_AXIS = re.compile(
+    r"(?:^|[\W_\d])[xyzXYZ](?=$|[\W_])|(?<=[a-z])[XYZ](?=$|[\W_])|^[xyz](?=acc|gyr|mag)"
+)
+
+
+@lru_cache(maxsize=4096)  # each is asked for by many columns
+def readings_of(header: Header) -> tuple[Header, ...]:
+    """Every way to part a header into a name and, if it has one, the text of a unit; the plainest first."""
+    if header.unit:
+        return (header,)
+    found = [header]
+    before, end = header.raw[:-_LONGEST], header.raw[-_LONGEST:]
+    for pattern in (*_BRACKETS, _BEHIND_SLASH, _BEHIND_COMMA):
+        if parts := pattern.fullmatch(end):
+            unit = parts[2].strip()
+            unit = unit[1:-1] if unit[:1] + unit[-1:] == "()" else unit
+            found.append(Header(header.raw, (before + parts[1]).strip(), unit))
+    for gap in re.finditer(r"[_\s.]+", end):
+        name, unit = before + end[: gap.start()], end[gap.end() :]
+        if name and unit and unit[0] not in "([{<":
+            found.append(Header(header.raw, name, unit))
+    return tuple(found)
+
+
+def unit_behind(header: Header) -> Header | None:
+    """The reading of a header that ends in a unit, whatever its quantity: in brackets, or of two letters behind _."""
+    if header.unit:
+        return None
+    brackets = header.raw[-1:] in tuple(")]}>")
+    for reading in readings_of(header):
+        unit = reading.unit or ""
+        if unit_in(unit, (ANY,)) and (brackets or (len(unit) > 1 and unit not in WORDS)):
+            return reading
+    return None
+
+
+def like_a_unit(header: Header) -> str | None:
+    """What a header without a known unit ends in that may be meant as one; None if there is nothing of that kind.
+
+    That is what stands in brackets, unless it is a number, and behind a gap what is written nearly as a unit is.
+    """
+    end = header.raw[-_LONGEST:]
+    if found := next((f for p in _BRACKETS if (f := p.fullmatch(end))), None):
+        return None if found[2].strip().isdigit() else found[2].strip()
+    known = {text for texts in WHERE_EXPECTED.values() for text in texts if text.isascii()}
+    for reading in readings_of(header):
+        unit = reading.unit or ""
+        near = get_close_matches(unit.lower(), _LONG_UNITS, 1, 0.8) if len(unit) > 3 else []
+        if (unit in known and unit != "G") or unit == "K" or near:
+            return unit
+    return None
+
+
+def plain(name: str) -> str:
+    """A name without what people write differently: case, spaces, "temp" for temperature."""
+    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)  # boardTemp as board_Temp
+    words = re.sub(r"[^a-z0-9]+", "_", parted.lower()).strip("_").split("_")
+    return "_".join("temperature" if word in ("temp", "tmp") else word for word in words)
+
+
+def _compared(reading: Header) -> str:
+    """The name of a reading as names are compared."""
+    name = reading.name.strip()
+    return name if len(name) == 1 else plain(name)
+
+
+def by_name(headers: Sequence[Header]) -> dict[str, list[int]]:
+    """Where the headers are of which one reading has a name, as names are compared."""
+    found: dict[str, list[int]] = {}
+    for i, header in enumerate(headers):
+        for name in {_compared(reading) for reading in readings_of(header)}:
+            found.setdefault(name, []).append(i)
+    return found
+
+
+def called(headers: Sequence[Header], name: str) -> int | None:
+    """Where a header is that a user calls so: all of it, its name, or its name in one of its readings."""
+    for names in (
+        lambda h: [h.raw],
+        lambda h: [h.name],
+        lambda h: [r.name for r in readings_of(h)],
+    ):
+        found = [i for i, header in enumerate(headers) if name in names(header)]
+        if len(found) == 1:
+            return found[0]
+    return None
+
+
+def raw_unit(header: Header) -> str | None:
+    """The unit of a sensor's raw output that a header ends in; None if there is none."""
+    return next((r.unit for r in readings_of(header) if _is_raw(r.unit or "")), None)
+
+
+def _is_raw(unit: str) -> bool:
+    known = unit_in(unit, (ANY,))
+    return bool(known) and any(alike(str(known), kind) for kind in RAW)
+
+
+def fits(unit: str, kind: str) -> bool:
+    """Whether a unit is of this kind; one that is of another kind too (deg) is not."""
+    own = kind != ANY and alike(unit, kind)
+    other = bool(unit_in(unit, (ANY,))) and not own
+    return bool(unit_in(unit, (kind,))) and (kind == ANY or not other)
+
+
+@dataclass(frozen=True)
+class ColumnRule:
+    """How the header of one column is known.
+
+    Attributes:
+        column: that is expected.
+        kinds: units of the kinds that it may be in; "any" of a column that no instrument knows; none for a label.
+        output: whether it is the instrument's output.
+    """
+
+    column: Column
+    kinds: tuple[str, ...]
+    output: bool = False
+
+    @property
+    def tiers(self) -> list[frozenset[str]]:
+        """Names as which it is known, the likeliest first: its own, then further ones."""
+        own = frozenset(map(plain, (self.column.name, *self.column.also)))
+        further = NAMES.get(self.column.name, "").split("|")
+        return [own, *(frozenset(tier.split()) for tier in further)]
+
+    def among(
+        self,
+        headers: Sequence[Header],
+        named: Mapping[str, list[int]],
+        free: Collection[int],
+        given: Mapping[str, str],
+    ) -> dict[int, Header]:
+        """The free headers that can be read as it, under the likeliest of its names that there are.
+
+        Args:
+            headers: of the file.
+            named: where headers of a name are, by `by_name`.
+            free: positions of those that are not taken.
+            given: units that the user says.
+        """
+        for names in self.tiers:
+            at = sorted({i for name in names for i in named.get(name, ()) if i in free})
+            if found := {i: r for i in at if (r := self._reading(headers[i], names, given))}:
+                return found
+        return {}
+
+    def _reading(
+        self, header: Header, names: Collection[str], given: Mapping[str, str]
+    ) -> Header | None:
+        """The reading of a header under one of these names, in a unit of its kind or in none."""
+        for reading in sorted(readings_of(header), key=lambda r: r.unit is None):  # "T (°)" has one
+            if _compared(reading) not in names:
+                continue
+            if reading.unit is None:
+                return reading
+            if unit := unit_in(reading.unit, self.kinds):
+                return replace(reading, unit=unit)
+            if header.raw in given or reading.name in given:
+                unit = given.get(reading.name, "")
+                return replace(reading, unit=unit if unit_in(unit, (ANY,)) else None)
+        return None
+
+    def fitting(self, header: Header, given: Mapping[str, str]) -> Header | None:
+        """The reading of a header, whatever its name, with a unit of its kind, if it has just one."""
+        found = {
+            unit: replace(reading, unit=unit)
+            for reading in readings_of(header)
+            if reading.unit
+            and (unit := unit_in(reading.unit, self.kinds))
+            and any(map(str.isalpha, pretty(unit)))
+        }
+        return found.popitem()[1] if len(found) == 1 and header.raw not in given else None
+
+    def resembled(self, headers: Sequence[Header]) -> list[Header]:
+        """Headers that may mean it: by a name nearly its own, by what is usual, or by their unit."""
+        unit, word = self.column.unit, plain(self.column.name)
+
+        def with_unit(accepted: Callable[[str], bool]) -> list[Header]:
+            return [h for h in headers if any(accepted(r.unit or "") for r in readings_of(h))]
+
+        names = {h.raw: {plain(r.name) for r in readings_of(h)} for h in headers}
+        known = [name for own in names.values() for name in own]
+        close = {*get_close_matches(word, known, 1, 0.75)}
+        close |= {n for n in known if word in n.split("_")}
+        fitting = with_unit(lambda own: fits(own, unit or ""))
+        best = {h.raw for h in fitting}
+        if near := [h for h in headers if not names[h.raw].isdisjoint(close)]:
+            return [h for h in near if h.raw in best] or near
+        if unit is None:
+            return []
+        begun = [words for kind, words in BEGINNINGS.items() if unit == ANY or alike(kind, unit)]
+        usual = [h for h in headers for words in begun if plain(h.name).startswith(words)]
+        likely = [h for h in usual if h.raw in best] or usual or fitting
+        return likely or self.output * with_unit(_is_raw)
+
+    def could_be(self, header: Header) -> bool:
+        """Whether a header names it in part; of a label or a known uncertainty none does."""
+        if self.column.unit is None or self.column.name == UNCERTAINTY:
+            return False
+        own, *further = self.tiers
+        names = own.union(n for tier in further for n in tier if len(n) > 2)
+        parts = set(plain(self.column.name).split("_"))
+        words = (plain(reading.name) for reading in readings_of(header))
+        return any(name in names or parts <= set(name.split("_")) for name in words)
+
+
+def channels_beside(output: str, columns: Mapping[str, str | None], unit: str | None) -> list[str]:
+    """Columns that are channels of the unit whose output this is: of another axis, of its own and another motion, or
+    of another number and alike.
+
+    Channels of one unit see the same temperature and time, so that each follows the others, and causes none of them.
+
+    Args:
+        output: the file's name of the output, such as "acc_z" or "dut 3".
+        columns: name → unit, of those that no instrument declares.
+        unit: of the output.
+    """
+    numbered, axis = re.sub(r"\d+", "#", output), _axis(output)
+    found = []
+    for name, own in columns.items():
+        alike = own and unit and same_dimension(own, unit) and re.sub(r"\d+", "#", name) == numbered
+        moves = own is None or any(same_dimension(own, motion) for motion in MOTION)
+        another = axis and (its := _axis(name)) and (its != axis or moves)
+        if another or (alike and "#" in numbered):
+            found.append(name)
+    return found
+
+
+def _axis(name: str) -> str:
+    """The letter of the axis that a name ends in or begins with; "" if there is none."""
+    found = _AXIS.findall(name)
+    return found[-1][-1].lower() if found else ""
