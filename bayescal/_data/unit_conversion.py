@@ -110,7 +110,7 @@ REGISTRY = (
     Unit("ppb", 1e-9),
 )  # fmt: skip
 BASE = {unit.name: unit.kind for unit in REGISTRY if unit.kind}
-KNOWN = {
+KNOWN = {name: (1.0, name) for name in BASE} | {
     prefix + unit.name: (_PREFIXES.get(prefix, 1.0) * unit.size, unit.base)
     for unit in REGISTRY
     for prefix in ("", *unit.prefixes)
