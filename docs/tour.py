@@ -80,8 +80,8 @@ for name in ("bias.constant", "bias.temperature", "bias.run.group_sd", "noise.wh
 # %% 3. The same by bc.fit
 
 # In bayescal a model is an instrument and a sum of named effects. `baseline()` is the line, and
-# `bias.run` the offset of each run: names, widths and equation are in the instrument's folder
-# (`models/bayescal_models/mems_gyro/effects.py`), the slots they add to in `model.py`.
+# `bias.run` the offset of each run. Names, widths, and the *slot* that each effect adds to (here the
+# bias) are one table in the instrument's `model.py` (`models/bayescal_models/mems_gyro/model.py`).
 
 model = mems_gyro.INSTRUMENT.baseline() + "bias.run"
 print(model)
