@@ -10,6 +10,7 @@ from typing import Any
 
 import xarray as xr
 
+from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.guards import (
     conflicts,
@@ -54,8 +55,8 @@ class Calibration(Printed, Fitted):
         lines.append(str(self.verdict))
         lines += [f"conflict: {words}" for words in self.conflicts]
         lines += [f"unit? {words}" for words in self.off_scale]
-        found = (words for words in self.verdict.against if words not in self.conflicts)
-        lines += [f"not reliable: {words}" for words in found]
+        said = {*map(str, self.conflicts)}
+        lines += [f"not reliable: {words}" for words in self.verdict.against if words not in said]
         return "\n".join(textwrap.fill(line, WIDTH) for line in lines)
 
     def _brief(self) -> str:
@@ -76,13 +77,13 @@ class Calibration(Printed, Fitted):
         }
 
     @cached_property
-    def conflicts(self) -> tuple[str, ...]:
-        """Where readings and priors contradict each other, and what else a fit may not be, in words."""
+    def conflicts(self) -> tuple[Claim, ...]:
+        """Where readings and priors contradict each other, and what else a fit may not be."""
         return (*conflicts(self), *too_different(self), *following_members(self))
 
     @cached_property
-    def off_scale(self) -> tuple[str, ...]:
-        """Effects that at their plausible size are a million times smaller or larger than the noise, in words."""
+    def off_scale(self) -> tuple[Claim, ...]:
+        """Effects that at their plausible size are a million times smaller or larger than the noise."""
         return tuple(effects_off_scale(self))
 
     @cached_property

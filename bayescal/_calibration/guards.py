@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.special import stdtr
 
+from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.summary import summary
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
-from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import across, find_mode, prior_draws
@@ -42,10 +42,11 @@ LONGEST_RECORDS = 10.0  # lengths of the record, beyond which no time constant c
 LAW_COEFFICIENTS = 2
 
 TRIED = 3  # starts of the search for another mode
+PRIOR = "prior.contradicted"
 
 
-def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
-    """Why the result of a fit is not reliable although it converged, each a sentence; empty for most.
+def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[Claim]:
+    """Why the result of a fit is not reliable although it converged; empty for most.
 
     Args:
         calibration: the fit.
@@ -53,7 +54,7 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
     """
     coefficients, hyperparameters = summary(calibration)
     stands = {row["name"]: (row["mean"], 0.0) for row in coefficients}
-    found = [one.said for one in _against_priors(calibration, stands, accepted)]
+    found = _against_priors(calibration, stands, accepted)
     coefficients, hyperparameters = (
         [row for row in rows if row["name"] not in accepted and row["effect"] not in accepted]
         for rows in (coefficients, hyperparameters)
@@ -63,10 +64,7 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
         if row["name"].partition("(")[0] in wider:
             continue
         if row["contraction"] is not None and row["contraction"] < WIDER_CONTRACTION:
-            found.append(
-                f"{row['name']} is known worse than before the readings (contraction "
-                f"{row['contraction']:.1f}): the fit did not converge."
-            )
+            found.append(Claim("prior.widened", row["name"], contraction=row["contraction"]))
     return [
         *found,
         *_too_large(calibration, hyperparameters),
@@ -74,7 +72,7 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
     ]
 
 
-def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> list[str]:
+def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> list[Claim]:
     """What to look at where an effect at its plausible size is far too small or large for these readings.
 
     Args:
@@ -88,15 +86,11 @@ def off_scale(effect: Effect, contribution: float, noise: float, unit: str) -> l
     low, high = SCALE_RANGE
     if contribution == 0 or noise == 0 or low <= contribution / noise <= high:
         return []
-    shown = f"{number(contribution)} {unit_label(unit)}"
-    return [
-        f"{effect.name} contributes at most {shown} at its plausible size, where the noise is {number(noise)} "
-        f"{unit_label(unit)}: check the unit of its basis, which gets columns in the units that the instrument "
-        f"declares and others in base units (45 % is 0.45), and its prior, in {first.unit}."
-    ]
+    sizes = {"contribution": float(contribution), "noise": float(noise)}
+    return [Claim("effect.off_scale", effect.name, **sizes, unit=unit, own=first.unit)]
 
 
-def effects_off_scale(calibration: Fitted) -> list[str]:
+def effects_off_scale(calibration: Fitted) -> list[Claim]:
     """`off_scale` of the effects of a fitted model."""
     line, found = calibration.linear, []
     noise = math.sqrt(float(np.median(line.variance)))
@@ -108,32 +102,7 @@ def effects_off_scale(calibration: Fitted) -> list[str]:
     return found
 
 
-class Contradiction(NamedTuple):
-    """A coefficient that the readings put far from its prior's mean.
-
-    Attributes:
-        effect: whose it is.
-        name: the coefficient's.
-        away: from the mean, in plausible sizes.
-        said: in words.
-    """
-
-    effect: str
-    name: str
-    away: float
-    said: str
-
-
-def contradictions(
-    calibration: Fitted, accepted: Collection[str] = ()
-) -> tuple[Contradiction, ...]:
-    """Coefficients that contradict their priors: as fitted or, where none does, by the readings alone."""
-    stands = {row["name"]: (row["mean"], 0.0) for row in summary(calibration)[0]}
-    found = _against_priors(calibration, stands, accepted)
-    return tuple(found or without_priors(calibration, accepted))
-
-
-def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[Contradiction]:
+def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[Claim]:
     """Where the readings by themselves would put the first model's coefficients, if that is far from their priors.
 
     A prior that the readings contradict strongly enough wins: the noise takes up what the coefficient may not, and the
@@ -170,7 +139,7 @@ def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[
 
 
 @on_one_thread
-def doubts_of_the_mode(calibration: Fitted) -> list[str]:
+def doubts_of_the_mode(calibration: Fitted) -> list[Claim]:
     """Why the Gaussian fit about a mode, on which the evidence stands, does not describe the posterior.
 
     The curvature is not positive definite; or shapes far from the mode's explain the readings nearly as well, which is
@@ -180,10 +149,7 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
     if not math.isfinite(mode.log_evidence):
         return []
     if mode.indefinite:
-        return [
-            "The curvature at the mode is not positive definite: the fit ended on a ridge or a saddle. Log evidence "
-            "and standard uncertainties are not reliable. Take an effect out that these readings do not determine."
-        ]
+        return [Claim("mode.indefinite")]
     shapes = [i for i, h in enumerate(assembly.hypers) if h.kind == "shape"]
     sd = np.sqrt(np.diag(mode.covariance))
 
@@ -199,20 +165,17 @@ def doubts_of_the_mode(calibration: Fitted) -> list[str]:
         if far(other.v).any() and behind < MODES_NEARLY_NATS:
             apart = (assembly.hypers[i] for i in np.array(shapes)[far(other.v)])
             here, there = assembly.hyper(mode.v), assembly.hyper(other.v)
-            values = ", ".join(
-                f"{h.name} {number(here[h.name])} or {number(there[h.name])} {h.unit}"
+            values = {
+                h.name: f"{h.name} {number(here[h.name])} or {number(there[h.name])} {h.unit}"
                 for h in apart
-            )
-            return [
-                f"Two modes explain the readings nearly as well (log Bayes factor {behind:.1f}): {values}. The fit "
-                "describes one of them."
-            ]
+            }
+            return [Claim("mode.two", *values, behind=behind, values=tuple(values.values()))]
     return []
 
 
 def _against_priors(
     calibration: Fitted, stands: Mapping[str, tuple[float, float]], accepted: Collection[str]
-) -> list[Contradiction]:
+) -> list[Claim]:
     """Coefficients that stand far from their priors' means, each (where, standard deviation)."""
     found = []
     baseline = {e.name for e in calibration.model.instrument.effects}
@@ -230,42 +193,34 @@ def _against_priors(
             where, give = stands.get(name, (c.mean, 0.0))
             away = abs(where - c.mean) / c.size
             if away - give / c.size > most and name not in accepted:
-                said = (
-                    f"{name} stands {away:.0f} times its plausible size from its prior's mean "
-                    f"({number(where)} against {number(c.mean)} ± {number(c.size)} "
-                    f"{unit_label(c.unit)}; its log probability falls by {0.5 * away**2:.0f}): "
-                    f"{_look_at(b.effect.name)}, give it a wider prior, or accept it (calibrate --accept-conflict "
-                    f"{name})."
+                sizes = {"where": where, "mean": c.mean, "size": c.size, "unit": c.unit}
+                sizes |= {"away": away, "fall": 0.5 * away**2}
+                found.append(
+                    Claim(PRIOR, name, b.effect.name, **sizes, cure=_look_at(b.effect.name))
                 )
-                found.append(Contradiction(b.effect.name, name, away, said))
     return found
 
 
 def _look_at(effect: str) -> str:
     """Which number may be wrong where a coefficient of this effect contradicts its prior."""
     slot, _, cause = effect.partition(".")
-    if cause == "constant":
-        zero = "zero (--nominal-zero '1.21 V') and scale " * (slot != "scale")
-        return f"check the nominal {zero or 'scale '}(--nominal-scale '250 V/g')"
-    return "check the units of the columns and the nominal scale (--nominal-scale '250 V/g')"
+    if cause != "constant":
+        return "units"
+    return "scale" if slot == "scale" else "zero and scale"
 
 
-def _beyond_the_known(calibration: Fitted, accepted: Collection[str]) -> list[str]:
+def _beyond_the_known(calibration: Fitted, accepted: Collection[str]) -> list[Claim]:
     """Dependences without a name that are larger than all that is known of the instrument could make together.
 
     A wrong sign or unit of an input is no missing effect, though a free curve along that input follows it.
     """
     unnamed = [e for e in calibration.model.effects if e.is_placeholder and e.name not in accepted]
-    known, unit = _known_effects(calibration) if unnamed else 0.0, unit_label(calibration.unit)
-    found = []
+    known, found = _known_effects(calibration) if unnamed else 0.0, []
     for effect in unnamed:
         here = float(np.std(calibration.linear.contribution(effect.name)))
         if known and here > CONFLICT_SD * known:
-            found.append(
-                f"{effect.name} changes the output by {number(here)} {unit} rms, where all effects known of the "
-                f"instrument, as large as is plausible, would change it by {number(known)} {unit}: check the sign, the "
-                "unit and the nominal scale (--nominal-scale '250 V/g') of the output and of the inputs."
-            )
+            sizes = {"here": here, "known": known, "unit": calibration.unit}
+            found.append(Claim("curve.beyond_known", effect.name, **sizes))
     return found
 
 
@@ -282,8 +237,8 @@ def _known_effects(calibration: Fitted) -> float:
     return float(np.sqrt(np.sum(np.var(slopes, axis=0))))
 
 
-def too_different(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
-    """Members of a group that differ far more than is plausible, in words: the worst of each group.
+def too_different(calibration: Fitted, accepted: Collection[str] = ()) -> list[Claim]:
+    """Members of a group that differ far more than is plausible: the worst of each group.
 
     A spread that is learned takes up any difference, so that a sign or a unit that is another in one of them shows
     nowhere else. Its plausible size is known to an order of magnitude. Of a model that lacks an effect it says nothing:
@@ -293,7 +248,7 @@ def too_different(calibration: Fitted, accepted: Collection[str] = ()) -> list[s
         calibration: the fit.
         accepted: names of coefficients or effects that may differ so.
     """
-    rows, found = summary(calibration)[0], list[str]()
+    rows, found = summary(calibration)[0], list[Claim]()
     stands = {
         row["name"]: row["mean"]
         for row in rows
@@ -307,17 +262,14 @@ def too_different(calibration: Fitted, accepted: Collection[str] = ()) -> list[s
         name = max(own, key=lambda n: abs(stands[n] - c.mean))
         away = abs(stands[name] - c.mean) / c.size
         if away > CONFLICT_SD * CANDIDATE_SIZES:
-            found.append(
-                f"{name} stands {away:.0f} times its plausible size from the mean of such ({number(stands[name])} "
-                f"against {number(c.mean)} ± {number(c.size)} {unit_label(c.unit)}): check the sign, the units and the "
-                f"device of each {c.per}, give it a wider prior, or accept it (calibrate --accept-conflict "
-                f"{b.effect.name})."
-            )
+            sizes = {"where": stands[name], "mean": c.mean, "size": c.size, "unit": c.unit}
+            whose = {"member": name, "group": c.per, "away": away}
+            found.append(Claim("group.too_different", b.effect.name, **whose, **sizes))
     return found
 
 
-def following_members(calibration: Fitted, accepted: Collection[str] = ()) -> list[str]:
-    """Deviations of a group's members that follow what a term of the same slot follows, in words.
+def following_members(calibration: Fitted, accepted: Collection[str] = ()) -> list[Claim]:
+    """Deviations of a group's members that follow what a term of the same slot follows.
 
     A term has one coefficient, within members as between them. Where a thermometer is late or noisy, the readings of
     a member deny what the members' means show, and their deviations take it up: the coefficient is of within alone,
@@ -329,7 +281,7 @@ def following_members(calibration: Fitted, accepted: Collection[str] = ()) -> li
         accepted: names of coefficients or effects whose members may follow something.
     """
     means = {row["name"]: row["mean"] for row in summary(calibration)[0]}
-    codes, found = calibration.assembly.record.codes, list[str]()
+    codes, found = calibration.assembly.record.codes, list[Claim]()
     blocks = [b for b in calibration.layout.blocks if b.coefficient.per in codes]
     for b in blocks:
         names = b.member_names(calibration.levels)
@@ -348,13 +300,9 @@ def following_members(calibration: Fitted, accepted: Collection[str] = ()) -> li
             mean, own_values = total[there] / count[there], values[there]
             if (p := uncorrelated(mean, own_values)) < RARE_P:
                 r = float(np.corrcoef(mean, own_values)[0, 1])
-                along = " and ".join(term.varies)
-                found.append(
-                    f"The coefficient {term.name} is not measured: {b.effect.name} follows {along} from one "
-                    f"{b.coefficient.per} to the next (correlation {r:.2f} over {int(there.sum())}, p = {p:.1g}), and "
-                    f"within each the readings deny it. Look at the column {along}: late, held, smoothed or noisy? Or "
-                    f"accept it (calibrate --accept-conflict {b.effect.name})."
-                )
+                told = {"term": term.name, "along": term.varies, "group": b.coefficient.per}
+                told |= {"r": r, "p": p, "members": int(there.sum())}
+                found.append(Claim("group.follows_column", b.effect.name, term.name, **told))
     return found
 
 
@@ -368,7 +316,7 @@ def uncorrelated(one: np.ndarray, other: np.ndarray) -> float:
         return float(2 * stdtr(free, -abs(r) * np.sqrt(free / np.float64((1 - r) * (1 + r)))))
 
 
-def _too_large(calibration: Fitted, hyperparameters: list[dict[str, Any]]) -> list[str]:
+def _too_large(calibration: Fitted, hyperparameters: list[dict[str, Any]]) -> list[Claim]:
     """Sizes of the output's quantity beyond its whole range, times of the model beyond ten records."""
     found, unit = [], calibration.unit
     reach = float(np.ptp(calibration.readings["output"]))
@@ -377,18 +325,19 @@ def _too_large(calibration: Fitted, hyperparameters: list[dict[str, Any]]) -> li
     amplitudes = {f"{e.name}.{e.measure}" for e in calibration.model.effects if e.is_placeholder}
     for row in hyperparameters:
         if row["name"] in sizes - amplitudes and row["unit"] == unit and row["mean"] > reach > 0:
-            found.append(
-                f"{row['name']} is larger than the output's whole range ({number(row['mean'])} against "
-                f"{number(reach)} {unit_label(unit)}): the readings lie far from what the model can be. Check the "
-                "nominal zero and scale."
-            )
+            told = {"mean": row["mean"], "reach": reach, "unit": unit}
+            found.append(Claim("size.beyond_output", row["name"], **told))
     if calibration.readings.has("time"):
         record = float(np.ptp(calibration.readings["time"]))
         hypers = calibration.layout.hypers
         bounded = {h.name for h in hypers if isinstance(h.prior, LogUniform)}  # by the longest run
         found += [
-            f"{row['name']} is longer than {LONGEST_RECORDS:.0f} records ({number(row['mean'])} s): it cannot be "
-            "told."
+            Claim(
+                "time.beyond_record",
+                row["name"],
+                mean=row["mean"],
+                records=LONGEST_RECORDS,
+            )
             for row in hyperparameters
             if row["name"] not in sizes | bounded
             and row["unit"] == "s"

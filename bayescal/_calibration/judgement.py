@@ -7,13 +7,14 @@ missing from it only a search tells; what it gets wrong shows in its residuals.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
 from bayescal._calibration.check_result import Check
+from bayescal._calibration.claim import Claim
 from bayescal._calibration.guards import (
     RARE_P,
     conflicts,
@@ -52,7 +53,7 @@ FEW = 100  # draws, of an expected output's slope
 SMALL = 0.5  # part of a leap, up to which a shift of the thermometer is none
 SURELY = 3.0  # standard uncertainties of a shift that is told from none
 
-LOOK = "something is missing from the model. Look for it: bayescal discover, or calibrate."
+LOOK = {"cure": "search"}  # what is to be done where residuals still depend on something
 
 
 def why_not(calibration: Calibration) -> str:
@@ -62,13 +63,12 @@ def why_not(calibration: Calibration) -> str:
         return verdict.why_not
     known = vars(calibration)  # kept with what else is computed of it
     if "why_not" not in known:
-        known["why_not"] = " ".join(_against(calibration))
+        said = noiseless(calibration)
+        known["why_not"] = said or " ".join(map(str, _against(calibration)))
     return known["why_not"]
 
 
-def _against(calibration: Calibration) -> Sequence[str]:
-    if said := noiseless(calibration):
-        return (said,)
+def _against(calibration: Calibration) -> Sequence[Claim]:
     return wrong_question(calibration, noise_floor(calibration), ()) or [
         *too_different(calibration),
         *following_members(calibration),
@@ -80,7 +80,7 @@ def _against(calibration: Calibration) -> Sequence[str]:
 
 def wrong_question(
     calibration: Calibration, floor: float, accepted: Collection[str]
-) -> tuple[str, ...]:
+) -> tuple[Claim, ...]:
     """Why nothing can be learnt from a model: readings that contradict it, or that were rounded more than they vary.
 
     Args:
@@ -90,14 +90,10 @@ def wrong_question(
     """
     free = [n.removesuffix(FREED) for n in calibration.model.names if n.endswith(FREED)]
     accepted = {*accepted, *free, *(n + FREED for n in free)}
-    found = conflicts(calibration, accepted)
-    found = found or [one.said for one in without_priors(calibration, accepted)]
-    grid, unit = rounding_step(calibration.readings["output"]), unit_label(calibration.unit)
+    found = conflicts(calibration, accepted) or without_priors(calibration, accepted)
+    grid = rounding_step(calibration.readings["output"])
     if floor < AS_GOOD_AS_NOISE_STEPS * grid:
-        found.append(
-            f"The output is rounded in steps of {grid:.3g} {unit}, which is more than its noise: nothing finer than "
-            "a step can be known, and standard uncertainties are too small. Record it with more digits."
-        )
+        found.append(Claim("output.rounded", grid=grid, unit=calibration.unit))
     return tuple(found)
 
 
@@ -125,7 +121,7 @@ def noiseless(calibration: Calibration) -> str:
     )
 
 
-def surprising(out: LeaveOneGroupOut | None) -> list[str]:
+def surprising(out: LeaveOneGroupOut | None) -> list[Claim]:
     """A group that the others do not expect, although their uncertainty counts: something in it was different.
 
     What is missing from a model is missing in every group, and counts as their noise. There is a test for each group.
@@ -137,14 +133,14 @@ def surprising(out: LeaveOneGroupOut | None) -> list[str]:
     beyond = out.by_chance[worst] * out.count < settings().holdout_p
     if not (beyond and out.surprise[worst] > SURPRISE_RATIO):
         return []
+    which = {"group": out.group.capitalize(), "member": out.members[worst]}
+    times = float(out.surprise[worst])
     return [
-        f"{out.group.capitalize()} {out.members[worst]} is not like the others: predicted from these, its errors are "
-        f"{out.surprise[worst]:.1f} times what they should be ({scheme(out.group)}). Its thermometer or a setting was "
-        "different, or the sensor changed: look at its columns, or leave it out."
+        Claim("group.surprising", out.group, **which, times=times, scheme=scheme(out.group)),
     ]
 
 
-def of_thermometers(calibration: Calibration, model: Model) -> list[str]:
+def of_thermometers(calibration: Calibration, model: Model) -> list[Claim]:
     """What is odd in the column of a thermometer that the coefficients of a model hang on."""
     readings = calibration.readings
     warm = [n for n in readings.columns if n in model.columns and readings.unit(n) == "degC"]
@@ -153,7 +149,7 @@ def of_thermometers(calibration: Calibration, model: Model) -> list[str]:
         return []
     found = oddities({n: readings[n] for n in readings.columns}, every, readings.output)
     return [
-        f"Column {one.column!r} {one.said}: what depends on it is not measured."
+        Claim("column.odd", one.column, said=one.said)
         for one in found
         if one.column in warm and not (one.jumped and _followed(calibration, one))
     ]
@@ -186,64 +182,50 @@ def _followed(calibration: Calibration, one: Oddity) -> bool:
 
 
 def of_noise(
-    calibration: Calibration, check: Check, doubts: Sequence[str], missing: str
-) -> list[str]:
+    calibration: Calibration, check: Check, doubts: Sequence[Claim], missing: Mapping[str, str]
+) -> list[Claim]:
     """What a fit's own residuals say against it.
 
     Args:
         calibration, check: the fit, and where it fails.
         doubts: of its mode.
-        missing: what is said where residuals still depend on something.
+        missing: what may be missing where residuals still depend on something: a cure, and what it names.
     """
     verdict = calibration.verdict
     if not verdict.ok:
-        return ["The fit did not converge: " + " ".join(verdict.reasons)]
+        return [Claim("fit.not_converged", reasons=" ".join(verdict.reasons))]
     if check.fixed is not None and check.fixed.wrong:
-        return [
-            f"The fixed coefficients leave residuals of {check.fixed.rms:.3g} {check.unit} rms, "
-            f"{check.fixed.rms / check.fixed.noise:.1f} times the noise of the same model with free "
-            "coefficients."
-        ]
+        rms = check.fixed.rms
+        return [Claim("fixed.wrong", rms=rms, unit=check.unit, times=rms / check.fixed.noise)]
     found, evidence = [], calibration.log_evidence
     if evidence is not None and not math.isfinite(evidence[0]):
-        found.append(
-            "The log evidence is not finite: the readings have too few digits, or a prior is improper."
-        )
+        found.append(Claim("evidence.not_finite"))
     found += doubts
     found += _of_scatter(check)
     found += _left_over(calibration, check, missing)
     found += _between_runs(calibration)
     coefficient, z = check.autocorrelation
     if abs(z) > CORRELATED_SD and abs(coefficient) > CORRELATED_COEFFICIENT:
-        found.append(
-            f"Noise model inadequate: neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), "
-            "so the probabilities of missing effects are too confident. Either the noise is correlated in "
-            "time or something is missing that no candidate describes."
-        )
+        found.append(Claim("noise.correlated", coefficient=coefficient, z=z))
     return found
 
 
-def _left_over(calibration: Calibration, check: Check, missing: str) -> list[str]:
+def _left_over(calibration: Calibration, check: Check, missing: Mapping[str, str]) -> list[Claim]:
     """What the residuals still depend on; and readings too few to tell noise from unknowns."""
     there = inclusion(calibration)  # of an average over structures as many as there are on average
     free = round(sum(there[b.effect.name] for b in calibration.layout.blocks))
     size = len(calibration.readings)
     if size < free + 3:
-        return [
-            f"{size} readings are too few for {free} unknowns: the noise cannot be told, and uncertainties hang on "
-            "the priors."
-        ]
-    rows = [(e.log_bayes_factor, e.against) for e in check.entries]
-    rows += [(p.log_bayes_factor, " and ".join(p.against)) for p in check.pairs]
-    factor, against = max(rows, default=(0.0, ""))
+        return [Claim("readings.too_few", count=size, free=free)]
+    rows = [(e.log_bayes_factor, (e.against,)) for e in check.entries]
+    rows += [(p.log_bayes_factor, p.against) for p in check.pairs]
+    factor, against = max(rows, default=(0.0, ()))
     if factor > STILL_DEPENDS_NATS:
-        return [
-            f"The residuals still depend on {against} (log Bayes factor {factor:.0f}): {missing}"
-        ]
+        return [Claim("residuals.depend", *against, factor=factor, **missing)]
     return []
 
 
-def _between_runs(calibration: Calibration) -> list[str]:
+def _between_runs(calibration: Calibration) -> list[Claim]:
     """A function of time that only tells runs apart: of which of them a new run would be is not known."""
     _, codes = calibration.readings.groups("run")
     for name in calibration.model.names:
@@ -256,32 +238,19 @@ def _between_runs(calibration: Calibration) -> list[str]:
         if np.sum((added - means[codes]) ** 2) < WITHIN_RUNS_SHARE * np.sum(
             (added - added.mean()) ** 2
         ):
-            return [
-                f"Runs stand {np.ptp(means):.3g} {unit_label(calibration.unit)} apart ({name} steps where none goes "
-                "on): they are of two devices or conditions, or the sensor was restarted, and which of them a new run "
-                "will be like is not known."
-            ]
+            apart = float(np.ptp(means))
+            return [Claim("runs.apart", name, apart=apart, unit=calibration.unit)]
     return []
 
 
-def _of_scatter(check: Check) -> list[str]:
+def _of_scatter(check: Check) -> list[Claim]:
     """What the leave-one-out tests say against the noise law."""
     along = [name for name, p in check.scatter_with.items() if p < RARE_P]
     if along:
-        return [
-            f"Noise model inadequate: the scatter changes with {' and '.join(along)}, so standard uncertainties hold "
-            "for no part of the record. Give the readings their own uncertainties (column output_uncertainty)."
-        ]
+        return [Claim("noise.scatter", *along)]
     if check.one_sided < RARE_P:
-        return [
-            "Noise model inadequate: the readings far from the model stand on one side "
-            f"(p = {check.one_sided:.1g}), outliers that draw it there. Find what makes them, and leave them out."
-        ]
+        return [Claim("noise.one_sided", p=check.one_sided)]
     if check.pit_p < RARE_P:
         outside = f", {len(check.outliers)} of them outliers" if check.outliers else ""
-        return [
-            "Noise model inadequate: readings do not scatter about the model as normal noise does (leave-one-out "
-            f"probabilities uniform: p = {check.pit_p:.1g}{outside}). Look at the readings; a model with noise "
-            "bc.StudentT() bears outliers on both sides."
-        ]
+        return [Claim("noise.tails", p=check.pit_p, outside=outside)]
     return []

@@ -505,7 +505,7 @@ def fit(
         def write() -> bc.Calibration:
             judged = calibration
             if calibration.verdict.ok:
-                judged = calibration.with_verdict(against=calibration.conflicts)
+                judged = calibration.with_verdict(against=(*map(str, calibration.conflicts),))
             if folder is not None:
                 with whole_folder(folder, identity(judged)) as hidden:
                     judged.save(hidden / "calibration.nc")

@@ -9,6 +9,7 @@ from typing import Any
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, check_parts
+from bayescal._calibration.claim import Claim
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import null_directions, summary, unknowns_parts
 from bayescal._core.formatting import WIDTH, number, probability
@@ -264,7 +265,7 @@ def _not_asked(step: Step) -> str:
 
 def _findings_text(trail: SearchPath) -> str:
     """A line for each step: what is missing from it, and what comes nearest; questions of units once."""
-    rows, asked = [], dict[str, None]()
+    rows, asked = [], dict[Claim, None]()
     for i, step in enumerate(trail.steps):
         found = step.discovery
         if found is None:

@@ -549,7 +549,8 @@ def _left(chapter: Chapter) -> str:
     law = c.model.noise.looks_like or f"noise ({c.model.noise.in_words})"
     noise = f"{number(step['rmse_fitted'], 2)} {unit_label(c.unit)}"
     gate = chapter.data["gate"]
-    if gate["reason"].startswith("Noise model inadequate"):
+    first = next(iter(gate.get("claims", ())), {"code": ""})["code"]
+    if first in ("noise.correlated", "noise.scatter", "noise.one_sided", "noise.tails"):
         return f"What is left, {noise} rms, is not the noise that the model takes it for."
     if not gate["ok"]:
         return f"What is left is {noise} rms."

@@ -90,7 +90,11 @@ def result(trail: SearchPath) -> dict[str, Any]:
             "readings": {**_source(final.readings), "groups": _groups(final.readings)},
             "holdout": None if trail.holdout is None else _source(trail.holdout),
             "flags": list(final.readings.flags),
-            "gate": {"ok": trail.gate.ok, "reason": trail.gate.reason},
+            "gate": {
+                "ok": trail.gate.ok,
+                "reason": trail.gate.reason,
+                "claims": [one.data() for one in trail.gate.claims],
+            },
             "other_path": None
             if trail.other_path is None
             else {**as_json(trail.other_path), "in_words": str(trail.other_path)},

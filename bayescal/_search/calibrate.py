@@ -17,7 +17,7 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
 from bayescal._calibration.fit import fit
-from bayescal._calibration.guards import contradictions, following_members, too_different
+from bayescal._calibration.guards import PRIOR, following_members, too_different
 from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._calibration.judgement import noiseless, wrong_question
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
@@ -215,12 +215,12 @@ class Loop:
         None where something else stands against the model. A contradiction is a finding: the value is wrong, or an
         effect is missing that it stands in for, and the search weighs both.
         """
-        found = contradictions(first.calibration, self.accepted) if first.against else ()
-        if not set(first.against) <= {one.said for one in found}:
+        if any(one.code != PRIOR for one in first.against):
             return ()
         model, away = first.calibration.model, dict[str, float]()
-        for one in found:
-            away[one.effect] = max(one.away, away.get(one.effect, 0.0))
+        for one in first.against:
+            effect = one.of[1]
+            away[effect] = max(one.numbers["away"], away.get(effect, 0.0))
         named = {name: model.effect(name) for name in away}
         if any(e.shapes or e.is_placeholder or e.coefficients[0].per for e in named.values()):
             return ()
@@ -248,7 +248,9 @@ class Loop:
 
     def not_looked(self, first: Step) -> SearchPath:
         """What is left of the loop where nothing can be learnt from the first model."""
-        search = Search((), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(first.against)}")
+        search = Search(
+            (), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(map(str, first.against))}"
+        )
         return SearchPath(*judged((first,)), self.holdout, None, search)
 
     def look(

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtrc, logsumexp, ndtri
 
+from bayescal._calibration.claim import Claim
 from bayescal._calibration.guards import off_scale
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
@@ -145,8 +146,8 @@ def judge(
 
 def too_small_or_large(
     library: Library, points: Mapping[str, Sequence[ScoredPoint]], at: Weighed
-) -> tuple[str, ...]:
-    """Candidates that at their plausible size are far off the scale of these readings, in words."""
+) -> tuple[Claim, ...]:
+    """Candidates that at their plausible size are far off the scale of these readings."""
     structures, found = library.structures, []
     noise = math.sqrt(float(np.median(structures.line(at).variance)))
     for top, *_ in points.values():

@@ -365,7 +365,8 @@ class _CheckedInstrument:
                 name = spread or f"{b.name}, one a {c.per}"
                 returned(name, c.unit, adds, truth, draws, f"{b.size} of them")
             if b.name not in zero:
-                self.errors += off_scale(b.effect, adds, self.noise, self.instrument.unit)
+                found = off_scale(b.effect, adds, self.noise, self.instrument.unit)
+                self.errors += map(str, found)
         for effect in (e for e in one.layout.model.effects if e.name in one.mine):
             for shape in effect.shapes:
                 name, truth = effect.shape_name(shape), float(shape.prior.value(0.0))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.claim import Claim
 from bayescal._calibration.sensor_noise import SHOWN_PROBABILITY
 from bayescal._core import deadline
 from bayescal._core.errors import InputError, TimeIsUp
@@ -82,7 +83,7 @@ class Discovery(Printed):
         unstated: why the search cannot say that, in words; empty where it can.
         unnamed: descriptions in the model that carry more than a small part of it: something is missing that has no
             name here.
-        off_scale: candidates a million times smaller or larger than the noise at their plausible size, in words.
+        off_scale: candidates a million times smaller or larger than the noise at their plausible size.
         rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
             with those that come nearest; without a set, the leads.
     """
@@ -94,7 +95,7 @@ class Discovery(Printed):
     rivals: tuple[Effect, ...] = ()
     noise: tuple[LawProbability, ...] = ()
     stopped: str = ""
-    off_scale: tuple[str, ...] = ()
+    off_scale: tuple[Claim, ...] = ()
     unstated: str = ""
     unnamed: tuple[str, ...] = ()
 

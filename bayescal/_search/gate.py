@@ -7,11 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bayescal._calibration.claim import Claim, as_kept, distinct
 from bayescal._calibration.judgement import CORRELATED_SD, of_noise, of_thermometers, surprising
 from bayescal._calibration.leave_group_out import FEW_IN_GROUP, scheme
-from bayescal._core.formatting import number
 from bayescal._core.settings import settings
-from bayescal._data.unit_conversion import unit_label
 from bayescal._model.unknown_effect import FREED, JUMP
 from bayescal._search.one_profile import said_of_profiles
 from bayescal._search.search_path import WORSE_RATIO, Gate, Step
@@ -26,22 +25,25 @@ EXPECTED_SCATTER_RATIO = 2.0
 IN_ORDER_SHARE = 0.9
 
 
+WORSE = "step.predicts_worse"
+
+
 def gate(steps: Sequence[Step]) -> Gate:
     """Whether the last model is to be used and its probabilities believed; if not, every reason."""
     return _gate(steps, against(steps))
 
 
-def _gate(steps: Sequence[Step], reasons: Sequence[str]) -> Gate:
+def _gate(steps: Sequence[Step], reasons: Sequence[Claim]) -> Gate:
     if reasons:
-        return Gate(False, " ".join(reasons))
+        return Gate(False, " ".join(map(str, reasons)), tuple(reasons))
     # Of fewer readings no correlation reaches that many standard deviations.
     if len(steps[-1].calibration.readings) < int(CORRELATED_SD**2) + 1:
         return Gate(True, "converged; too few readings to see whether neighbours are correlated")
     return Gate(True, "converged; neighbouring residuals are not correlated")
 
 
-def against(steps: Sequence[Step]) -> list[str]:
-    """Why the last model is not to be used, in words; what was found against it earlier among them."""
+def against(steps: Sequence[Step]) -> tuple[Claim, ...]:
+    """Why the last model is not to be used; what was found against it earlier among it."""
     last = steps[-1]
     found = last.against or [
         *last.different,
@@ -51,8 +53,10 @@ def against(steps: Sequence[Step]) -> list[str]:
         *_taken_over(steps),
         *_against_the_steps_before(steps),
     ]
-    found = [*_freed(steps), *found]
-    return list(dict.fromkeys([*last.calibration.verdict.against, *found]))
+    earlier = map(as_kept, last.calibration.verdict.against)
+    found = distinct([*_freed(steps), *found])
+    said = {*map(str, found)}
+    return (*(one for one in distinct(earlier) if str(one) not in said), *found)
 
 
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
@@ -73,26 +77,19 @@ def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
     return tuple(steps), _gate(steps, reasons)
 
 
-def _freed(steps: Sequence[Step]) -> list[str]:
-    """What stands against a model in which a coefficient is free of its stated value, in words."""
-    free = [n for n in steps[-1].calibration.model.names if n.endswith(FREED)]
-    if not free:
-        return []
-    concerned = [
-        said for said in steps[0].against if any(n.removesuffix(FREED) in said for n in free)
-    ]
-    return [
-        f"{', '.join(n.removesuffix(FREED) for n in free)}: the readings are explained with a value other than the "
-        "stated one, and by no missing effect alone.",
-        *concerned,
-    ]
+def _freed(steps: Sequence[Step]) -> list[Claim]:
+    """What stands against a model in which a coefficient is free of its stated value."""
+    names = steps[-1].calibration.model.names
+    free = [n.removesuffix(FREED) for n in names if n.endswith(FREED)]
+    concerned = [one for one in steps[0].against if not set(one.of).isdisjoint(free)]
+    return [Claim("value.freed", *free), *concerned] if free else []
 
 
-def _confounded(steps: Sequence[Step]) -> list[str]:
-    """What the last model holds that these readings hardly tell from a term of the first, in words."""
+def _confounded(steps: Sequence[Step]) -> list[Claim]:
+    """What the last model holds that these readings hardly tell from a term of the first."""
     if not steps[-1].calibration.verdict.ok:
         return []
-    return [str(one) for one in _followed(steps) if one.measured and one.confounded]
+    return [one.claim for one in _followed(steps) if one.measured and one.confounded]
 
 
 def _followed(steps: Sequence[Step]) -> list[TakenOver]:
@@ -106,8 +103,8 @@ def _followed(steps: Sequence[Step]) -> list[TakenOver]:
     return sorted(found, key=lambda one: -one.moved)
 
 
-def _not_decidable(steps: Sequence[Step]) -> list[str]:
-    """What the last model holds that a thermometer or a logger would make as well, in words.
+def _not_decidable(steps: Sequence[Step]) -> list[Claim]:
+    """What the last model holds that a thermometer or a logger would make as well.
 
     A thermometer that is late by τ, alike in every run, turns c·T into c·T − c·τ·dT/dt, and so does an output that is
     early; one that drifts in every run makes a warm-up, and one that drifts over the record, or is slow in one run, an
@@ -124,31 +121,23 @@ def _not_decidable(steps: Sequence[Step]) -> list[str]:
     ]
     if not (warm and in_time):
         return []
-    return [
-        f"Not decidable from these readings: whether {' and '.join(in_time)} is of the sensor, or the thermometer "
-        f"({', '.join(warm)}) or the output is late, slow or drifting. Predictions hold with this thermometer and this "
-        "logger; compare the thermometer once with one at the sensor."
-    ]
+    return [Claim("thermometer.or_sensor", *in_time, columns=tuple(warm))]
 
 
-def _levels(step: Step) -> list[str]:
-    """That coefficients are of the mean of two levels, where the output steps within the record, in words."""
+def _levels(step: Step) -> list[Claim]:
+    """That coefficients are of the mean of two levels, where the output steps within the record."""
     calibration = step.calibration
     if (name := f"unknown({JUMP})") not in calibration.model.names:
         return []
     readings, added = calibration.readings, calibration.linear.contribution(name)
     order = np.argsort(readings["time"], kind="stable")
     at = float(readings["time"][order][1 + int(np.argmax(np.abs(np.diff(added[order]))))])
-    return [
-        f"Not decidable from these readings: which of two levels, {number(np.ptp(added))} "
-        f"{unit_label(calibration.unit)} apart, is that in use: the output steps at {number(at)} s ({name}), and the "
-        "coefficients are of their mean. Look at what happened there; readings of another state belong in a file of "
-        "their own."
-    ]
+    apart = float(np.ptp(added))
+    return [Claim("level.which", name, apart=apart, unit=calibration.unit, at=at)]
 
 
-def in_one_order(step: Step) -> list[str]:
-    """What has no name and follows an input that always comes from the same value before it, in words.
+def in_one_order(step: Step) -> list[Claim]:
+    """What has no name and follows an input that always comes from the same value before it.
 
     An output that is late or smoothed holds a part of the reading before. Where that was always at the same value of
     the input, this is a function of the input.
@@ -168,31 +157,25 @@ def in_one_order(step: Step) -> list[str]:
         visits = pairs.sum(axis=1)
         again = visits >= FEW_IN_GROUP
         if again.any() and pairs[again].max(axis=1).sum() > IN_ORDER_SHARE * visits[again].sum():
-            found.append(
-                f"Not decidable from these readings: whether {effect.name} is of the sensor, or the output is late or "
-                f"smoothed: {column} goes through its values in one order. Take them in another order in one run."
-            )
+            found.append(Claim("input.one_order", effect.name, column=column))
     return found
 
 
-def _taken_over(steps: Sequence[Step]) -> list[str]:
+def _taken_over(steps: Sequence[Step]) -> list[Claim]:
     """Terms of the first model that something else stands for in the last, the one that moved the most alone."""
-    return [str(one) for one in _followed(steps) if not one.measured][:1]
+    return [one.claim for one in _followed(steps) if not one.measured][:1]
 
 
-def _may_be_missing(step: Step) -> str:
-    """What may be what residuals still depend on, in words."""
+def _may_be_missing(step: Step) -> dict[str, str]:
+    """What may be what residuals still depend on: which cure, and what it names."""
     candidates = step.discovery.candidates if step.discovery else ()
     if leads := [c for c in candidates if c.kind == "lead"]:
         named = " or ".join(f"{c.effect} (probability {c.probability:.2f})" for c in leads)
-        return (
-            f"{named} may be what is missing. Add it (--add {leads[0].effect}), or take the readings of the next "
-            "experiment."
-        )
-    return "something is missing that no candidate describes, or readings of two devices or conditions are mixed."
+        return {"cure": "lead", "named": named, "lead": leads[0].effect}
+    return {"cure": "nothing"}
 
 
-def _undecided(step: Step) -> list[str]:
+def _undecided(step: Step) -> list[Claim]:
     """Something is missing, and the readings do not say what: neither an effect nor one of several."""
     found = step.discovery
     if found is None or found.nothing_missing is None or found.sets or found.unnamed:
@@ -200,16 +183,14 @@ def _undecided(step: Step) -> list[str]:
     if found.nothing_missing >= UNLIKELY_COMPLETE:
         return []
     leads = [c for c in found.candidates if c.probability is not None][:3]
-    named = ", ".join(f"{c.effect} ({c.probability:.2f})" for c in leads)
-    return [
-        f"The model is complete with probability {found.nothing_missing:.2g} only, and the readings do not tell what "
-        f"is missing; the most probable are {named}."
-    ]
+    named = tuple(f"{c.effect} ({c.probability:.2f})" for c in leads)
+    told = {"complete": found.nothing_missing, "named": named}
+    return [Claim("complete.undecided", *(c.effect for c in leads), **told)]
 
 
-def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
+def _against_the_steps_before(steps: Sequence[Step]) -> list[Claim]:
     """What an added effect made worse: the error as fitted, leave-one-group-out, of the hold-out data."""
-    reasons, unit = [], unit_label(steps[-1].calibration.unit)
+    reasons, unit = [], steps[-1].calibration.unit
     *earlier, last = steps
     # Under another noise law readings weigh differently, and correlated noise takes up what an effect explained: their
     # plain error may well be larger.
@@ -217,17 +198,16 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[str]:
     alike = [s for s in earlier if s.calibration.model.noise == noise and noise.independent]
     before = min((s.rmse_fitted for s in alike), default=math.inf)
     if last.added is not None and last.rmse_fitted > WORSE_RATIO * before:
-        reasons.append(
-            f"Step {last.title!r} raises the error as fitted, {before:.3g} → {last.rmse_fitted:.3g} {unit}: do not use "
-            "it."
-        )
+        errors = {"then": before, "now": last.rmse_fitted, "unit": unit}
+        reasons.append(Claim("step.raises_error", last.added, step=last.title, **errors))
     if last.left_out and (best := left_out_better(last, earlier)) and best.left_out:
-        what = f"each {last.left_out.group} from the others ({scheme(last.left_out.group)})"
-        reasons.append(_worse(what, best, best.left_out.rmse, last.left_out.rmse, unit))
+        group = last.left_out.group
+        what = f"each {group} from the others ({scheme(group)})"
+        errors = {"then": best.left_out.rmse, "now": last.left_out.rmse, "unit": unit}
+        reasons.append(Claim(WORSE, group, what=what, step=best.title, **errors))
     if (best := holdout_better(last, earlier)) and best.holdout_rmse and last.holdout_rmse:
-        reasons.append(
-            _worse("the hold-out data", best, best.holdout_rmse, last.holdout_rmse, unit)
-        )
+        errors = {"then": best.holdout_rmse, "now": last.holdout_rmse, "unit": unit}
+        reasons.append(Claim(WORSE, what="the hold-out data", step=best.title, **errors))
     return [*reasons, *surprising(last.left_out), *_contradicted(last)]
 
 
@@ -263,30 +243,17 @@ def holdout_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     return best if last.holdout_test.worse_than(best.holdout_test) < settings().holdout_p else None
 
 
-def _contradicted(step: Step) -> list[str]:
+def _contradicted(step: Step) -> list[Claim]:
     """What hold-out data say against the last model itself, whatever came before."""
     error = step.holdout_rmse
     if step.holdout_test is None or error is None:
         return []
-    found, unit = step.holdout_test.against, unit_label(step.calibration.unit)
-    other = "They are of another device or condition, or the model is wrong."
+    found = step.holdout_test.against
     if found.p < settings().holdout_p and found.share > WORSE_RATIO:
-        of = f", {found.most} before all" if found.most else ""
-        return [
-            f"The hold-out data contradict the last model: its error there, {number(error)} {unit}, would be "
-            f"{number(error / found.share)} with other coefficients{of}, and a right model is so far off with "
-            f"probability {found.p:.2g}. {other}"
-        ]
+        before = f", {found.most} before all" if found.most else ""
+        told = {"error": float(error), "other": float(error / found.share), "p": found.p}
+        told |= {"before": before, "unit": step.calibration.unit}
+        return [Claim("holdout.contradicts", **told)]
     if found.scatter > EXPECTED_SCATTER_RATIO:
-        return [
-            "The last model predicts the hold-out data worse than it claims: they scatter "
-            f"{found.scatter:.1f} times as much as expected. {other}"
-        ]
+        return [Claim("holdout.scatters", scatter=found.scatter)]
     return []
-
-
-def _worse(what: str, best: Step, then: float, now: float, unit: str) -> str:
-    return (
-        f"The last model predicts {what} worse than step {best.title!r}, {then:.3g} → {now:.3g} {unit}: "
-        "what was changed since holds for these readings alone."
-    )

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.claim import Claim
 from bayescal._core.formatting import number
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import run_codes
@@ -43,7 +44,7 @@ def repeated(readings: Measurements, column: str) -> bool:
     return True
 
 
-def said_of_profiles(calibration: Calibration) -> list[str]:
+def said_of_profiles(calibration: Calibration) -> list[Claim]:
     """That all runs have one profile, where the model has something that changes within them, and what would tell."""
     readings, model = calibration.readings, calibration.model
     thermal = [e for e in model.effects if "time" in e.columns or e.along == "elapsed"]
@@ -51,12 +52,8 @@ def said_of_profiles(calibration: Calibration) -> list[str]:
     warm = [n for n in warm if n != "temperature_point" and repeated(readings, n)]
     if not (thermal and warm):
         return []
-    column = warm[0]
-    names = " and ".join(e.name for e in thermal)
-    return [
-        f"All runs have one profile of {column}: what repeats with the time within a run ({names}) is told from the "
-        f"temperature by its form alone. {another_run(calibration, column)}"
-    ]
+    told = {"column": warm[0], "another": another_run(calibration, warm[0])}
+    return [Claim("profile.one", *(e.name for e in thermal), **told)]
 
 
 def another_run(calibration: Calibration, column: str) -> str:

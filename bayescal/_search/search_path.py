@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
+from bayescal._calibration.claim import Claim
 from bayescal._calibration.guards import doubts_of_the_mode
 from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, scheme
@@ -48,8 +49,8 @@ class Step:
         rmse_fitted: the same with group deviations as fitted.
         holdout_rmse: of the hold-out data; None without them.
         holdout_test: what they say against this model.
-        against: why nothing can be learnt from this model, in words; empty for most.
-        different: members of groups that differ far more than is plausible, or along a column, in words.
+        against: why nothing can be learnt from this model; empty for most.
+        different: members of groups that differ far more than is plausible, or along a column.
         left_out: each group predicted from the others.
         noise_floor: from neighbouring readings alone, whatever the model.
         check: where this model fails.
@@ -67,21 +68,21 @@ class Step:
     discovery: Discovery | None
     changed: str = ""
     holdout_test: HoldoutTest | None = None
-    against: tuple[str, ...] = ()
-    different: tuple[str, ...] = ()
+    against: tuple[Claim, ...] = ()
+    different: tuple[Claim, ...] = ()
 
-    def judged(self, against: Sequence[str]) -> Step:
+    def judged(self, against: Sequence[Claim | str]) -> Step:
         """The same, whose calibration knows why it is not to be used."""
         return replace(self, calibration=self.calibration.judged(against))
 
-    def noted(self, notes: Sequence[str]) -> Step:
-        """The same, whose calibration says these sentences beside how it was fitted."""
-        notes = (*dict.fromkeys((*self.calibration.verdict.notes, *notes)),)
-        return replace(self, calibration=self.calibration.with_verdict(notes=notes))
+    def noted(self, notes: Sequence[Claim]) -> Step:
+        """The same, whose calibration says this beside how it was fitted."""
+        said = (*dict.fromkeys((*self.calibration.verdict.notes, *map(str, notes))),)
+        return replace(self, calibration=self.calibration.with_verdict(notes=said))
 
     @cached_property
-    def doubts(self) -> tuple[str, ...]:
-        """Why the Gaussian fit about its mode does not describe the posterior, in words; empty for most."""
+    def doubts(self) -> tuple[Claim, ...]:
+        """Why the Gaussian fit about its mode does not describe the posterior; empty for most."""
         return tuple(doubts_of_the_mode(self.calibration))
 
     @property
@@ -119,10 +120,17 @@ class Step:
 
 @dataclass(frozen=True)
 class Gate:
-    """Whether probabilities of missing effects may be given at all."""
+    """Whether probabilities of missing effects may be given at all.
+
+    Attributes:
+        ok: whether.
+        reason: in words.
+        claims: what stands against it.
+    """
 
     ok: bool
     reason: str
+    claims: tuple[Claim, ...] = ()
 
 
 @dataclass(frozen=True, repr=False)

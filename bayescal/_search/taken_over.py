@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.claim import Claim
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model import unknown_effect
 from bayescal._model.effect import Effect
@@ -76,24 +77,15 @@ class TakenOver(NamedTuple):
         """Whether the readings hardly tell the term from what was added."""
         return self.left < LEFT_SHARE
 
-    def __str__(self) -> str:
-        """Why the term's coefficient is not measured, or what its uncertainty holds, a sentence or two."""
-        name, by = self.term.name, " and ".join(e.name for e in self.by)
-        column = " and ".join(self.term.varies)
+    @property
+    def claim(self) -> Claim:
+        """Why the term's coefficient is not measured, or what its uncertainty holds."""
+        by, column = tuple(e.name for e in self.by), self.term.varies
+        told = {"by": by, "column": column, "left": self.left}
         if self.measured:
-            return (
-                f"{name} and {by} are confounded in these readings, which tell {self.left:.1%} of it apart: their "
-                f"standard uncertainties hold both. Vary {column} otherwise in another run."
-            )
-        said = f"{by} can stand for it, as the profiles are"
-        if self.kept < CORRECTED_SHARE:
-            said = f"{column} no longer explains the output, {by} stands for it"
-        return (
-            f"The coefficient {name} is not measured: {said}, and these readings cannot tell which it is ({name} is "
-            f"{self.kept:.2g} times what it was, {self.moved:.0f} of its standard uncertainties away). Look at the "
-            f"column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than a run? "
-            f"Vary {column} otherwise in another run."
-        )
+            return Claim("term.confounded", self.term.name, **told)
+        code = "term.replaced" if self.kept < CORRECTED_SHARE else "term.replaceable"
+        return Claim(code, self.term.name, **told, kept=self.kept, moved=self.moved)
 
 
 def taken_over(first: Calibration, last: Calibration) -> list[TakenOver]:

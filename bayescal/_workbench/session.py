@@ -372,7 +372,7 @@ class Session:
         begin, loop = self.current, self._loop
         first, freed = begin.step, loop.freed(begin.step)
         if first.against and not freed:
-            raise ModelError(f"nothing is looked for: {' '.join(first.against)}")
+            raise ModelError(f"nothing is looked for: {' '.join(map(str, first.against))}")
         more = (*self.own.values(), *freed)
         loop = replace(loop, begun=time.monotonic())
         loop, structures, shut = loop.open(first, more, self.settings.widen_noise)

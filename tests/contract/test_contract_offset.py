@@ -183,4 +183,4 @@ def test_an_offset_that_the_prior_does_not_admit_is_said() -> None:
     instrument = still_sensor.instrument("ug", size=2000, span=40, pace=3)  # constant: 20 000 µg
     far = readings.with_column("output", readings["output"] + 1e9)
     found = bc.fit(instrument.baseline(), far, LS, strict=False)
-    assert "the readings lie far from what the model can be" in found.conflicts[0]
+    assert found.conflicts[0].code == "size.beyond_output"

@@ -43,7 +43,7 @@ def test_it_is_fitted_printed_checked_saved_and_loaded(maker: str, tmp_path: Pat
     assert c.verdict.ok
     again = bc.load(c.save(tmp_path / "c.nc"), effects=EFFECTS)
     for one in (c, again):
-        assert all(isinstance(words, str) for words in one.conflicts)
+        assert all(str(claim) for claim in one.conflicts)
         # Coefficients of single readings are not printed one by one.
         name = MADE[maker].name
         assert name in repr(one) and (name in str(one) or maker == "thermometer")

@@ -124,8 +124,8 @@ def test_an_effect_in_a_wrong_unit_is_asked_about(size: float, shown: bool) -> N
     assert line.off_scale == ()
     found = bc.discover(line, effects=[damp(size)], max_effects=1)
     for said in (with_it.off_scale, found.off_scale):
-        assert [words.split(" contributes")[0] for words in said] == ["bias.damp"] * shown
-        for words in said:
+        assert [one.of[0] for one in said] == ["bias.damp"] * shown
+        for words in map(str, said):
             assert re.search(
                 r"at most \S+ °/s at its plausible size, where the noise is 0\.\d+ °/s", words
             )

@@ -150,5 +150,4 @@ def test_two_periods_that_even_readings_confuse_are_two_modes() -> None:
         doubts.append(doubts_of_the_mode(fit))
     (reason,), none = doubts
     assert none == []
-    assert "Two modes explain the readings nearly as well" in reason
-    assert "bias.wave.period" in reason
+    assert (reason.code, reason.of) == ("mode.two", ("bias.wave.period",))

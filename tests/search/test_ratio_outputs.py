@@ -40,7 +40,7 @@ def test_an_output_keeps_its_unit_and_no_shape_is_taken_for_a_size(
     model = instrument.baseline() + "bias.temperature_quadratic" + "unknown(time)" + "bias.warm_up"
     fitted = bc.fit(model, readings, QUICK, strict=False)
     assert [
-        said for said in fitted.conflicts if "larger than" in said or "longer than" in said
+        one for one in fitted.conflicts if one.code in ("size.beyond_output", "time.beyond_record")
     ] == []
     curved = fitted.samples("bias.temperature_quadratic")
     assert curved.mean() == pytest.approx(CURVED * SIZES[unit], abs=5 * curved.std())
