@@ -51,7 +51,7 @@ class Calibration(Printed, Fitted):
     @property
     def remarks(self) -> str:
         """What was not measured, the verdict, and what stands against the result, a line each."""
-        lines = [f"not measured: {d['in_words']}" for d in null_directions(self)]
+        lines = [f"not measured: {one}" for one in null_directions(self)]
         lines.append(str(self.verdict))
         lines += [f"conflict: {words}" for words in self.conflicts]
         lines += [f"unit? {words}" for words in self.off_scale]

@@ -217,6 +217,32 @@ WORDS: dict[str, Words] = {
         "expected. " + _ELSEWHERE,
     ),
     # What does not stand against it, and is to be known
+    "direction.none_exactly": Words(
+        NOTE, "{of[0]}: these readings say nothing of it; its interval is the prior's (exactly)"
+    ),
+    "direction.other_exactly": Words(
+        NOTE,
+        "{combination}: this combination is not identifiable; only other combinations of these coefficients are "
+        "measured, this one keeps the prior's width (exactly)",
+    ),
+    "direction.none": Words(
+        NOTE, "{of[0]}: these readings say nothing of it; its interval is the prior's"
+    ),
+    "direction.other": Words(
+        NOTE,
+        "{of}: only another combination of them is measured; this one keeps the prior's width",
+    ),
+    "direction.members": Words(
+        NOTE,
+        "{count} combination(s) of the single coefficients of {of:list}: these readings do not tell them apart; they "
+        "keep the width of their prior",
+    ),
+    "direction.confounded": Words(
+        NOTE,
+        "{of} apart from {column}: these readings tell {told:.1g} of its squares from the model. Standard "
+        "uncertainties hold what it may have done in their place; the sum of both is measured.",
+        "Vary {vary} otherwise in another run, or leave it out if it is no cause (--ignore {vary})",
+    ),
     "term.confounded": Words(
         NOTE,
         "{of[0]} and {by} are confounded in these readings, which tell {left:.1%} of it apart: their standard "

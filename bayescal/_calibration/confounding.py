@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit, ndtri
 
+from bayescal._calibration.claim import Claim
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import same_dimension
 from bayescal._inference.linear_model import LinearModel
@@ -48,6 +49,13 @@ class Confounder(NamedTuple):
     coefficients: list[str]
     told: float
     shares: dict[str, list[float]]
+
+    @property
+    def claim(self) -> Claim:
+        """What ran with what."""
+        told = {"column": self.column, "vary": self.column.removesuffix(" rate"), "told": self.told}
+        combination = f"{' and '.join(self.coefficients)} and {self.column}"
+        return Claim("direction.confounded", *self.coefficients, **told, combination=combination)
 
 
 def confounders(
@@ -140,25 +148,3 @@ def widened(
         own = [one.shares.get(b.name, [0.0] * b.size) for b in layout.x_blocks]
         x = x + normal * np.concatenate([np.zeros(0), *own])
     return x
-
-
-def in_words(found: Sequence[Confounder]) -> list[dict[str, str]]:
-    """What ran with what: the combination, and a sentence."""
-    return [
-        {
-            "combination": f"{(names := ' and '.join(one.coefficients))} and {one.column}",
-            "in_words": (
-                f"{names} apart from {one.column}: these readings tell {one.told:.1g} of its squares from the model. "
-                "Standard uncertainties hold what it may have done in their place; the sum of both is measured. "
-                f"{_cure(one.column)}"
-            ),
-        }
-        for one in found
-    ]
-
-
-def _cure(column: str) -> str:
-    own = column.removesuffix(" rate")
-    return (
-        f"Vary {own} otherwise in another run, or leave it out if it is no cause (--ignore {own})"
-    )

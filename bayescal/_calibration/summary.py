@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._calibration.confounding import in_words
+from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
 from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, number, with_error
@@ -183,20 +183,27 @@ def _row(
     }
 
 
-def null_directions(calibration: Fitted) -> list[dict[str, str]]:
-    """Combinations of coefficients that the readings leave as the prior had them, in words.
+def null_directions(calibration: Fitted) -> list[Claim]:
+    """Combinations of coefficients that the readings leave as the prior had them.
 
     First the exact ones: combinations that change no reading whatsoever, in the coefficients' own units and with
     as few coefficients in each as can be. Then those whose information, in units of the prior, is below a tenth:
     there the posterior is the prior. What concerns next to nothing but deviations of a group's members, or the
     coefficients of unknown functions, is counted in one line for all. Last, what cannot be told from recorded columns.
     """
-    return [*untold(calibration.linear, calibration.levels), *in_words(calibration.confounders)]
+    found = untold(calibration.linear, calibration.levels)
+    return [*found, *(one.claim for one in calibration.confounders)]
+
+
+def directions_data(calibration: Fitted) -> list[dict[str, str]]:
+    """`null_directions` as in result.json."""
+    found = null_directions(calibration)
+    return [{"combination": c.numbers["combination"], "in_words": str(c)} for c in found]
 
 
 def untold(
     linear: LinearModel, levels: Mapping[str, Sequence[str]], exactly: bool = True
-) -> list[dict[str, str]]:
+) -> list[Claim]:
     """`null_directions` of a structure about any point.
 
     Args:
@@ -209,9 +216,9 @@ def untold(
         return []
     names = [name for b in layout.x_blocks for name in b.member_names(levels)]
     exact, weak, others = null_vectors(linear, exactly)
-    found = [_exact_words(v * linear.sd[: len(v)], names) for v in exact]
-    found += [_weak_words(v, names) for v in weak]
-    return [*found, *([_deviations_words(others, layout)] if others else [])]
+    found = [_exact(v * linear.sd[: len(v)], names) for v in exact]
+    found += [_weak(v, names) for v in weak]
+    return [*found, *([_of_members(others, layout)] if others else [])]
 
 
 def null_vectors(
@@ -245,47 +252,34 @@ def _concerns(vector: np.ndarray, main: np.ndarray) -> bool:
     return float(np.sum(vector[main] ** 2)) > CONCERNED_SHARE * float(np.sum(vector**2))
 
 
-def _deviations_words(vectors: list[np.ndarray], layout: Layout) -> dict[str, str]:
+def _of_members(vectors: list[np.ndarray], layout: Layout) -> Claim:
     """Of all directions among deviations of groups and unknown functions' coefficients."""
     size = np.max(np.abs(vectors), axis=0)
     several = (b for b in layout.x_blocks if not _single(b, layout))
     large = [b for b in several if size[b.start : b.start + b.size].max() > TRACE * size.max()]
-    names = ", ".join(dict.fromkeys(b.effect.name for b in large))
-    words = (
-        f"{len(vectors)} combination(s) of the single coefficients of {names}: these readings do not tell them apart; "
-        "they keep the width of their prior"
-    )
-    return {"combination": names, "in_words": words}
+    names = dict.fromkeys(b.effect.name for b in large)
+    told = {"count": len(vectors), "combination": ", ".join(names)}
+    return Claim("direction.members", *names, **told)
 
 
-def _exact_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:
+def _exact(vector: np.ndarray, names: list[str]) -> Claim:
     """Of a combination that leaves no trace; `vector` in the coefficients' own units."""
     vector, order = null_space.simple(vector), np.flatnonzero(vector)
+    code = "direction.none_exactly" if len(order) == 1 else "direction.other_exactly"
     combination = _sum([(vector[i], names[i]) for i in order])
-    if len(order) == 1:
-        words = f"{names[order[0]]}: these readings say nothing of it; its interval is the prior's (exactly)"
-    else:
-        words = (
-            f"{combination}: this combination is not identifiable; only other combinations of these "
-            "coefficients are measured, this one keeps the prior's width (exactly)"
-        )
-    return {"combination": combination, "in_words": words}
+    return Claim(code, *(names[i] for i in order), combination=combination)
 
 
-def _weak_words(vector: np.ndarray, names: list[str]) -> dict[str, str]:
+def _weak(vector: np.ndarray, names: list[str]) -> Claim:
     """Of a direction that readings hardly tell; `vector` in prior standard deviations."""
     vector = vector / np.linalg.norm(vector)
     order = [i for i in np.argsort(-np.abs(vector)) if vector[i] ** 2 > CONCERNED_SHARE]
     order = order or [int(np.argmax(np.abs(vector)))]
     sign = np.sign(vector[order[0]])
     combination = _sum([(float(sign) * round(float(vector[i]), 2), names[i]) for i in order])
-    who = " and ".join(names[i] for i in order)
-    words = f"{who}: these readings say nothing of it; its interval is the prior's"
-    if len(order) > 1:
-        words = (
-            f"{who}: only another combination of them is measured; this one keeps the prior's width"
-        )
-    return {"combination": f"{combination}  (in prior standard deviations)", "in_words": words}
+    code = "direction.none" if len(order) == 1 else "direction.other"
+    told = {"combination": f"{combination}  (in prior standard deviations)"}
+    return Claim(code, *(names[i] for i in order), **told)
 
 
 def _sum(terms: list[tuple[float, str]]) -> str:

@@ -11,7 +11,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, check_parts
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.predict import Prediction
-from bayescal._calibration.summary import null_directions, summary, unknowns_parts
+from bayescal._calibration.summary import directions_data, summary, unknowns_parts
 from bayescal._core.formatting import WIDTH, number, probability
 from bayescal._core.progress import tell
 from bayescal._core.result_table import plain_table
@@ -104,7 +104,7 @@ def fit_data(calibration: Calibration) -> dict[str, Any]:
             "ok": verdict.reliable,
             "reasons": [*verdict.reasons, *verdict.against],
         },
-        "identifiability": {"null_directions": null_directions(calibration)},
+        "identifiability": {"null_directions": directions_data(calibration)},
     }
 
 

@@ -20,7 +20,7 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.description import identity
 from bayescal._calibration.leave_group_out import groups_of
-from bayescal._calibration.summary import null_directions, summary
+from bayescal._calibration.summary import directions_data, summary
 from bayescal._core.as_json import as_json, write_json
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.json_shape import read_json
@@ -104,7 +104,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
             "coefficients": coefficients,
             "hyperparameters": hyperparameters,
             "vector": vector_data(final, trail.average),
-            "identifiability": {"null_directions": null_directions(final)},
+            "identifiability": {"null_directions": directions_data(final)},
             "verdict": {
                 "ok": trail.ok,
                 "reasons": list(dict.fromkeys(reasons)),

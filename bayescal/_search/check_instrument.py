@@ -264,7 +264,7 @@ class _CheckedInstrument:
         fitted = fit(model, made, LeastSquares(draws=300), **how)
         self._came_back(one, fitted, zero, kind)
         if kind == "baseline":
-            self.notes += [f"baseline: {d['in_words']}" for d in null_directions(fitted)]
+            self.notes += [f"baseline: {one}" for one in null_directions(fitted)]
 
     def _of_response(self, one: _Simulated) -> None:
         """Slots that change no output, or change it one for one in another unit."""

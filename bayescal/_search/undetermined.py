@@ -129,8 +129,8 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
     in_moves = readings.has(TURNED[0])  # what it takes is a log with further moves, about any axis
     count = len(readings) // (3 if readings.has(ACROSS[0]) and not in_moves else 1)
     directions = null_vectors(planned, exactly=False)[1] if layout.size else []
-    words = untold(planned, levels, exactly=False)[: len(directions)]  # of a rig's own errors none
-    found = tuple(one["in_words"] for one in words)
+    said = untold(planned, levels, exactly=False)[: len(directions)]  # of a rig's own errors none
+    found = tuple(map(str, said))
     if vector is None or not directions or in_moves:
         return Undetermined(count, found)
     poses, rows = _candidates(model, vector, readings)

@@ -96,7 +96,7 @@ def main() -> None:
         rows[name] = {str(s): left(calibration, c) for s, c in HELD.items()}
         if name == "two thermometers":
             found = null_directions(calibration)
-            named = [d["combination"] for d in found if "(exactly)" in d["in_words"]]
+            named = [c.numbers["combination"] for c in found if c.code.endswith("_exactly")]
     print(table(rows))
     worst = {n: max(r.bias_rms for r in by.values()) for n, by in rows.items()}
     best = worst["two thermometers"]

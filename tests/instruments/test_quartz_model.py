@@ -94,7 +94,7 @@ def test_soaked_points_leave_rates_unidentified() -> None:
 
 
 def test_the_three_null_combinations_are_named(two: bc.Calibration) -> None:
-    found = [d["combination"] for d in null_directions(two) if "(exactly)" in d["in_words"]]
+    found = [c.numbers["combination"] for c in null_directions(two) if c.code.endswith("_exactly")]
     assert found == [words.format(slot) for slot in ("bias", "scale") for words in NULLS]
     text = " ".join(str(two).split())
     assert "not measured: bias.constant_circuit − bias.constant_head" in text

@@ -13,6 +13,7 @@ from bayescal._calibration.claim_words import WORDS, Words
 PAGE = Path(__file__).with_name("claims.txt")
 NAMES = ("by", "column", "columns", "along", "values", "named")  # that may be several
 TEXTS = ("said", "reasons", "how", "what", "before", "outside", "another", "words", "scheme")
+TEXTS = (*TEXTS, "combination")
 TEXTS = (*TEXTS, "group", "member", "step", "term", "lead")
 
 

@@ -54,9 +54,9 @@ def test_the_slope_holds_what_a_column_that_ran_with_the_thermometer_may_have_do
     assert np.corrcoef(readings["temperature"], readings["humidity"])[0, 1] > 0.9999
     fit = bc.fit(line(readings), readings, QUICK)
     assert off(fit) < 2
-    (said,) = (d for d in null_directions(fit) if "humidity" in d["in_words"])
-    assert said["combination"].endswith("bias.temperature and humidity")
-    assert said["in_words"] in str(fit).replace("\n", " ")
+    (said,) = (c for c in null_directions(fit) if c.code == "direction.confounded")
+    assert said.numbers["combination"].endswith("bias.temperature and humidity")
+    assert str(said) in str(fit).replace("\n", " ")
     # What both do together is known as well as before.
     assert fit.samples("bias.temperature").mean() == pytest.approx(1.3 * SLOPE, rel=0.01)
     assert bc.predict(fit).model_sd.max() < 0.5 * bc.predict(fit).sd.max()

@@ -69,7 +69,7 @@ class ModelPane(Pane):
         coefficients, others = summary(calibration)
         self.effects.rows = effect_rows(calibration.model, [*coefficients, *others])
         self.noise.rows = noise_rows(state)
-        lines = [d["in_words"] for d in null_directions(calibration)]
+        lines = [str(one) for one in null_directions(calibration)]
         lines += [f"conflict: {w}" for w in calibration.conflicts]
         said = [*(f"not measured: {w}" for w in lines[:3]), str(calibration.verdict)]
         self.verdict.object = "\n".join(said)
