@@ -2,37 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import MAY_BE_EMPTY, UNCERTAINTY
 from bayescal._data.dataset_checks import label_codes, record_codes
-from bayescal._data.unit_conversion import convert, unit_label
+from bayescal._data.unit_conversion import convert, quantity, unit_label
 
 # Usual changes of a column, beyond which a change is a step between two settings, over which no mean is taken.
 SET_JUMP_CHANGES = 10.0
 # Share of the readings that may be such steps, which leave ten to a mean at the least.
 SET_JUMPS_SHARE = 0.1
-
-_DURATION = re.compile(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*([^\W\d_]+)\s*")
-
-
-class Averaged(NamedTuple):
-    """Means of readings.
-
-    Attributes:
-        columns: means of numbers, labels as they were; in the order of time within runs.
-        units: of the numbers; None for labels.
-        flag: how many readings became how many means, and the noise of either, a sentence.
-    """
-
-    columns: dict[str, np.ndarray]
-    units: dict[str, str | None]
-    flag: str
 
 
 def duration(text: str | float) -> float:
@@ -41,10 +23,10 @@ def duration(text: str | float) -> float:
     Raises:
         InputError: it is none, or not positive and finite.
     """
-    found = _DURATION.fullmatch(f"{text} s" if isinstance(text, int | float) else text)
     try:
-        seconds = float(convert(float(found[1]), found[2], "s")) if found else np.nan
-    except (InputError, ValueError):
+        number, unit = quantity(f"{text} s" if isinstance(text, int | float) else text)
+        seconds = float(convert(number, unit, "s"))
+    except InputError:
         seconds = np.nan
     if not (np.isfinite(seconds) and seconds > 0):
         raise InputError(
@@ -60,7 +42,7 @@ def average(
     output: str,
     step: str | float,
     names: str,
-) -> Averaged:
+) -> tuple[dict[str, np.ndarray], dict[str, str | None], str]:
     """Means over times that follow each other, of readings whose labels all agree.
 
     Args:
@@ -69,6 +51,10 @@ def average(
         output: name of the output column.
         step: to average over, "1 s" or a number of seconds.
         names: the files, for messages.
+
+    Returns:
+        Means of numbers and labels as they were, in the order of time within runs; their units; and how many readings
+        became how many means, and the noise of either, as a flag.
 
     Raises:
         InputError: no such time, no column `time`, or each reading its own mean, or one mean of all.
@@ -105,7 +91,7 @@ def average(
     found = {name: values[row] for name, values in means.items()}
     own = units.get(output)
     flag = f"{names}: {time.size} readings averaged over {seconds:g} s, to {_averaging_note(counts, noise, own)}"
-    return Averaged(found, {UNCERTAINTY: own, **units}, flag)
+    return found, {UNCERTAINTY: own, **units}, flag
 
 
 def _refuse_useless(

@@ -105,12 +105,15 @@ Columns = Mapping[str, np.ndarray]
 def distinct(columns: Sequence[np.ndarray]) -> tuple[list[tuple[Any, ...]], np.ndarray]:
     """The different rows of some columns, in the order in which they first appear, and which of them each row is.
 
-    By a dictionary, since pandas takes half a second to load.
+    By a dictionary of the first rows of stretches, since labels stay the same for long, and pandas takes half a second
+    to load.
     """
-    codes: dict[tuple[Any, ...], int] = {}
-    rows = zip(*(values.tolist() for values in columns), strict=True)
-    found = np.fromiter((codes.setdefault(row, len(codes)) for row in rows), np.int64)
-    return list(codes), found
+    begins = np.ones(len(columns[0]), bool)
+    begins[1:] = np.any([values[1:] != values[:-1] for values in columns], axis=0)
+    first, codes = np.flatnonzero(begins), dict[tuple[Any, ...], int]()
+    rows = zip(*(values[first].tolist() for values in columns), strict=True)
+    found = np.fromiter((codes.setdefault(row, len(codes)) for row in rows), np.int64, len(first))
+    return list(codes), np.repeat(found, np.diff(first, append=len(begins)))
 
 
 def label_codes(columns: Columns, names: Collection[str]) -> np.ndarray:

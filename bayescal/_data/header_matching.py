@@ -8,7 +8,6 @@ need them; no file is refused for them.
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -39,8 +38,8 @@ from bayescal._data.unit_conversion import (
     base_unit,
     convert,
     fixed_unit,
-    parse,
     pretty,
+    quantity,
     same_dimension,
     spelled,
     unit_in,
@@ -154,9 +153,6 @@ class ReadOptions:
         return any(name in (header.raw, header.name) for name in (*self.ignore, *self.others))
 
 
-_NUMBER_AND_UNIT = re.compile(r"([+\-−]?\d*\.?\d+(?:[eE][+-]?\d+)?)\s*([^\d\s.].*)")
-
-
 def _scale_in_words(
     instrument: InstrumentLike,
     scale: NominalScale | str | None,
@@ -218,16 +214,12 @@ def _field_in_words(instrument: InstrumentLike, text: str) -> float:
 
 
 def _number_and_unit(text: str, name: str, option: str, example: str) -> tuple[float, str]:
-    found = _NUMBER_AND_UNIT.fullmatch(text.strip())
-    if not found:
-        raise InputError(
-            f"{name}={text!r} ({option}) is no number with a unit: write it such as {example!r}"
-        )
     try:
-        parse(found[2])
+        return quantity(text)
     except InputError as error:
-        raise InputError(f"{name}={text!r} ({option}): {error}") from None
-    return float(found[1].replace("−", "-")), found[2]
+        raise InputError(
+            f"{name}={text!r} ({option}): {error}: write it such as {example!r}"
+        ) from None
 
 
 def output_name(instrument: InstrumentLike) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +31,7 @@ from bayescal._data.dataset_checks import (
     repeated_rows,
 )
 from bayescal._data.header_matching import InstrumentLike, ReadOptions, output_name, unused_options
+from bayescal._data.joined_files import joined
 from bayescal._data.pose_rows import MAGNITUDE, MAGNITUDE_READ, scalar_readings
 from bayescal._data.unit_conversion import ANY, STANDARD_GRAVITY, parse
 from bayescal._tables.cells import date_text, equally_long
@@ -160,12 +161,7 @@ class Measurements(Printed):
             nominal_zero=nominal_zero,
             missing=missing,
         )
-        problems = Problems()
-        unused_options([table], options, problems)
-        converted = convert_columns(table, instrument, options, problems)
-        problems += problems_of_whole(converted, instrument, allow_one_temperature)
-        problems.refuse()
-        return assemble(converted, instrument, scale=options.nominal_scale)
+        return measured([table], instrument, options, allow_one_temperature)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A column, in its fixed unit; labels as text.
@@ -370,8 +366,8 @@ class Measurements(Printed):
         Raises:
             InputError: no such time, no column `time`, or no two readings in any of these times.
         """
-        made = average(self.values, self.units, self.output, step, self.file)
-        return replace(self, values=made.columns, units=made.units, flags=(*self.flags, made.flag))
+        values, units, flag = average(self.values, self.units, self.output, step, self.file)
+        return replace(self, values=values, units=units, flags=(*self.flags, flag))
 
     def write(self, path: str | Path) -> Path:
         """Write the readings to .csv, .parquet or .nc, as `read` reads them.
@@ -380,6 +376,45 @@ class Measurements(Printed):
             InputError: another suffix, or a place that cannot be written to.
         """
         return write(self.values, self.units, path, self.to_xarray)
+
+
+def measured(
+    tables: Sequence[Table],
+    instrument: InstrumentLike,
+    options: ReadOptions,
+    one_temperature: bool,
+    labels: Sequence[str] = ("",),
+    problems: Problems | None = None,
+) -> Measurements:
+    """Tables of files, or of arrays, as one record; all that is wrong with any of them is refused at once.
+
+    Args:
+        tables: that could be opened.
+        instrument: whose readings they are.
+        options: what the user says beside them.
+        one_temperature: accept one temperature.
+        labels: of the files' runs, where they have no column `run`.
+        problems: of files that could not be opened, if there are any.
+
+    Raises:
+        InputError: a column, a unit or a cell cannot be used, or the whole cannot.
+    """
+    problems, parts = Problems(problems or ()), list[ConvertedColumns]()
+    if not problems:
+        unused_options(tables, options, problems)
+    for table in tables:
+        with problems.collecting(table.file):
+            part = convert_columns(table, instrument, options, problems)
+            parts.append(part)
+            records_known = part.unread.isdisjoint(("run", "device", "axis"))
+            if problems and records_known:  # said with the rest
+                problems += problems_of_whole(part, instrument, True)
+    problems.refuse()
+    whole = joined(parts, labels)
+    problems_of_whole(whole, instrument, one_temperature).refuse()
+    output = options.columns.get(output_name(instrument), "")
+    sources = tuple(Source(t.file, t.sha256, t.rows, output) for t in tables if t.sha256)
+    return assemble(whole, instrument, sources, options.nominal_scale)
 
 
 def assemble(

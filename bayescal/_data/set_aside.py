@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,18 @@ NOT_NEW_SHARE = 0.1
 ONE_OF_ITS_KIND_SHARE = 0.5
 
 
+class Fault(NamedTuple):
+    """Readings that say nothing of the sensor.
+
+    Attributes:
+        rows: which; none where there is no such fault.
+        said: what is wrong with them, in words.
+    """
+
+    rows: np.ndarray = np.zeros(0, int)
+    said: str = ""
+
+
 def set_aside(
     readings: Measurements, keep_spikes: bool = False, needed: Collection[str] = ()
 ) -> Measurements:
@@ -47,103 +60,100 @@ def set_aside(
         keep_spikes: leave spikes in, and wrong temperatures.
         needed: columns that a model needs: without readings, too, at which a thermometer among them was wrong.
     """
-    readings = _without_stuck(_without_clipped(_once(readings)))
-    if keep_spikes:
+    for find in (_repeated, _clipped, _stuck):
+        readings = _without(readings, find(readings))
+    if keep_spikes or not readings.has("time"):  # both are known by their neighbours in time
         return readings
-    return _without_spikes(_without_wrong(_without_leaps(readings), needed))
+    readings = _without(readings, _leaping(readings))
+    begun = len(readings)
+    while len((fault := _wrong(readings, needed, begun)).rows):
+        readings = _without(readings, fault)
+    return _without(readings, _spikes(readings))
 
 
-def _without(readings: Measurements, rows: np.ndarray, said: str) -> Measurements:
-    kept = np.setdiff1d(np.arange(len(readings)), rows)
-    return replace(readings.select(kept), flags=(*readings.flags, f"{readings.file}: {said}"))
-
-
-def _once(readings: Measurements) -> Measurements:
-    """Without rows that repeat an earlier one: reading a file drops them, other sources may hold them."""
-    again = checks.repeated_rows({name: readings[name] for name in readings.columns})
-    if not (readings.has("time") and len(again)):
+def _without(readings: Measurements, fault: Fault) -> Measurements:
+    """The other readings, with a flag; where no other is left, they stay."""
+    kept = np.setdiff1d(np.arange(len(readings)), fault.rows)
+    if not len(fault.rows) or not len(kept):
         return readings
-    said = f"{len(again)} row(s) repeat an earlier one in every column: dropped"
-    return _without(readings, again, said)
+    flag = f"{readings.file}: {fault.said}"
+    return replace(readings.select(kept), flags=(*readings.flags, flag))
 
 
-def _without_clipped(readings: Measurements) -> Measurements:
-    """Without what stands exactly at an end where the output was cut off: such a reading only says "beyond"."""
+def _listed(rows: np.ndarray, values: np.ndarray, unit: str = "") -> str:
+    """The first rows, as people count them, with what they read."""
+    shown = ", ".join(f"{row + 1} ({values[row]:.6g}{unit})" for row in rows[:5])
+    return f"row {shown}{' …' * (len(rows) > 5)}"
+
+
+def _repeated(readings: Measurements) -> Fault:
+    """Rows that repeat an earlier one: reading a file drops them, other sources may hold them."""
+    rows = checks.repeated_rows(readings.values) if readings.has("time") else np.zeros(0, int)
+    return Fault(rows, f"{len(rows)} row(s) repeat an earlier one in every column: dropped")
+
+
+def _clipped(readings: Measurements) -> Fault:
+    """What stands exactly at an end where the output was cut off: such a reading only says "beyond"."""
     output = readings["output"]
-    clipped, notes = np.zeros(len(readings), dtype=bool), []
-    for end, level in [] if checks.rounding_step(output) else checks.clip_levels(output):
-        at = output == level
-        clipped |= at
-        notes.append(f"{int(at.sum())} at its {end} {level:.6g}")
-    if not notes or clipped.all():
-        return readings
-    said = (
-        f"{int(clipped.sum())} clipped reading(s) of the output set aside, {' and '.join(notes)}: "
-        "what lies beyond was not measured, and no calibration holds there"
+    ends = [] if checks.rounding_step(output) else checks.clip_levels(output)
+    rows = np.flatnonzero(np.isin(output, [level for _, level in ends]))
+    each = [f"{np.sum(output == level)} at its {end} {level:.6g}" for end, level in ends]
+    return Fault(
+        rows,
+        f"{len(rows)} clipped reading(s) of the output set aside, {' and '.join(each)}: "
+        "what lies beyond was not measured, and no calibration holds there",
     )
-    return _without(readings, np.flatnonzero(clipped), said)
 
 
-def _without_stuck(readings: Measurements) -> Measurements:
-    """Without repeats of one reading by an output that stood still: only the first was measured."""
+def _stuck(readings: Measurements) -> Fault:
+    """Repeats of one reading by an output that stood still: only the first was measured."""
     output = readings["output"]
     if np.ptp(output) == 0 or checks.rounding_step(output):
-        return readings
+        return Fault()
     if (stuck := checks.stuck_rows(output)) is not None:
         first, last = stuck
-        repeats = np.arange(first + 1, last + 1)
+        rows = np.arange(first + 1, last + 1)
         said = f"stands still at {output[first]:.6g} (rows {first + 2} to {last + 1})"
-    elif not len(repeats := _held(readings)):
-        return readings
+    elif readings.has("time"):
+        own = checks.pieces(readings.values)
+        rows = checks.repeats(output, own, checks.held_rows(output, own))
+        first = rows[0] + 1 if len(rows) else 0
+        said = (
+            f"repeats a value until the next leap, first in row {first}: a logger asked it seldom"
+        )
     else:
-        said = f"repeats a value until the next leap, first in row {repeats[0] + 1}: a logger asked it seldom"
-    said = f"{len(repeats)} reading(s) set aside: the output {said}"
-    return _without(readings, repeats, said)
+        return Fault()
+    return Fault(rows, f"{len(rows)} reading(s) set aside: the output {said}")
 
 
-def _held(readings: Measurements) -> np.ndarray:
-    """Rows that repeat the output before them where it is held from leap to leap."""
-    if not readings.has("time"):
-        return np.zeros(0, int)
-    output, own = readings["output"], checks.pieces({n: readings[n] for n in readings.columns})
-    return checks.repeats(output, own, checks.held_rows(output, own))
-
-
-def _without_leaps(readings: Measurements) -> Measurements:
-    """Without those at which a thermometer leaps there and back: nothing is known of the temperature there."""
-    if not readings.has("time"):
-        return readings
-    columns = {n: readings[n] for n in readings.columns}
-    gone, notes, own = np.zeros(len(readings), bool), [], checks.pieces(columns)
-    for name in (n for n in columns if readings.unit(n) == "degC" and np.ptp(columns[n]) > 0):
-        rows = checks.leaps(columns[name], own)
-        gone[rows] = True
-        shown = ", ".join(f"{row + 1} ({columns[name][row]:.6g} °C)" for row in rows[:5])
-        notes += [f"{name}: row {shown}{' …' if len(rows) > 5 else ''}"] if len(rows) else []
-    if not notes or gone.all():
-        return readings
-    said = (
-        f"{int(gone.sum())} reading(s) set aside, at which a thermometer leaps faster than a body can "
-        f"follow, {'; '.join(notes)}; keep_spikes keeps them"
+def _leaping(readings: Measurements) -> Fault:
+    """Those at which a thermometer leaps there and back: nothing is known of the temperature there."""
+    own, each, gone = checks.pieces(readings.values), [], [np.zeros(0, int)]
+    for name, values in readings.values.items():
+        if readings.unit(name) == "degC" and np.ptp(values) > 0:
+            rows = checks.leaps(values, own)
+            gone.append(rows)
+            each += [f"{name}: {_listed(rows, values, ' °C')}"] if len(rows) else []
+    rows = np.unique(np.concatenate(gone))
+    return Fault(
+        rows,
+        f"{len(rows)} reading(s) set aside, at which a thermometer leaps faster than a body can "
+        f"follow, {'; '.join(each)}; keep_spikes keeps them",
     )
-    return _without(readings, np.flatnonzero(gone), said)
 
 
-def _without_wrong(readings: Measurements, needed: Collection[str]) -> Measurements:
-    """Without readings at which a thermometer that is needed was surely wrong, one kind of fault after the other.
+def _wrong(readings: Measurements, needed: Collection[str], begun: int) -> Fault:
+    """Readings at which a thermometer that is needed was surely wrong, by one kind of fault.
 
     Where too much would go, or a device's readings or all temperatures but one, they stay, and the fault is a reason
     not to believe the result.
     """
-    warm, begun = [n for n in readings.columns if readings.unit(n) == "degC"], len(readings)
-    while True:
-        columns = {n: readings[n] for n in readings.columns}
-        found = checks.oddities(columns, warm, readings.output)
-        wrong = (o for o in found if o.column in needed and _can_go(columns, o, begun))
-        if (odd := next(wrong, None)) is None:
-            return readings
-        said = f"{len(odd.wrong)} reading(s) set aside, column {odd.column!r} {odd.said}; keep_spikes keeps them"
-        readings = _without(readings, odd.wrong, said)
+    warm = [n for n in readings.columns if readings.unit(n) == "degC"]
+    for odd in checks.oddities(readings.values, warm, readings.output):
+        if odd.column in needed and _can_go(readings.values, odd, begun):
+            said = f"{len(odd.wrong)} reading(s) set aside, column {odd.column!r} {odd.said}"
+            return Fault(odd.wrong, f"{said}; keep_spikes keeps them")
+    return Fault()
 
 
 def _can_go(columns: checks.Columns, odd: checks.Oddity, begun: int) -> bool:
@@ -158,16 +168,11 @@ def _can_go(columns: checks.Columns, odd: checks.Oddity, begun: int) -> bool:
     return whole and bool(np.ptp(columns[odd.column][kept]) > settings().temperature_span)
 
 
-def _without_spikes(readings: Measurements) -> Measurements:
+def _spikes(readings: Measurements) -> Fault:
     rows = find_spikes(readings)
-    if not len(rows):
-        return readings
-    shown = ", ".join(f"{row + 1} ({readings['output'][row]:.6g})" for row in rows[:5])
-    said = (
-        f"{len(rows)} reading(s) set aside as spikes, far from both neighbours: "
-        f"row {shown}{' …' if len(rows) > 5 else ''}; keep_spikes keeps them"
-    )
-    return _without(readings, rows, said)
+    shown = _listed(rows, readings["output"])
+    said = f"{len(rows)} reading(s) set aside as spikes, far from both neighbours: {shown}"
+    return Fault(rows, f"{said}; keep_spikes keeps them")
 
 
 def find_spikes(readings: Measurements) -> np.ndarray:
@@ -181,7 +186,7 @@ def find_spikes(readings: Measurements) -> np.ndarray:
     if not readings.has("time"):
         return none
     found, heights, rest = [none], [np.zeros(0)], [np.zeros(0)]
-    codes = checks.record_codes({name: readings[name] for name in readings.columns})
+    codes = checks.record_codes(readings.values)
     for piece in checks.stretches(readings["time"], codes, SPIKE_FEWEST):
         at, high, others = _standing_out(readings["output"][piece])
         found.append(piece[at])

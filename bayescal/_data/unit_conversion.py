@@ -324,6 +324,22 @@ def convert(
     return values if factor == 1 else values * factor
 
 
+_QUANTITY = re.compile(r"([+\-−]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([^\d\s.].*)")
+
+
+def quantity(text: str) -> tuple[float, str]:
+    """The number and the unit of a text such as "48.2 uT" or "2min".
+
+    Raises:
+        InputError: it is no number with a unit, or the unit is none.
+    """
+    found = _QUANTITY.fullmatch(text.strip())
+    if not found:
+        raise InputError("it is no number with a unit")
+    parse(found[2])
+    return float(found[1].replace("−", "-")), found[2]
+
+
 def same_dimension(a: str, b: str) -> bool:
     """Whether one unit converts to the other (m/s² and g do, by the local gravity).
 

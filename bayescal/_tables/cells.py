@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -311,24 +312,18 @@ def cells_of(values: object, number: bool) -> Cells:
         values: one entry per reading: numbers, text, or both.
         number: whether the column is one of numbers.
     """
-    import pandas as pd  # half a second that a CSV file does without
-
     array = np.asarray(values)
     if array.dtype.kind == "M":
         array = array.astype("datetime64[us]").astype(object)
-    if array.dtype.kind in "OU" or isinstance(array.dtype, np.dtypes.StringDType):
-        if not number and pd.api.types.infer_dtype(array, skipna=True) == "string":
-            # labels repeat: each is read once; the last is for −1, missing
-            codes, levels = pd.factorize(array.astype(object))
-            return Cells(np.array([*(_text(v, pd.NA) for v in levels), ""], dtype=object)[codes])
-        texts = [_text(value, pd.NA) for value in array.tolist()]
-        return numbers_of(texts) if number else Cells(np.array(texts, dtype=object))
-    if not number:
-        return Cells(np.array([_text(value, pd.NA) for value in array.tolist()], dtype=object))
-    if array.dtype.kind in "iuf":
+    if number and array.dtype.kind in "iuf":
         return Cells(array.astype(np.float64))
-    bad = {i: str(value) for i, value in enumerate(array[:MOST_BAD].tolist())}
-    return Cells(np.full(len(array), np.nan), bad)
+    text = array.dtype.kind in "OU" or isinstance(array.dtype, np.dtypes.StringDType)
+    if number and not text:
+        bad = {i: str(value) for i, value in enumerate(array[:MOST_BAD].tolist())}
+        return Cells(np.full(len(array), np.nan), bad)
+    missing = getattr(sys.modules.get("pandas"), "NA", None)  # which only pandas makes
+    texts = [_text(value, missing) for value in array.tolist()]
+    return numbers_of(texts) if number else Cells(np.array(texts, dtype=object))
 
 
 def equally_long(columns: Mapping[str, object]) -> dict[str, np.ndarray]:
@@ -348,6 +343,8 @@ def equally_long(columns: Mapping[str, object]) -> dict[str, np.ndarray]:
 
 def _text(value: object, missing: object) -> str:
     """A cell as a label: whole numbers without a point, nothing for what is `missing`."""
+    if isinstance(value, str):
+        return value.strip()
     if value is None or value is missing or (isinstance(value, float) and np.isnan(value)):
         return ""
     if isinstance(value, bytes):

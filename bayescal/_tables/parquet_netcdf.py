@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-import xarray as xr
 
 from bayescal._core.atomic_file import named_back
 from bayescal._core.errors import InputError
@@ -22,6 +22,9 @@ from bayescal._tables.raw_table import (
     refuse_many,
 )
 from bayescal._tables.unpacked import ARRAYS, refuse_hdf5, refuse_unpacked
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def open_parquet(path: Path, file: str, max_bytes: int) -> Table:
@@ -122,4 +125,6 @@ def open_netcdf(path: Path, file: str, max_bytes: int) -> Table:
 
 
 def _dataset(path: Path) -> xr.Dataset:
+    import xarray as xr  # half a second that only NetCDF needs
+
     return xr.open_dataset(path, engine="h5netcdf", decode_times=False)

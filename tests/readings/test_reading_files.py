@@ -33,14 +33,24 @@ def test_a_good_file_is_read_in_its_order_and_units(put):
     assert m.sources[0].rows == 3
 
 
-def test_reading_a_csv_file_loads_no_library_of_tables(put):
+def test_reading_a_csv_file_or_arrays_loads_no_library_of_tables(put):
     code = (
         "import sys, bayescal as bc; from tests.support.gyro_files import GYRO; "
-        f"bc.read({str(put(GOOD))!r}, GYRO); "
-        "print([m for m in ('pandas', 'xarray', 'pyarrow', 'scipy', 'jax') if m in sys.modules])"
+        f"m = bc.read({str(put(GOOD))!r}, GYRO); "
+        "bc.Measurements.from_arrays(GYRO, **m.values).groups('run'); "
+        "heavy = ('pandas', 'xarray', 'pyarrow', 'scipy', 'jax', 'jaxtyping', 'matplotlib'); "
+        "print([m for m in heavy if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.stdout == "[]\n", done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("order", ["in stretches", "alternating"])
+def test_groups_are_numbered_as_they_appear(put, order):
+    runs = ["b"] * 3 + ["a"] * 3 if order == "in stretches" else ["b", "a"] * 3
+    m = Measurements.from_arrays(GYRO, output=range(6), temperature=range(6), run=runs)
+    assert m.groups("run")[0] == ("b", "a")
+    assert m.groups("run")[1].tolist() == [int(run == "a") for run in runs]
 
 
 def test_repeated_rows_are_those_that_pandas_finds():

@@ -1,0 +1,119 @@
+"""Files one after the other, as the columns of one record: their runs told apart, their clocks made one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayescal._core.errors import InputError
+from bayescal._data.column import MAY_BE_EMPTY, ConvertedColumns
+from bayescal._tables.raw_table import Table
+
+
+def joined(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> ConvertedColumns:
+    """The files' columns one after the other.
+
+    Args:
+        parts: of each file.
+        labels: of their runs, for those without a column `run`.
+
+    Raises:
+        InputError: labels or dates stand in some files only, or one column has two dimensions.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    _label_runs(parts, labels)
+    whole = _end_to_end(parts)
+    return replace(whole, flags=[*whole.flags, *_equal_contents(whole.tables)])
+
+
+def _label_runs(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> None:
+    """Give the files without a column `run` a run of their own, and say which runs span files."""
+    own = [set(part.values["run"]) if "run" in part.values else set() for part in parts]
+    named = set().union(*own)
+    seen: dict[str, str] = {}
+    for part, label, runs in zip(parts, labels, own, strict=True):
+        (table,) = part.tables
+        if "run" not in part.values:
+            label = f"file {label}" if label in named else label
+            part.values["run"] = np.full(table.rows, label, dtype=object)
+            part.units["run"] = None
+        part.flags += [
+            f"run {run!r} of {table.file} is taken as the one of {seen[run]}, continued"
+            for run in sorted(runs & seen.keys())
+        ]
+        seen = dict.fromkeys(runs, table.file) | seen
+
+
+def _end_to_end(parts: Sequence[ConvertedColumns]) -> ConvertedColumns:
+    """Files one after the other; labels in some files only, or one column in two dimensions, are refused."""
+    tables = [table for part in parts for table in part.tables]
+    joined = ConvertedColumns(tuple(tables), flags=[flag for part in parts for flag in part.flags])
+    joined.filled = set.intersection(*(part.filled for part in parts))
+    joined.beside = set().union(*(part.beside for part in parts))
+    joined.origin = _on_one_clock(parts)
+    units = {name: unit for part in parts for name, unit in part.units.items()}
+    for name, unit in units.items():
+        for table, part in zip(tables, parts, strict=True):
+            if part.units.get(name, unit) != unit:
+                raise InputError(
+                    f"column {name!r} is in {part.units[name]} in {table.file!r} and in {unit} in "
+                    "another file: give it one kind of unit, or rename one"
+                )
+        with_it, without = _first_files(parts, [name in part.values for part in parts])
+        if without and unit is None:
+            raise InputError(
+                f"{without!r} lacks the column {name!r} that {with_it!r} has: label every file, or "
+                "none"
+            )
+        if without and name == MAY_BE_EMPTY:
+            joined.flags.append(f"{without}: no {name!r}: its readings belong to no cell (a ramp)")
+        elif without:
+            joined.flags.append(f"column {name!r} left out: {with_it} has it, {without} has not")
+            continue
+        empty = [np.full(table.rows, np.nan) for table in tables]
+        joined.values[name] = np.concatenate(
+            [p.values.get(name, e) for p, e in zip(parts, empty, strict=True)]
+        )
+        joined.units[name] = unit
+    return joined
+
+
+def _first_files(
+    parts: Sequence[ConvertedColumns], have: Sequence[bool]
+) -> tuple[str | None, str | None]:
+    """The first file that has something, and the first that has not."""
+    files = [part.tables[0].file for part in parts]
+    with_it = next((file for file, has in zip(files, have, strict=True) if has), None)
+    return with_it, next((file for file, has in zip(files, have, strict=True) if not has), None)
+
+
+def _on_one_clock(parts: Sequence[ConvertedColumns]) -> float | None:
+    """Shift the times of files that count from dates to the earliest, which is returned; None without dates."""
+    timed = [part for part in parts if "time" in part.values]
+    origins = [part.origin for part in timed if part.origin is not None]
+    if not origins:
+        return None
+    with_it, without = _first_files(timed, [part.origin is not None for part in timed])
+    if without:
+        raise InputError(
+            f"{with_it!r} has dates in its column 'time', {without!r} has none: give all files the same clock, or "
+            "read them one by one"
+        )
+    for part in timed:
+        assert part.origin is not None
+        part.values["time"] = np.round(part.values["time"] + (part.origin - min(origins)), 6)
+    return min(origins)
+
+
+def _equal_contents(tables: Sequence[Table]) -> list[str]:
+    first: dict[str, str] = {}
+    for table in tables:
+        first.setdefault(table.sha256, table.file)
+    return [
+        f"{table.file} has the same content as {first[table.sha256]}: the same readings twice?"
+        for table in tables
+        if table.file != first[table.sha256]
+    ]
