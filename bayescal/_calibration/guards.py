@@ -41,7 +41,7 @@ LONGEST_RECORDS = 10.0  # lengths of the record, beyond which no time constant c
 # law.
 LAW_COEFFICIENTS = 2
 
-TRIED = 3  # starts of the search for another mode
+STARTS_TRIED = 3  # starts of the search for another mode
 PRIOR = "prior.contradicted"
 
 
@@ -159,7 +159,7 @@ def doubts_of_the_mode(calibration: Fitted) -> list[Claim]:
     density = Density(assembly, mode.point, mode.flat, mode.v)
     tried = np.concatenate([prior_draws(assembly), *across(assembly, mode.v)])
     starts = [v for v in tried if far(v).any()] if shapes else []
-    for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:TRIED]]:
+    for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:STARTS_TRIED]]:
         other = find_mode(assembly, [start], None, mode.point, still=0.01)
         behind = mode.log_evidence - other.log_evidence
         if far(other.v).any() and behind < MODES_NEARLY_NATS:

@@ -27,8 +27,8 @@ from bayescal._model.instrument import factor_of
 
 DRAWS = 1000  # replicates, fewer of many readings: p-values to a thousandth
 CELLS = 10_000_000  # replicates × readings, held together
-TINY = 1e-300  # squares of an error that is none
-SEEN = 1e-8  # of the longest direction's length, below which a direction is rounding
+TINY_SQUARE = 1e-300  # squares of an error that is none
+SEEN_SHARE = 1e-8  # of the longest direction's length, below which a direction is rounding
 
 
 @dataclass(frozen=True)
@@ -80,12 +80,12 @@ class HoldoutTest:
         inverse = np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
         far = np.einsum("bi,ij,bj->b", by_right, inverse, by_right)
         p = _share(far >= pulled @ inverse @ pulled)
-        left = max(_squares(errors - whole @ (whole.T @ errors)), TINY)
+        left = max(_squares(errors - whole @ (whole.T @ errors)), TINY_SQUARE)
         usual = np.median(_squares(expected - (expected @ whole) @ whole.T))
-        scatter = math.sqrt(left / max(float(usual), TINY))
+        scatter = math.sqrt(left / max(float(usual), TINY_SQUARE))
         share = math.sqrt(float(_squares(errors)) / left)
         away = {
-            name: abs(float(column @ errors)) / max(float(np.std(expected @ column)), TINY)
+            name: abs(float(column @ errors)) / max(float(np.std(expected @ column)), TINY_SQUARE)
             for name, per, column in self._columns
             if per is None
         }
@@ -170,7 +170,7 @@ def _orthonormal(columns: Sequence[np.ndarray], size: int) -> Float[np.ndarray, 
     if not each:
         return np.zeros((size, 0))
     left, values, _ = np.linalg.svd(np.array(each).T, full_matrices=False)
-    return left[:, values > SEEN * values[0]]
+    return left[:, values > SEEN_SHARE * values[0]]
 
 
 def _squares(rows: np.ndarray) -> np.ndarray:

@@ -49,9 +49,9 @@ STILL_DEPENDS_NATS = 10.0
 # I. Kollár, Quantization Noise, 2008), with the rounding's own 1/√12.
 AS_GOOD_AS_NOISE_STEPS = 0.42
 
-FEW = 100  # draws, of an expected output's slope
-SMALL = 0.5  # part of a leap, up to which a shift of the thermometer is none
-SURELY = 3.0  # standard uncertainties of a shift that is told from none
+SLOPE_DRAWS = 100  # draws, of an expected output's slope
+SMALL_SHIFT_SHARE = 0.5  # part of a leap, up to which a shift of the thermometer is none
+SHIFT_SD = 3.0  # standard uncertainties of a shift that is told from none
 
 LOOK = {"cure": "search"}  # what is to be done where residuals still depend on something
 
@@ -164,7 +164,7 @@ def _followed(calibration: Calibration, one: Oddity) -> bool:
     readings = calibration.readings
     values, line = readings[one.column], calibration.linear
     own = pieces({name: readings[name] for name in readings.columns})
-    expected = predict(calibration, readings, new_groups=False, draws=FEW).mean
+    expected = predict(calibration, readings, new_groups=False, draws=SLOPE_DRAWS).mean
     for row in one.rows:
         piece = next((p for p in own if row in p[1:]), None)
         if piece is None:
@@ -173,10 +173,12 @@ def _followed(calibration: Calibration, one: Oddity) -> bool:
         shifted = values.copy()
         shifted[piece[at:]] += 1.0  # °C
         moved = readings.with_column(one.column, shifted, readings.unit(one.column))
-        slope = predict(calibration, moved, new_groups=False, draws=FEW).mean - expected
+        slope = predict(calibration, moved, new_groups=False, draws=SLOPE_DRAWS).mean - expected
         (pull,), ((weight,),) = line.score(slope[:, None])
         leap = abs(values[row] - values[piece[at - 1]])
-        if weight > 0 and abs(pull) / weight > max(SURELY / math.sqrt(weight), SMALL * leap):
+        if weight > 0 and abs(pull) / weight > max(
+            SHIFT_SD / math.sqrt(weight), SMALL_SHIFT_SHARE * leap
+        ):
             return False
     return True
 

@@ -14,7 +14,7 @@ from bayescal._inference.method import Draws
 from bayescal._model.parameters import CoefficientBlock, Layout
 from bayescal._model.prior import HalfCauchy, HalfNormal
 
-PRIOR_DRAWS = 1000
+PRIOR_DRAWS = 1000  # for the groups of ArviZ's tree, as many as a picture of a prior needs
 STEP = 1e-3  # of a coordinate, for the slope of a prior's value
 TINY = float(np.finfo(float).tiny)
 

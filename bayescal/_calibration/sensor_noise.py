@@ -44,7 +44,7 @@ FILTER_REACHES_SHARE = 0.95
 EVENT_RATIO = 7.0
 
 NORMAL_MEDIAN = 0.6745  # standard deviations: the median absolute value of a normal number
-SHOWN = 4  # sums that are printed with their probabilities
+SHOWN_SUMS = 4  # sums that are printed with their probabilities
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,9 @@ class SensorNoise(Printed):
     def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
         terms = plain_table(["term", "value", "95 % interval", "SI"], rows, fold=40)
-        likely = [(w, p) for w, p in self.probabilities.items() if p >= SHOWN_PROBABILITY][:SHOWN]
+        likely = [(w, p) for w, p in self.probabilities.items() if p >= SHOWN_PROBABILITY][
+            :SHOWN_SUMS
+        ]
         laws = ", ".join(f"{words} {probability(p)}" for words, p in likely)
         said = [f"Noise law: {laws}.", *(f"Note: {note}." for note in self.notes)]
         unit = unit_label(self.unit)

@@ -25,14 +25,13 @@ from bayescal._model.prior import deviation
 WEAK_INFORMATION = 0.1
 # Length of a coefficient's unit vector within such directions, above which it is not measured at all.
 UNMEASURED_SHARE = 0.99
-CONCERNED_SHARE = (
-    0.1  # share of a direction's squared length, from which a coefficient is named in it
-)
+# Share of a direction's squared length, from which a coefficient is named in it.
+CONCERNED_SHARE = 0.1
 
 Direction = Float[np.ndarray, "p"]
 
-LONGEST = 8  # terms of a combination that are written out
-TRACE = 0.01  # of the largest entry, from which a coefficient is named
+MOST_TERMS = 8  # terms of a combination that are written out
+TRACE_SHARE = 0.01  # of the largest entry, from which a coefficient is named
 MOST_MEMBERS = 4  # of a group, that have a line each
 
 
@@ -256,7 +255,9 @@ def _of_members(vectors: list[np.ndarray], layout: Layout) -> Claim:
     """Of all directions among deviations of groups and unknown functions' coefficients."""
     size = np.max(np.abs(vectors), axis=0)
     several = (b for b in layout.x_blocks if not _single(b, layout))
-    large = [b for b in several if size[b.start : b.start + b.size].max() > TRACE * size.max()]
+    large = [
+        b for b in several if size[b.start : b.start + b.size].max() > TRACE_SHARE * size.max()
+    ]
     names = dict.fromkeys(b.effect.name for b in large)
     told = {"count": len(vectors), "combination": ", ".join(names)}
     return Claim("direction.members", *names, **told)
@@ -285,9 +286,9 @@ def _weak(vector: np.ndarray, names: list[str]) -> Claim:
 def _sum(terms: list[tuple[float, str]]) -> str:
     """A sum for people: a − b − 2·c."""
     shown = []
-    for factor, name in terms[:LONGEST]:
+    for factor, name in terms[:MOST_TERMS]:
         size = "" if abs(factor) == 1 else f"{abs(factor):.3g}·"
         shown.append(f"{'+' if factor > 0 else '−'} {size}{name}")
-    if len(terms) > LONGEST:
-        shown.append(f"… and {len(terms) - LONGEST} more")
+    if len(terms) > MOST_TERMS:
+        shown.append(f"… and {len(terms) - MOST_TERMS} more")
     return " ".join(shown).removeprefix("+ ")

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from bayescal._tables.raw_table import Problem
 
 commands = Commands()
-MOST = 5  # effects that are added
+MOST_ADDED = 5  # effects that are added
 SENSORS = {
     "accelerometer_triad": "accelerometers",
     "gyro_triad": "gyroscopes",
@@ -267,7 +267,7 @@ def _calibrated(
         turned: takes the correction to other axes.
     """
     trail = bc.calibrate(
-        model, readings, seed=asked.seed, max_effects=0 if asked.baseline else MOST
+        model, readings, seed=asked.seed, max_effects=0 if asked.baseline else MOST_ADDED
     )
     correction = bc.vector_correction(trail.calibration)  # averaged over the structures
     correction = turned(correction)

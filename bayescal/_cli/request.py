@@ -39,7 +39,7 @@ Early = tuple[
     dict[str, Any] | None, FileColumns | None
 ]  # readings; by which columns they were read
 LONG_LOG = 20_000  # readings, beyond which means over short times say as much and are sooner done
-LONG = 50_000_000  # bytes of files that take longer to read than an instrument takes to load
+LONG_BYTES = 50_000_000  # bytes of files that take longer to read than an instrument takes to load
 
 
 def open_request(asked: ReadRequest) -> tuple[Instrument, Model, Measurements]:
@@ -114,7 +114,7 @@ def read_early(asked: ReadRequest, names: Sequence[str] = ()) -> Early:
     holds = (
         None if in_a_file(asked.instrument) else file_columns(known_instrument(asked.instrument))
     )
-    short = sum(path.stat().st_size for path in asked.files if path.is_file()) <= LONG
+    short = sum(path.stat().st_size for path in asked.files if path.is_file()) <= LONG_BYTES
     return (_read(asked.files, holds, asked, names) if holds and short else None), holds
 
 

@@ -22,10 +22,10 @@ from typing import Any, TypeVar
 
 from bayescal._core.errors import TimeIsUp
 
-TICK = 0.02  # s between looks at the clock
-LATE = 0.2  # s beyond the deadline, in which work may end by itself;
-OUTERMOST = 0.4  # more at the door of all
-FIRST = 4.0  # where a time limit has passed and nothing stands yet, of the 5 s that it may be exceeded by
+TICK_SECONDS = 0.02  # s between looks at the clock
+LATE_SECONDS = 0.2  # s beyond the deadline, in which work may end by itself;
+OUTERMOST_SECONDS = 0.4  # more at the door of all
+FIRST_SECONDS = 4.0  # where a time limit has passed and nothing stands yet, of the 5 s that it may be exceeded by
 T = TypeVar("T")
 
 
@@ -123,7 +123,7 @@ def _ended_by_ctrl_c(end: Deadline) -> Iterator[None]:
 
     def pressed(_: int, frame: FrameType | None) -> None:
         if not _begun.is_set() and _in_jax(frame):
-            threading.Timer(TICK, signal.raise_signal, (signal.SIGINT,)).start()
+            threading.Timer(TICK_SECONDS, signal.raise_signal, (signal.SIGINT,)).start()
             return
         again = end.interrupted
         end.ended.set()
@@ -268,9 +268,9 @@ def within(work: Callable[[], T]) -> T:
 
 def _patience(end: Deadline, own: Handover) -> float:
     """Seconds beyond the deadline: the door of all waits longest, so that those within are left first."""
-    farther_out = OUTERMOST if own.outer is None else 0.0
-    more = own.grace if end.interrupted else 0.0 if own.anything else FIRST
-    return LATE + farther_out + more
+    farther_out = OUTERMOST_SECONDS if own.outer is None else 0.0
+    more = own.grace if end.interrupted else 0.0 if own.anything else FIRST_SECONDS
+    return LATE_SECONDS + farther_out + more
 
 
 def finish(work: Callable[[], T]) -> T:
@@ -304,7 +304,7 @@ def _apart(work: Callable[[], T], end: Deadline, own: Handover | None) -> T:
     since = math.inf  # when the time was found to be up
     while not done.is_set():
         try:
-            while not done.wait(TICK):
+            while not done.wait(TICK_SECONDS):
                 since = min(since, time.monotonic()) if end.over else math.inf
                 if own is not None and time.monotonic() - since > _patience(end, own):
                     raise TimeIsUp(end.why)

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import minimize
 
-ALIKE = 0.01  # scatter of corrections, from which the posterior is the same without
-TRIED = 50  # effective sample size from which this is known
+ALIKE_SCATTER = 0.01  # scatter of corrections, from which the posterior is the same without
+TRIED_SIZE = 50  # effective sample size from which this is known
 
 
 def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"], float]:
@@ -60,10 +60,10 @@ class Corrections:
         self.corrections = np.append(self.corrections, correction)
         weight = np.exp(self.log_weight - np.max(self.log_weight))
         weight /= np.sum(weight)
-        if effective_size(weight) > TRIED and np.all(np.isfinite(self.corrections)):
+        if effective_size(weight) > TRIED_SIZE and np.all(np.isfinite(self.corrections)):
             self.mean = float(weight @ self.corrections)
             scatter = np.sqrt(float(weight @ (self.corrections - self.mean) ** 2))
-            self.alike = bool(scatter < ALIKE)
+            self.alike = bool(scatter < ALIKE_SCATTER)
 
 
 def stacking(log_densities: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-MIN_WORKERS = 16
+MIN_WORKERS = 16  # with 8 JAX sometimes hung, with 16 never: see `enough_workers`
 
 MOST_KEPT = 512 * 1024**2  # bytes of programs on disk; a first calibration leaves some 5 MB
 

@@ -17,7 +17,8 @@ import equinox as eqx
 import jax
 import jax.core
 
-MANY = 30_000  # numbers handed to a function, above which computing counts for more than compiling
+# Numbers handed to a function, above which computing counts for more than compiling.
+MANY_NUMBERS = 30_000
 ALWAYS = {"xla_cpu_use_fusion_emitters": False}
 QUICK = {**ALWAYS, "xla_backend_optimization_level": 0}
 
@@ -34,7 +35,7 @@ class compiled(Generic[P, R]):
         many: numbers in its arguments, from which on it is well optimised.
     """
 
-    def __init__(self, function: Callable[P, R], many: int = MANY):
+    def __init__(self, function: Callable[P, R], many: int = MANY_NUMBERS):
         self.function, self.many = function, many
         self._jitted = cache(
             lambda few: eqx.filter_jit(function, **_options(QUICK if few else ALWAYS))

@@ -27,7 +27,7 @@ from typing import Any
 
 from bayescal._core.errors import InputError
 
-LARGEST = 50_000_000  # bytes of a JSON file that is read
+LARGEST_FILE = 50_000_000  # bytes of a JSON file that is read
 LARGEST_TOML = 100_000  # bytes of a mapping, a certificate's data
 LONGEST_LINE = 2_000  # characters: dotted keys take a time that grows with their number's square
 DEEPEST = 32  # of lists and tables in each other; what bayescal writes has at most 9
@@ -154,8 +154,8 @@ def read_json(path: Path, shape: Any = ANY) -> Any:
         OSError: it cannot be read.
         ValueError: it is larger than any that is written here, no JSON, or of another shape; says where.
     """
-    if path.stat().st_size > LARGEST:
-        raise ValueError(f"it is larger than {LARGEST / 1e6:.0f} MB")
+    if path.stat().st_size > LARGEST_FILE:
+        raise ValueError(f"it is larger than {LARGEST_FILE / 1e6:.0f} MB")
     found = parsed_json(path.read_bytes())
     if said := mismatch(found, shape):
         raise ValueError(said)

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
-EXACT = 3e-14  # of the largest singular value of normalised columns: rounding, no information
-DUST = 1e-9  # of a direction's largest entry: rounding
-TRACE = 1e-4  # of it: may be what a nearly null direction leaves
+EXACT_SHARE = 3e-14  # of the largest singular value of normalised columns: rounding, no information
+DUST_SHARE = 1e-9  # of a direction's largest entry: rounding
+TRACE_SHARE = 1e-4  # of it: may be what a nearly null direction leaves
 
 
 def exact(columns: np.ndarray) -> np.ndarray:
@@ -28,7 +28,7 @@ def exact(columns: np.ndarray) -> np.ndarray:
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
     small = _small(columns / norm)
-    basis = echelon(linalg.null_space(small, rcond=EXACT).T)
+    basis = echelon(linalg.null_space(small, rcond=EXACT_SHARE).T)
     basis = np.array([_swept(small, row) for row in basis]).reshape(basis.shape)
     basis = _in_order(basis / norm)
     return basis / np.abs(basis).max(axis=1, keepdims=True, initial=1e-300)
@@ -39,10 +39,10 @@ def _swept(columns: np.ndarray, row: np.ndarray) -> np.ndarray:
 
     Nearly null directions leave traces of themselves in computed null spaces.
     """
-    large = np.abs(row) > TRACE * np.abs(row).max()
+    large = np.abs(row) > TRACE_SHARE * np.abs(row).max()
     if large.all():
         return row
-    found = linalg.null_space(_small(columns[:, large]), rcond=EXACT)
+    found = linalg.null_space(_small(columns[:, large]), rcond=EXACT_SHARE)
     if not found.size:
         return row
     swept = np.zeros_like(row)
@@ -106,7 +106,7 @@ def echelon(rows: np.ndarray) -> np.ndarray:
         reduced[others] -= np.outer(reduced[others, pivot], reduced[at])
         free[at] = False
     largest = np.abs(reduced).max(axis=1, keepdims=True, initial=0.0)
-    reduced[np.abs(reduced) < DUST * largest] = 0.0
+    reduced[np.abs(reduced) < DUST_SHARE * largest] = 0.0
     return _in_order(reduced)
 
 

@@ -242,7 +242,7 @@ def _root(
 
 
 SHARE = 4  # of the longest run that is averaged, at most: Riley's stop ratio of this estimator
-CONFIDENCE = 0.95
+CONFIDENCE = 0.95  # of its intervals, as of every interval here
 
 
 class EvenRuns(NamedTuple):

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 SINCE = "since"  # attribute of the time: seconds since 1970 at its zero, where the file has dates
-SHOWN = 5  # labels of a column that are named
+SHOWN_LABELS = 5  # labels of a column that are named
 CAUSE = "cause"  # attribute of a column: 0 where nothing is taken to depend on it
 
 
@@ -190,8 +190,8 @@ class Measurements(Printed):
             values, unit = self[name], self.unit(name)
             if unit is None:
                 labels = list(dict.fromkeys(values.tolist()))
-                more = " …" * (len(labels) > SHOWN)
-                said = f"{len(labels)} labels: {', '.join(labels[:SHOWN])}{more}"
+                more = " …" * (len(labels) > SHOWN_LABELS)
+                said = f"{len(labels)} labels: {', '.join(labels[:SHOWN_LABELS])}{more}"
             elif np.isnan(values).all():
                 said = "empty"
             else:

@@ -30,7 +30,7 @@ from bayescal._fleet.population import Population
 
 FORMAT = "bayescal.batch/1"
 AGAIN = "Take a copy, or run the batch again"
-SHOWN = 10  # devices, files that are named in print
+SHOWN_DEVICES = 10  # devices, files that are named in print
 SCHEMA = pa.schema(
     [
         ("device", pa.string()),
@@ -48,7 +48,7 @@ COLUMNS = tuple(SCHEMA.names[:-1])  # of the table that a user sees
 
 def first_few(items: Mapping[str, str], total: int, head: str = "", more: str = "") -> list[str]:
     """Names and what is said of them, a line each, the first ten; then how many more there are."""
-    lines = [f"  {head}{name}: {why}" for name, why in list(items.items())[:SHOWN]]
+    lines = [f"  {head}{name}: {why}" for name, why in list(items.items())[:SHOWN_DEVICES]]
     rest = total - len(lines)
     return [*lines, f"  … and {rest} more{more}"] if rest > 0 else lines
 
@@ -273,7 +273,9 @@ class BatchResult:
     def __str__(self) -> str:
         bad = np.flatnonzero(~self.ok)
         lines = [f"{len(self)} devices, {len(self) - len(bad)} fitted ({self.about['method']})"]
-        lines += first_few({self.devices[i]: self.reasons[i] for i in bad[:SHOWN]}, len(bad))
+        lines += first_few(
+            {self.devices[i]: self.reasons[i] for i in bad[:SHOWN_DEVICES]}, len(bad)
+        )
         lines += [NOT_CHECKED, *odd_in_words(self.odd, len(self))]
         for part in self.parts:
             good = self.ok[part.devices]
@@ -475,11 +477,13 @@ class FleetResult:
         lines += first_few(self.left_out, len(self.left_out), "not read: ", ", not read either")
         lines.append(printed(self.table, 4))
         if len(self.effects):
-            shown = printed(self.effects.head(SHOWN), 3)
+            shown = printed(self.effects.head(SHOWN_DEVICES), 3)
             lines.append(f"missing from the devices' models:\n{shown}")
         lines += [str(self.population)] if self.population else []
         if self.apart:
-            least = ", ".join(f"{n} (p = {p:.2g})" for n, p in list(self.apart.items())[:SHOWN])
+            least = ", ".join(
+                f"{n} (p = {p:.2g})" for n, p in list(self.apart.items())[:SHOWN_DEVICES]
+            )
             lines.append(f"standing out from the population: {least}")
         return "\n".join(lines)
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 INSTALL = "Fleets run on Dask: pip install 'bayescal[fleet]'"
 LOOPBACK = "127.0.0.1"
-ANSWER = 20.0  # seconds within which a scheduler answers
+ANSWER_SECONDS = 20.0  # seconds within which a scheduler answers
 
 
 @contextmanager
@@ -49,7 +49,7 @@ def open_cluster(workers: int | None, scheduler: str | None = None) -> Iterator[
             yield client
         return
     try:
-        client = Client(scheduler, timeout=ANSWER)
+        client = Client(scheduler, timeout=ANSWER_SECONDS)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(
             f"no scheduler answers at {scheduler!r} ({error}): start one with `dask scheduler`, and workers with "
@@ -108,7 +108,7 @@ def dask_setup(_: Any) -> None:
 
 T = TypeVar("T")
 RETRIES = 2  # of a task that failed; a worker that died does not count
-LOOK = 20.0  # seconds between looks at the workers
+LOOK_SECONDS = 20.0  # seconds between looks at the workers
 PATIENCE = 200.0  # seconds without a worker, after which a run is given up
 ARITY = 16  # sums that are added up at once
 
@@ -156,7 +156,7 @@ class Engine:
         alone = 0.0
         while left:
             try:
-                for future in as_completed(list(left), timeout=LOOK):
+                for future in as_completed(list(left), timeout=LOOK_SECONDS):
                     index, value, why = left.pop(future), None, ""
                     try:
                         value = self._value(future)
@@ -167,7 +167,7 @@ class Engine:
                     future.release()
                     yield TaskOutcome(index, value, why)
             except TimeoutError:
-                alone = 0.0 if self.client.nthreads() else alone + LOOK
+                alone = 0.0 if self.client.nthreads() else alone + LOOK_SECONDS
             if alone > PATIENCE:
                 raise InputError(
                     "the cluster has no worker left. The partitions that were finished are kept: start workers, and "

@@ -40,7 +40,7 @@ KEPT_PROBABILITY = 0.01
 # and ln 10⁶ = 13.8: no fleet of a million brings back what is farther behind.
 BEHIND_NATS = 15.0
 
-KEPT = 50  # structures of a device
+KEPT_STRUCTURES = 50  # structures of a device
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> list[tuple[
         own = log_posterior - sum(log_odds[name] for name in effects)
         total[effects] = float(np.logaddexp(total.get(effects, -np.inf), own))
     best = max(total.values())
-    order = sorted(total, key=lambda effects: -total[effects])[:KEPT]
+    order = sorted(total, key=lambda effects: -total[effects])[:KEPT_STRUCTURES]
     return [(list(e), round(total[e] - best, 6)) for e in order if total[e] > best - BEHIND_NATS]
 
 
@@ -161,7 +161,10 @@ def find_and_fit(
     return fit_together(devices.names, refused, groups, options), structures
 
 
-BURN_IN, ROUNDS = 200, 1000
+BURN_IN, ROUNDS = (
+    200,
+    1000,
+)  # of Gibbs sampling: until shares are at rest, and those that are averaged
 NONE, ALL = 1e-12, 1 - 1e-12  # shares, as far as their log odds are taken
 
 

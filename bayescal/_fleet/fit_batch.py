@@ -286,7 +286,7 @@ def _next_device(file: pq.ParquetFile, column: str, group: int, starts: np.ndarr
 
 
 ONE = threading.Lock()  # a worker of several threads holds one partition at a time all the same
-SHOWN = 10  # devices of a partition whose refusal is reported
+SHOWN_REFUSALS = 10  # devices of a partition whose refusal is reported
 PARTITION = "partition"  # what a file of results says of where it comes from
 
 
@@ -422,7 +422,7 @@ def _summary(partition: Partition, result: BatchResult) -> PartitionSummary:
         devices=len(result),
         fitted=len(result) - len(bad),
         readings=own["readings"],
-        doubted={result.devices[i]: result.reasons[i] for i in bad[:SHOWN]},
+        doubted={result.devices[i]: result.reasons[i] for i in bad[:SHOWN_REFUSALS]},
         unreadable=own["unreadable"],
         structures={n: DeviceStructure(**held) for n, held in own["structures"].items()},
         elsewhere=own["elsewhere"],
@@ -516,7 +516,7 @@ def _stretch_digest(piece: Piece) -> str:
 
 
 DOUBTED = 100  # devices whose result is not reliable, of which the whole says why
-EVERY = 2.0  # seconds between two lines of progress
+PROGRESS_SECONDS = 2.0  # seconds between two lines of progress
 
 
 def fit_fleet(
@@ -739,7 +739,7 @@ class _Run:
             else:
                 self.done[number] = outcome.value
             passed += some[outcome.index].readings
-            if time.monotonic() > last + EVERY or (count == len(tasks) and last > begun):
+            if time.monotonic() > last + PROGRESS_SECONDS or (count == len(tasks) and last > begun):
                 last = time.monotonic()
                 self._tell(wanted, last - begun, passed / max(readings, 1))
 

@@ -28,7 +28,7 @@ from bayescal._fleet.population import (
     loaded,
 )
 
-KEPT = 100  # devices that stand out most, of which the whole keeps the p
+KEPT_DEVICES = 100  # devices that stand out most, of which the whole keeps the p
 
 
 def pooled(result: BatchResult, named: Named, seed: int) -> BatchResult:
@@ -68,7 +68,9 @@ def learn_population(
     engine.every(write_estimates, [(*pair, named) for pair in pairs])
     learned = learn(places, named, seed, engine)
     tasks = [(file, place, folder / file.name, named, learned) for file, place in pairs]
-    outliers = sorted(one for some in engine.every(write_pooled, tasks) for one in some)[:KEPT]
+    outliers = sorted(one for some in engine.every(write_pooled, tasks) for one in some)[
+        :KEPT_DEVICES
+    ]
     for place in places:
         place.unlink(missing_ok=True)
     devices = learned.population.devices
@@ -155,4 +157,4 @@ def _standing_out(
     square = np.einsum("bi,bij,bj->b", apart, np.linalg.pinv(covariance, hermitian=True), apart)
     p = stats.chi2.sf(square, np.linalg.matrix_rank(covariance, hermitian=True))
     at = [int(d) for part in result.parts for d in part.devices[result.ok[part.devices]]]
-    return [(float(p[i]), result.devices[at[i]]) for i in np.argsort(p)[:KEPT]]
+    return [(float(p[i]), result.devices[at[i]]) for i in np.argsort(p)[:KEPT_DEVICES]]

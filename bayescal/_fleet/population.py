@@ -64,8 +64,8 @@ POPULATION_DRAWS = 50
 
 configure_jax()
 
-TOGETHER = 16  # standard deviations evaluated at once
-LEAST = 64  # devices in a program; beyond it powers of two, so that few are compiled
+SPREADS_TOGETHER = 16  # standard deviations evaluated at once
+LEAST_DEVICES = 64  # devices in a program; beyond it powers of two, so that few are compiled
 
 
 class DeviceEstimates(NamedTuple):
@@ -166,7 +166,7 @@ def sums_and_slopes(
 
 def _padded(devices: DeviceEstimates, centre: np.ndarray) -> DeviceEstimates:
     count = len(devices.estimate)
-    spare = max(LEAST, 1 << max(count - 1, 0).bit_length()) - count
+    spare = max(LEAST_DEVICES, 1 << max(count - 1, 0).bit_length()) - count
     return DeviceEstimates(
         np.pad(devices.precision, ((0, spare), (0, 0), (0, 0))),
         np.pad(devices.estimate - centre, ((0, spare), (0, 0))),
@@ -195,7 +195,7 @@ def _sums_at(devices: DeviceEstimates, scale: Array, v: Float[Array, "k"]):
 
 @jax.jit
 def _sums(devices: DeviceEstimates, scale: Array, v: Array):
-    return over(partial(_sums_at, devices, scale), v, TOGETHER)
+    return over(partial(_sums_at, devices, scale), v, SPREADS_TOGETHER)
 
 
 @jax.jit
@@ -208,7 +208,7 @@ def _sums_and_slopes(devices: DeviceEstimates, scale: Array, v: Array):
         slopes, values = jax.jacfwd(both, has_aux=True)(v)
         return values, jax.tree.map(lambda a: jnp.moveaxis(a, -1, 0), slopes)
 
-    return over(one, v, TOGETHER)
+    return over(one, v, SPREADS_TOGETHER)
 
 
 @partial(jax.jit, static_argnames="likely")
@@ -244,7 +244,7 @@ def _moments(devices: DeviceEstimates, draws: PopulationDraws, likely: int):
 DRAWS = 2000  # of τ, fewer for many devices: their posterior is narrow
 CELLS = 1_000_000  # draws × devices at most
 STARTS = (-6.0, -4.0, -2.0, -1.0, 0.0, 1.0)  # of log(τ/scale), where its mode is looked for first
-STEPS = 3  # of Newton at the mode
+NEWTON_STEPS = 3  # of Newton at the mode
 NUDGE, SIDES = 1e-5, np.array([-1.0, 1.0])  # of v, for the slopes of priors
 
 GroupSdPrior = HalfNormal | HalfCauchy | Flat  # prior of a standard deviation between devices
@@ -469,7 +469,7 @@ def _draws(density: Any, seed: int) -> tuple[np.ndarray, np.ndarray, float, Sums
     best, _ = climb(density, starts, None)
     covariance, *_ = gaussian_fit(density, best)
     # To the last digits, so that the order of summing does not show in what is drawn.
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         best = best + covariance @ density.slope(best)[1]
     count = int(np.clip(CELLS // max(1, density.count), 200, DRAWS))
     improper = any(isinstance(s, Flat) for s in density.priors)

@@ -18,14 +18,13 @@ from bayescal._inference.noise_on_record import Terms, Whitening, bends, density
 from bayescal._inference.products import DEGREES, Axes, Polynomials, Products, basis_of
 
 NOWHERE = -1e300  # log density where there is none
-NEWTON = 50  # steps to the mode of x at most, and what the last of them gains, in nats
-RESTS = 1e-11
-TRIED = 12  # draws of a Gaussian fit of φ at which polynomials are tried,
-ENOUGH = 0.3  # and the log density within which they will do there
-PASS = (
-    60  # times what a number costs in a product, that one costs in a pass over correlated readings,
-)
-A_CALL = 1_000_000  # and such numbers that a pass by itself costs before it begins (0.4 ms)
+NEWTON_STEPS = 50  # to the mode of x at most
+NEWTON_NATS = 1e-11  # that the last of them gains
+DRAWS_TRIED = 12  # draws of a Gaussian fit of φ at which polynomials are tried,
+ENOUGH_NATS = 0.3  # and the log density within which they will do there
+# Times what a number costs in a product, that one costs in a pass over correlated readings.
+PASS_COST = 60
+CALL_COST = 1_000_000  # and such numbers that a pass by itself costs before it begins (0.4 ms)
 
 
 @dataclass(eq=False)
@@ -142,7 +141,7 @@ class Density:
             return Gram(jtj, jacobian.T @ terms.slope, terms.squares, terms.logdet)
 
         value, terms = look(move)
-        for _ in range(NEWTON):
+        for _ in range(NEWTON_STEPS):
             for weight in (terms.curvature, terms.weight(residual - jacobian @ move)):
                 found = condition(products(terms, weight), len(residual), prior, x + move)
                 if found is None:
@@ -154,7 +153,7 @@ class Density:
             else:
                 break
             move, gained, value, terms = move + step, value - there, there, further
-            if gained < RESTS:
+            if gained < NEWTON_NATS:
                 break
         self._mode = x + move
         gram = products(terms, terms.curvature)
@@ -357,12 +356,12 @@ def about(
     if not np.all(np.isfinite(coordinates)):
         return None
     # Judged by what they are for: the largest error of the log density, at draws that they were not fitted to.
-    tried = draws[:TRIED]
+    tried = draws[:DRAWS_TRIED]
     products = Products(assembly, density.point, v, axes)
     if not _pay(products, Polynomials(coordinates, DEGREES[dim][-2]), proposals):
         return None
     there = np.array([density.at(one)[0] for one in tried])
-    best, apart, found, rows = ENOUGH, math.inf, None, list[np.ndarray]()
+    best, apart, found, rows = ENOUGH_NATS, math.inf, None, list[np.ndarray]()
     for degree in DEGREES[dim]:
         polynomials = Polynomials(coordinates, degree)
         rows += [products.row(c) for c in polynomials.points[len(rows) :]]
@@ -388,9 +387,9 @@ def _pay(products: Products, polynomials: Polynomials, proposals: float) -> bool
     if assembly.corrected or len(assembly.row_sd) or not assembly.affine:
         return True
     points, terms = len(polynomials.points), polynomials.count
-    fitting = points * (A_CALL + PASS * n * width)
+    fitting = points * (CALL_COST + PASS_COST * n * width)
     using = width**2 * terms * (proposals + 2 * points)
-    return fitting + using < PASS * proposals * n * (assembly.size + 1)
+    return fitting + using < PASS_COST * proposals * n * (assembly.size + 1)
 
 
 def _log_density(products: Products, flat: np.ndarray, v: np.ndarray) -> float:

@@ -22,14 +22,14 @@ from bayescal._inference.gaussian import LOG_2PI, Conditional, column_scale, con
 from bayescal._inference.noise_on_record import variance
 from bayescal._inference.record import Record
 
-STILL = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
+STILL_SD = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
 STARTS = 64  # prior draws of φ among which the start is chosen,
 AHEAD = np.arange(-3.5, 3.5, 0.02)  # where along a shape of many maxima a higher one may be
 HALVINGS = 8  # of a step that makes things worse
 CURVED, LEAST_CURVATURE = 1e-3, 0.05  # step for the curvature; the least that counts as one
-NEAR, FINEST = 0.1, 1e-5  # of a step's square over the variance there, at most; of a step
-CLIMB, LONGEST = 100, 1.5  # steps uphill at most; the longest, in prior standard deviations
+STEP_VARIANCE, FINEST = 0.1, 1e-5  # of a step's square over the variance there, at most; of a step
+CLIMB, LONGEST_STEP_SD = 100, 1.5  # steps uphill at most; the longest, in prior standard deviations
 NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
 NOTHING_LEFT = 1e-8  # log density that a step would gain, below which φ̂ is found
 
@@ -53,7 +53,7 @@ def find_mode(
     starts: Iterable[np.ndarray] | None = None,
     covariance: np.ndarray | None = None,
     point: Point | None = None,
-    still: float = STILL,
+    still: float = STILL_SD,
     curved: bool = True,
     start: Mapping[str, float] = NOTHING_KNOWN,
 ) -> Mode:
@@ -224,7 +224,7 @@ def climb(
     for _ in range(CLIMB):
         step = wide @ slope
         # Beyond a step or two of the prior's width the slope here says nothing of the density there.
-        step *= min(1.0, LONGEST / max(float(np.max(np.abs(step))), 1e-300))
+        step *= min(1.0, LONGEST_STEP_SD / max(float(np.max(np.abs(step))), 1e-300))
         gain = float(slope @ step)
         if not gain > nothing:
             break
@@ -256,7 +256,7 @@ def prior_draws(assembly: Assembly) -> list[np.ndarray]:
 
 
 def mode_of_x(
-    assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray, still: float = STILL
+    assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray, still: float = STILL_SD
 ) -> Point:
     """x̂ given φ: Gauss–Newton on the residuals and the prior's, each step halved until the sum falls."""
     hyper = assembly.hyper(v)
@@ -397,7 +397,7 @@ def curvature(
             row = (before - slope(v + size * unit)) / (size if here is not None else 2 * size)
             # row·unit is the curvature κ along the coordinate: κ·size² is the squared step in standard deviations of
             # the density.
-            if abs(float(row @ unit)) * size**2 < NEAR or size < step * FINEST:
+            if abs(float(row @ unit)) * size**2 < STEP_VARIANCE or size < step * FINEST:
                 break
             size *= 0.1
         rows.append(row)

@@ -35,14 +35,16 @@ from bayescal._model.noise_law import in_time
 from bayescal._model.parameters import Layout
 from bayescal._model.prior import LogUniform, Normal
 
-STILL = 1e-6  # standard deviations: a further step smaller than this is none
-GOOD = 1e-5  # share of the residuals in the tangent plane, at which a point counts as the optimum
-RESTS = 1e-9  # change of φ's coordinates in a round, below which it rests
+STILL_SD = 1e-6  # standard deviations: a further step smaller than this is none
+# Share of the residuals in the tangent plane, at which a point counts as the optimum.
+GOOD_SHARE = 1e-5
+ROUND_CHANGE = 1e-9  # change of φ's coordinates in a round, below which it rests
 ROUNDS = 30  # at most
-STEPS = 200  # of θ in a round
-AFAR = 5000  # steps from afar: along a curved valley they are short
+ROUND_STEPS = 200  # of θ in a round
+STEPS_FROM_AFAR = 5000  # steps from afar: along a curved valley they are short
 SHIFT = 1e-4  # of a coordinate, for slopes by differences
-EDGE = 5.0  # coordinate of a time between bounds, from which it stands at one: nothing stops it
+# Coordinate of a time between bounds, from which it stands at one: nothing stops it.
+EDGE_COORDINATE = 5.0
 
 
 class LeastSquares(Method):
@@ -203,13 +205,13 @@ def refine(assembly: Assembly, mode: Mode, full_hessian: bool) -> Solution:
         moved = fit.fit_scales(theta, _put(theta[assembly.size :], fit.places, v))
         change = float(np.max(np.abs(moved - v), initial=0.0))
         v = moved
-        if not change > RESTS:
+        if not change > ROUND_CHANGE:
             break
     given = fit.conditional(theta, v)(v)
     # What counts is whether a Gauss–Newton step would still move anything.
     covariance = given.root @ given.root.T
     sd = np.sqrt(np.diag(covariance))
-    converged = converged or bool(np.max(np.abs(given.theta - theta) / sd, initial=0.0) < STILL)
+    converged = converged or bool(np.max(np.abs(given.theta - theta) / sd, initial=0.0) < STILL_SD)
     if (full_hessian or not fit.gaussian) and np.all(np.isfinite(covariance)):
         covariance = fit.curved(theta, v, given.root)
     point = Point(theta[: assembly.size], mode.point.rows)
@@ -277,7 +279,7 @@ class _Refinement:
 
         cost, found = look(theta, first)
         damping, best = 0.0, float(np.linalg.norm(found.inside))
-        for _ in range(STEPS):
+        for _ in range(ROUND_STEPS):
             if not found.determined:
                 return theta, False
             trial = theta + prior.sd * found.damped(damping)
@@ -285,7 +287,7 @@ class _Refinement:
             left = float(np.linalg.norm(further.inside))
             # Relative offset: what of the residuals lies in the tangent plane, against all of them, has no units and
             # knows of no step length (D. Bates and D. Watts, Technometrics 23 (1981) 179).
-            near = best <= GOOD * math.sqrt(cost)
+            near = best <= GOOD_SHARE * math.sqrt(cost)
             # With thermometer errors J is not quite the residuals' slope: a step that settles may cost a little.
             settles = left < 0.8 * best and there < cost * (1 + (1e-6 if near else 1e-3))
             if settles or (not near and there < cost):
@@ -295,7 +297,7 @@ class _Refinement:
             if near or damping > 1e12:
                 break
             damping = max(10 * damping, 1e-3)
-        return theta, best <= GOOD * math.sqrt(cost)
+        return theta, best <= GOOD_SHARE * math.sqrt(cost)
 
     def from_afar(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, bool]:
         """θ where Gauss–Newton ran away or stalled: by optimistix's Levenberg–Marquardt on the traced residuals.
@@ -325,7 +327,7 @@ class _Refinement:
 
         solver = optx.IndirectLevenbergMarquardt(rtol=1e-12, atol=1e-12)
         found = optx.least_squares(
-            residuals, solver, jnp.zeros(len(begin)), max_steps=AFAR, throw=False
+            residuals, solver, jnp.zeros(len(begin)), max_steps=STEPS_FROM_AFAR, throw=False
         )
         there = begin + scale * np.asarray(found.value)
         if not np.all(np.isfinite(there)):
@@ -419,7 +421,11 @@ class _Refinement:
         sharper = root(slope, best, jac=partial(differences, slope, step=SHIFT)).x
         best = min(best, sharper, key=lambda v: np.linalg.norm(slope(v)))
         bounded = [isinstance(h.prior, LogUniform) for _, h in hypers]
-        return _put(np.where(bounded, np.clip(best, -EDGE, EDGE), best), self.scales, v)
+        return _put(
+            np.where(bounded, np.clip(best, -EDGE_COORDINATE, EDGE_COORDINATE), best),
+            self.scales,
+            v,
+        )
 
     def _slopes(
         self, v: np.ndarray, excess: np.ndarray, spent: tuple[float, float]

@@ -37,8 +37,8 @@ FEW = "{:.0f} effective draws, and no more ({})."
 PATIENCE = "{:g} s for chains; a time limit gives them more"
 # Where k̂ says that the weights are sound, more proposals mend too few effective draws. Chains would take 1,500
 # iterations of four at seven gradients or more each, 42,000 gradients: up to as many proposals cost less.
-MOST = 65_536
-NUMBERS = 50_000_000  # in the coefficients of single readings of all draws, 400 MB
+MOST_DRAWS = 65_536
+MOST_NUMBERS = 50_000_000  # in the coefficients of single readings of all draws, 400 MB
 
 
 class Marginal(Method):
@@ -116,9 +116,9 @@ class Marginal(Method):
         that the weights are sound. `heavy`: coefficients proposed with tails that are not too thin for a nonlinear
         model, where the usual bound of k̂ holds.
         """
-        proposals, most = self.proposals, MOST
+        proposals, most = self.proposals, MOST_DRAWS
         if width := len(assembly.row_sd):
-            most = min(MOST, NUMBERS // (assembly.record.size * width))
+            most = min(MOST_DRAWS, MOST_NUMBERS // (assembly.record.size * width))
         found = None
         while True:
             found = weighted_draws(assembly, mode, seed, proposals, self.rounds, heavy, found)

@@ -24,7 +24,7 @@ Values = Mapping[str, Any]  # φ by name, one number each
 Each = Mapping[str, Any]  # φ by name, one number a draw, or one for all
 WIDTH = 8  # columns that a table is padded to at least, else to twice as many, and so on
 CELLS = 2_000_000  # numbers in the tables of several draws that are held at once
-FEW = 8  # draws that are worked out together where there are few
+FEWEST_DRAWS_TOGETHER = 8  # draws that are worked out together where there are few
 ABREAST = 4  # draws whose filters run in one loop: half the time of one after another; more leave the cache
 
 
@@ -404,7 +404,13 @@ def _by_draws(
     found = np.empty((record.size, count))
     # One, eight or many at once: three lengths, so that no program is compiled for each number of draws.
     most = max(1, CELLS // record.padded_size)
-    together = 1 if count == 1 else FEW if count <= 8 * FEW else min(256, most)
+    together = (
+        1
+        if count == 1
+        else FEWEST_DRAWS_TOGETHER
+        if count <= 8 * FEWEST_DRAWS_TOGETHER
+        else min(256, most)
+    )
     for start in range(0, count, together):
         pick = np.minimum(start + np.arange(together), count - 1)
         some = [record.longer(a[pick if len(a) > 1 else 0 * pick]) for a in arrays]
@@ -425,7 +431,11 @@ def total_log_density(
     own = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
     y = record.longer(_forth(law, record, record.y, 0))
     left, found = _forth(law, record, left, 1), np.empty(count)
-    together = FEW if count <= 8 * FEW else max(FEW, min(256, CELLS // record.padded_size))
+    together = (
+        FEWEST_DRAWS_TOGETHER
+        if count <= 8 * FEWEST_DRAWS_TOGETHER
+        else max(FEWEST_DRAWS_TOGETHER, min(256, CELLS // record.padded_size))
+    )
     single = record.longer(left[0])[None] if len(left) == 1 else None
     for start in range(0, count, together):
         pick = np.minimum(start + np.arange(together), count - 1)

@@ -22,16 +22,18 @@ from bayescal._model.effect import Effect, matrix
 from bayescal._model.frame import Frame
 
 STEP = 1.25  # from one padded length to the next
-SHORTEST = 32
+# Readings that a program is padded to at least: few programs serve all short records.
+SHORTEST_LENGTH = 32
 SIDE_BY_SIDE = 2_000_000  # readings of draws that are computed side by side
-LONG = 2000  # readings from which a program is run often enough to be worth optimising: twice the time to compile
+# Readings from which a program is run often enough to be worth twice the time to compile.
+OPTIMISED_READINGS = 2000
 
 
 def padded_length(size: int) -> int:
     """The next of a few lengths that records are padded to."""
     # Lengths grow by a quarter: a record is padded by an eighth on average, and ten lengths cover a decade.
-    steps = max(0, math.ceil(math.log(size / SHORTEST, STEP) - 1e-9))
-    return max(size, round(SHORTEST * STEP**steps))
+    steps = max(0, math.ceil(math.log(size / SHORTEST_LENGTH, STEP) - 1e-9))
+    return max(size, round(SHORTEST_LENGTH * STEP**steps))
 
 
 def padded(frame: Frame) -> Frame:
@@ -103,7 +105,7 @@ class Leaves(NamedTuple):
     @classmethod
     def of(cls, frame: Frame) -> Leaves:
         arrays, form = jax.tree.flatten(frame)
-        return cls(tuple(map(jnp.asarray, arrays)), form, frame.size >= LONG)
+        return cls(tuple(map(jnp.asarray, arrays)), form, frame.size >= OPTIMISED_READINGS)
 
 
 @program

@@ -22,13 +22,12 @@ from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
 
-KEPT = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
+KEPT_BYTES = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
-TOGETHER = 48  # draws in one call of a program, or half of that,
-NUMBERS = 16_384  # and more of a short record: draws times readings, up to which the call itself is what costs
-INTERPOLATED = (
-    1e-9  # as good as this part of the largest number in a column, tried between some nodes
-)
+DRAWS_A_CALL = 48  # draws in one call of a program, or half of that,
+CALL_NUMBERS = 16_384  # and more of a short record: draws times readings, up to which the call itself is what costs
+# As good as this part of the largest number in a column, tried between some nodes.
+INTERPOLATED = 1e-9
 KEPT_OF_IT = 1e-10  # part of the largest singular value, down to which the columns are sums of singular vectors
 
 
@@ -140,7 +139,7 @@ class Record:
         if key not in self._shaped:
             self._shaped[key] = self.moved_columns(effect, values, {})[0]
             self._bytes += self._shaped[key].nbytes
-            while self._bytes > KEPT and len(self._shaped) > 1:
+            while self._bytes > KEPT_BYTES and len(self._shaped) > 1:
                 self._bytes -= self._shaped.popitem(last=False)[1].nbytes
         self._shaped.move_to_end(key)
         return self._shaped[key]
@@ -324,7 +323,7 @@ class Record:
     ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, np.ndarray]]]:
         """Values for `count` draws, some at once, readings padded; the last draw stands in for missing ones."""
         # Full stretches and half ones: two lengths to compile, whatever the number of draws.
-        most = max(TOGETHER, NUMBERS // self.padded_size)
+        most = max(DRAWS_A_CALL, CALL_NUMBERS // self.padded_size)
         together = most // (1 if count > most // 2 else 2)
         for start in range(0, count, together):
             pick = np.minimum(start + np.arange(together), count - 1)

@@ -27,10 +27,10 @@ from bayescal._model.parameters import Layout
 # average.
 PRODUCT_SD = 0.3
 
-MOST = 6  # entries of φ that promotion may add
+MOST_PROMOTED = 6  # entries of φ that promotion may add
 AFFINE = 1e-9  # bend in parts of the change, up to which there is none
 STEP = 0.01  # standard deviations, for the change of the Jacobian
-MEMBERS = 12  # a group coefficient with more members than this is not promoted
+MOST_MEMBERS = 12  # a group coefficient with more members than this is not promoted
 
 
 def choose(
@@ -67,8 +67,8 @@ def choose_on(
         return layout.promote(*asked), (), None
     assembly, notes = Assembly(layout, record), ()
     while _bends(assembly):
-        free, least = MOST - len(layout.positions("promoted")), PRODUCT_SD
-        few = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MEMBERS]
+        free, least = MOST_PROMOTED - len(layout.positions("promoted")), PRODUCT_SD
+        few = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MOST_MEMBERS]
         few = [b for b in few if b.size <= free]
         if not few:
             return layout, notes, None

@@ -36,29 +36,30 @@ from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 # products are off by (0.03), less than would matter.
 HIGHER_NATS = 1.0
 
-USUAL = 3  # rounds of adaptation; more only where the last one's weights are unsound
+USUAL_ROUNDS = 3  # rounds of adaptation; more only where the last one's weights are unsound
 KERNELS = 256  # draws of the round before, around each of which the next one proposes;
-FEW = 128  # in a few dimensions
+FEWEST_KERNELS = 128  # in a few dimensions
 KERNEL = 0.7  # width of each, in standard deviations of φ: so wide that the mixture is heavier than what it follows
-LONGEST = 4.0  # times that an axis of the Laplace fit is lengthened at most
-WIDE = 1.7  # last component: wider than the Laplace fit, against tails that are heavier
+LONGEST_AXIS_RATIO = 4.0  # times that an axis of the Laplace fit is lengthened at most
+WIDE_RATIO = 1.7  # last component: wider than the Laplace fit, against tails that are heavier
 PRIOR = 0.2  # share of proposals from the prior, so that no weight exceeds likelihood over 0.2 times evidence
-ADAPTED = (
-    0.5  # of the proposals, that their weights are worth where no further round would raise it
-)
+# Share of the proposals that their weights are worth where no further round would raise it.
+ADAPTED = 0.5
 NUMBERS = 1_000_000  # in what is computed at once, to bound memory,
 IN_CACHE = 150_000  # and to stay in the cache
-FIRST = 256  # draws of a nonlinear model whose corrections are looked at before those of the others are computed
-TOGETHER = 512  # draws whose distances to all kernels are taken at once
+FIRST_DRAWS = 256  # draws of a nonlinear model whose corrections are looked at before those of the others are computed
+DISTANCES_TOGETHER = 512  # draws whose distances to all kernels are taken at once
 NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts nothing
-FAR = 10.0  # below the largest log density, from which products need not be exact where polynomials end
+FAR_NATS = 10.0  # below the largest log density, from which products need not be exact where polynomials end
 TABLES = 2_000_000  # numbers in tables of the readings that are computed at once
-LONG = 1000  # readings, from which on a pass over them costs
-CLOSE = 0.03  # log density, within which polynomials are good,
-CLOSER = 0.001  # and of a long record, where a draw's own correction costs more than many products
-PROPOSALS, FEWER, FEWEST = 8192, 4096, 2048  # by what each costs,
+COSTLY_READINGS = 1000  # readings, from which on a pass over them costs
+CLOSE_NATS = 0.03  # log density, within which polynomials are good,
+# The same of a long record, where a draw's own correction costs more than many products.
+CLOSER_NATS = 0.001
+PROPOSALS, FEWER_PROPOSALS, FEWEST_PROPOSALS = 8192, 4096, 2048  # by what each costs,
 OF_A_PART = 128  # and at least where a structure is part of an average
-LARGE = 0.1  # of an average, from which on uneven weights of a structure are worth another climb
+# Share of an average from which on uneven weights of a structure are worth another climb.
+LARGE_SHARE = 0.1
 
 
 class WeightedDraws(NamedTuple):
@@ -105,14 +106,14 @@ class Mixture(NamedTuple):
         z, c = _whitened(self.chol, v - self.middle), _whitened(self.chol, centres - self.middle)
         c, beside = c.T * (-2 / FREEDOM), 1 + np.sum(c**2, axis=1) / FREEDOM
         near = np.empty(len(v))
-        for start in range(0, len(v), TOGETHER):  # so many that they stay in the cache
-            one = z[start : start + TOGETHER]
+        for start in range(0, len(v), DISTANCES_TOGETHER):  # so many that they stay in the cache
+            one = z[start : start + DISTANCES_TOGETHER]
             heavy = one @ c
             heavy += beside
             heavy += np.sum(one**2, axis=1)[:, None] / FREEDOM
             np.log(np.maximum(heavy, 1.0, out=heavy), out=heavy)
             heavy *= -half
-            near[start : start + TOGETHER] = np.exp(heavy, out=heavy) @ counts
+            near[start : start + DISTANCES_TOGETHER] = np.exp(heavy, out=heavy) @ counts
         # Far away the sum may be zero: there the wide component counts.
         narrow = np.log(near / len(self.centre) + 1e-300) - _log_volume(self.chol)
         apart = np.sum(_whitened(self.wide, v - self.middle) ** 2, axis=1)
@@ -141,8 +142,8 @@ class ManyPhi:
         self.density = Density(assembly, mode.point, mode.flat, mode.v)
         self.products = self.density.products
         if self.products is None and assembly.noise.gaussian:
-            close = CLOSE if self.size <= LONG else CLOSER
-            expected = FEWER if proposals is None else proposals
+            close = CLOSE_NATS if self.size <= COSTLY_READINGS else CLOSER_NATS
+            expected = FEWER_PROPOSALS if proposals is None else proposals
             self.products = about(self.density, mode.v, mode.covariance, close, expected)
         self.polynomial = self.products is not None and self.products.outer is not None
         self.exact = assembly.noise.gaussian and not self.polynomial
@@ -176,7 +177,7 @@ class ManyPhi:
         # Where interpolation or polynomials end or have lost their definiteness, φ that may count are computed.
         beyond = ~products.reaches(v)
         if self.polynomial:
-            beyond = (beyond & (total > self.highest - FAR)) | (total <= NOWHERE)
+            beyond = (beyond & (total > self.highest - FAR_NATS)) | (total <= NOWHERE)
         if beyond.any():
             exact = self._by_readings(v[beyond], normal[beyond])
             for all_of_it, new in zip(found, exact, strict=True):
@@ -188,7 +189,7 @@ class ManyPhi:
         """Which φ nothing but nonlinearity corrects, or lie where polynomials were fitted to a long record."""
         if self.exact:
             return np.ones(len(v), dtype=bool)
-        if self.size <= LONG or not self.polynomial:
+        if self.size <= COSTLY_READINGS or not self.polynomial:
             return np.zeros(len(v), dtype=bool)
         assert self.products is not None
         return self.products.reaches(v)
@@ -257,7 +258,7 @@ def adapted(
         prior: None where it is improper or cannot be drawn from.
         random: of every random number.
         proposals: in each round.
-        rounds: at most; none follows one whose weights are even, nor a later than the `USUAL` whose weights are sound.
+        rounds: at most; none follows one whose weights are even, nor a later one whose weights are sound.
         higher: log density above which nothing more is adapted: the mode was another.
     """
     # The Laplace fit proposes first; then, as often as weights are uneven, kernels about the weighted draws of all
@@ -272,7 +273,7 @@ def adapted(
         none = np.zeros((len(v), 0))
         tried.add(mixture, v, log_proposal, _Placed(v, there, none, none, there))
         mixture = _match(mode, tried.all.v, tried.log_weight)
-        if k + 1 >= USUAL and smoothed(log_weight)[1] <= K_HAT:
+        if k + 1 >= USUAL_ROUNDS and smoothed(log_weight)[1] <= K_HAT:
             break
     return mixture
 
@@ -376,7 +377,7 @@ def weighted_draws(
     """
     # Further draws have random numbers of their own: the same ones again would tell nothing.
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
-    expected = part * FEWER if proposals is None else proposals
+    expected = part * FEWER_PROPOSALS if proposals is None else proposals
     density = ManyPhi(assembly, mode, expected)
     share, above = _prior_share(assembly), HIGHER_NATS
     heavy = heavy or not assembly.noise.gaussian
@@ -390,7 +391,7 @@ def weighted_draws(
         if density.highest <= higher:
             found = pool.drawn(density.mode)
             # A climb costs what all draws of a small part cost.
-            if part < LARGE or not smoothed(found.log_weight)[1] > K_HAT:
+            if part < LARGE_SHARE or not smoothed(found.log_weight)[1] > K_HAT:
                 return found
             start = found.v[int(np.argmax(found.log_weight_phi))]
         # No draw of a posterior lies above its mode, and one that counts for many more is on a hill that is not
@@ -416,7 +417,7 @@ def _as_wide_as_it_is(density: ManyPhi) -> Float[np.ndarray, "d d"]:
     axes = vectors * np.sqrt(weights)
     ends = mode.v + np.concatenate([2 * axes.T, -2 * axes.T])
     lost = float(mode.log_density) - density.values(ends).reshape(2, dim).max(axis=0)
-    axes *= np.clip(np.sqrt(2 / np.maximum(lost, 1e-9)), 1.0, LONGEST)
+    axes *= np.clip(np.sqrt(2 / np.maximum(lost, 1e-9)), 1.0, LONGEST_AXIS_RATIO)
     return axes @ axes.T
 
 
@@ -469,12 +470,12 @@ def proposals_of(density: ManyPhi) -> int:
     # A pass over many readings for each φ buys fewer proposals in the same time; weights that are uneven ask for
     # more.
     assembly, direct = density.assembly, density.products is None
-    long = assembly.record.size > LONG
+    long = assembly.record.size > COSTLY_READINGS
     if direct and (long or not assembly.noise.gaussian):
-        return FEWEST
+        return FEWEST_PROPOSALS
     if direct or assembly.size > 100:
-        return FEWER
-    return FEWER if long and not (density.exact and assembly.affine) else PROPOSALS
+        return FEWER_PROPOSALS
+    return FEWER_PROPOSALS if long and not (density.exact and assembly.affine) else PROPOSALS
 
 
 def _placed(
@@ -494,7 +495,7 @@ def _placed(
     log_density, correction, highest = np.empty(count), np.full(count, NOWHERE), NOWHERE
     together = max(32, min(density.together, IN_CACHE // size))
     bends = density.exact and not density.assembly.affine and not judged.alike
-    first = FIRST if bends and count > FIRST else 0
+    first = FIRST_DRAWS if bends and count > FIRST_DRAWS else 0
     parts = np.array_split(np.arange(first, count), -(-(count - first) // together))
     for stretch in ([np.arange(first)] if first else []) + parts:
         deadline.current().ask()
@@ -588,7 +589,7 @@ def _prior_draws(prior, random: np.random.Generator, count: int) -> Float[np.nda
 def around_mode(v: Float[np.ndarray, "d"], covariance: Float[np.ndarray, "d d"]) -> Mixture:
     """What to propose from first: about a mode, as wide as its Gaussian fit and wider."""
     chol = np.linalg.cholesky(covariance) if len(v) else covariance
-    return Mixture(v[None], chol, v, WIDE * chol, 0.4)
+    return Mixture(v[None], chol, v, WIDE_RATIO * chol, 0.4)
 
 
 def _match(mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
@@ -604,9 +605,9 @@ def _match(mode: Mode, v: np.ndarray, log_weight: np.ndarray) -> Mixture:
     spread = (weight[:, None] * (v - mean)).T @ (v - mean)
     covariance = trust * spread + (1 - trust) * mode.covariance
     chol = np.linalg.cholesky(covariance + 1e-10 * np.eye(v.shape[1]))
-    kernels = FEW if v.shape[1] <= 3 else KERNELS
+    kernels = FEWEST_KERNELS if v.shape[1] <= 3 else KERNELS
     # Systematic resampling without its random number: the centres stand at equal steps of the cumulated weights.
     ladder = (np.arange(kernels) + 0.5) / kernels
     pick = np.minimum(np.searchsorted(np.cumsum(weight), ladder), weight.size - 1)
-    wide = WIDE * np.linalg.cholesky(mode.covariance)
+    wide = WIDE_RATIO * np.linalg.cholesky(mode.covariance)
     return Mixture(v[pick], KERNEL * chol, mode.v, wide, 0.1)

@@ -26,7 +26,7 @@ from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.prior import Normal
 
-LONGEST, DEEPEST = 500, 40  # characters of a line, brackets in each other
+LONGEST_LINE, DEEPEST = 500, 40  # characters of a line, brackets in each other
 MAGNITUDE = 10.0  # a shape of which one value is said lies between a tenth and ten times that
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
     **{"exp": jnp.exp, "log": jnp.log, "sqrt": jnp.sqrt, "abs": jnp.abs, "sign": jnp.sign},
@@ -105,8 +105,8 @@ class _Parser(_Text):
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
-        if len(text) > LONGEST:
-            raise InputError(f"a formula of {len(text)} characters: {LONGEST} at most")
+        if len(text) > LONGEST_LINE:
+            raise InputError(f"a formula of {len(text)} characters: {LONGEST_LINE} at most")
         self.ahead, self.depth = self._tokens(), 0
         self._next()
 

@@ -35,14 +35,14 @@ from bayescal._model.prior import Normal
 TERMS = 12  # eigenfunctions: enough for lengths down to a tenth of the range
 LENGTHS = (0.1, 0.8)  # plausible lengths of the process, in parts of the range
 # A dependence on a temperature is smooth; in time there are periodic forms and steps.
-TERMS_IN_TIME = 36
-LENGTHS_IN_TIME = (0.03, 0.8)
-WIDER = 1.5  # interval over range: at its ends the function is 0, and so it stays beyond
+TERMS_IN_TIME = 36  # eigenfunctions: enough for the shorter lengths
+LENGTHS_IN_TIME = (0.03, 0.8)  # parts of the record
+WIDER_RATIO = 1.5  # interval over range: at its ends the function is 0, and so it stays beyond
 
 PLACES = (0.05, 0.95)  # of a step, in parts of the record
 SHARP = 0.01  # half width of a step, in parts of the record: as good as sudden, and its place has a slope
 CYCLES = (1.5, 15.0)  # in the record
-FEWEST = 30  # different times, twice the most cycles: fewer leave a period undetermined
+FEWEST_TIMES = 30  # different times, twice the most cycles: fewer leave a period undetermined
 
 SOURCE = "ours: not in the catalogue; find out what it is, and name it"
 FREED = ".freed"  # after the name of an effect: its own, once more, with a wide prior
@@ -91,9 +91,9 @@ def process_columns(position: Any, terms: int) -> Any:
         terms: how many eigenfunctions.
     """
     xp = position.__array_namespace__()  # NumPy's outside of a program, JAX's within
-    centred = xp.clip(2 * position - 1, -WIDER, WIDER)
-    order = xp.arange(1, terms + 1) * math.pi / (2 * WIDER)
-    return xp.sin(order * (centred[:, None] + WIDER)) / math.sqrt(WIDER)
+    centred = xp.clip(2 * position - 1, -WIDER_RATIO, WIDER_RATIO)
+    order = xp.arange(1, terms + 1) * math.pi / (2 * WIDER_RATIO)
+    return xp.sin(order * (centred[:, None] + WIDER_RATIO)) / math.sqrt(WIDER_RATIO)
 
 
 def process_weights(length: Any, terms: int) -> Any:
@@ -104,7 +104,7 @@ def process_weights(length: Any, terms: int) -> Any:
         terms: how many eigenfunctions.
     """
     xp = jnp if isinstance(length, jax.Array) else np
-    order = np.arange(1, terms + 1) * math.pi / (2 * WIDER)
+    order = np.arange(1, terms + 1) * math.pi / (2 * WIDER_RATIO)
     scale = 2 * length
     return xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
 
@@ -256,7 +256,11 @@ def standard_normals(unit: str, count: int) -> tuple[Coefficient, ...]:
 def _too_few(covariate: str, readings: Measurements) -> str | None:
     count = np.unique(readings[covariate]).size
     what = "times" if covariate == "time" else f"values of {covariate}"
-    return None if count >= FEWEST else f"needs {FEWEST} different {what}; there are {count}"
+    return (
+        None
+        if count >= FEWEST_TIMES
+        else f"needs {FEWEST_TIMES} different {what}; there are {count}"
+    )
 
 
 def _of_form(

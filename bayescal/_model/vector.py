@@ -40,7 +40,7 @@ from bayescal._data.pose_rows import ACROSS, DIRECTION, ellipsoid, magnitude
 from bayescal._model.frame import Frame
 from bayescal._model.static import static
 
-NEAR = 1.5  # times the magnitude or a part of it, by which outputs are off in length where a fit needs no ellipsoid
+NEAR_RATIO = 1.5  # factor by which outputs may be off in length, where a fit needs no ellipsoid
 INVERSIONS = 1  # Newton steps before the one that is differentiated: 1e-7 in the end for a nonlinearity of a tenth
 
 Outputs = Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
@@ -109,7 +109,10 @@ class Vector:
             return None
         outputs = np.stack([frame[name] for name in self.outputs], axis=1)
         ratio = np.linalg.norm(outputs, axis=1) / magnitude(frame.columns)
-        if np.all((ratio < NEAR) & (ratio > 1 / NEAR)) or (found := ellipsoid(outputs)) is None:
+        if (
+            np.all((ratio < NEAR_RATIO) & (ratio > 1 / NEAR_RATIO))
+            or (found := ellipsoid(outputs)) is None
+        ):
             return None
         # The triad's matrix is upper triangular, as the convention of three misalignments has it.
         off, form = outputs - found[0], found[1]

@@ -40,7 +40,7 @@ from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE
 from bayescal._search.discover import Discovery, is_quiet
 from bayescal._search.search_path import SearchPath
 
-LONGEST = 32  # letters of a label; what is longer leaves no room for the picture
+LABEL_LETTERS = 32  # letters of a label; what is longer leaves no room for the picture
 
 
 def own_style(**more: Any) -> AbstractContextManager[None]:
@@ -62,7 +62,7 @@ def axes_of(ax: Any, width: float, height: float) -> Any:
 
 def plain(text: str) -> str:
     """A text from a file as a label: cut short, and its dollar signs begin no formula."""
-    return no_formula(text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…")
+    return no_formula(text if len(text) <= LABEL_LETTERS else f"{text[: LABEL_LETTERS - 1]}…")
 
 
 def no_formula(text: str) -> str:
@@ -93,7 +93,7 @@ def save(figure: Figure, path: Path) -> Path:
 
 
 MOST_PANELS = 6  # of residuals
-MANY = 3000  # readings from which points become one image within a vector picture
+IMAGE_READINGS = 3000  # readings from which points become one image within a vector picture
 NO_UNIT = {"order": "row"}  # covariates that count
 
 
@@ -139,7 +139,7 @@ def residual_panel(
             color=CYCLE[int(run) % len(CYCLE)],
             alpha=0.7,
             label=label,
-            rasterized=len(values) > MANY,
+            rasterized=len(values) > IMAGE_READINGS,
         )
     ax.axhspan(-found.noise, found.noise, color=GREY, alpha=0.18, lw=0)
     ax.axhline(0, color=GREY, lw=0.8)
@@ -158,7 +158,7 @@ def residual_panel(
         ax.legend(frameon=False, fontsize=8, ncols=len(levels), markerscale=2, loc="upper left")
 
 
-MOST_CANDIDATES = 12
+MOST_CANDIDATES = 12  # in one picture: bars and names stay readable
 BELOW = 0.45  # inch, from an axis to its legend: its numbers and its label stand between
 # No line runs through the words.
 ON_GROUND = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
@@ -295,7 +295,7 @@ def loop(found: SearchPath) -> Figure:
 
 
 DRAWS = 1000  # in a picture
-INTERVAL = 0.95
+INTERVAL = 0.95  # probability within the bands that are drawn
 MOST_UNKNOWNS = 24  # in one picture
 PAIRED = 4  # unknowns in a picture of pairs
 
@@ -588,7 +588,7 @@ def _labelled(ax: Any, unit: str, told: Sequence[str]) -> Figure:
     return ax.figure
 
 
-LARGEST = 3.0  # standard deviations, at which the colour ends
+COLOUR_END_SD = 3.0  # standard deviations, at which the colour ends
 
 
 def sphere(calibration: Calibration) -> Figure:
@@ -609,8 +609,8 @@ def sphere(calibration: Calibration) -> Figure:
             *(np.stack([x, y]) * away),
             c=residual[own],
             cmap="RdBu_r",
-            vmin=-LARGEST,
-            vmax=LARGEST,
+            vmin=-COLOUR_END_SD,
+            vmax=COLOUR_END_SD,
             edgecolors=GREY,
             linewidths=0.5,
             s=36,

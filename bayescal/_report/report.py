@@ -42,7 +42,7 @@ from bayescal._use.compensation_program import averaged_over
 from bayescal._use.decide import Decisions
 
 SVG = {"svg.fonttype": "none", "svg.hashsalt": "bayescal", "font.size": 9.0}
-PANELS = 4  # of residuals
+RESIDUAL_PANELS = 4  # of residuals
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Pictures:
 
     def residuals(self, calibration: Calibration, found: Check, which: str) -> list[Picture]:
         """Residuals against the covariates, the worst first, a picture each."""
-        entries = [e for e in found.entries if not e.by_group][:PANELS]
+        entries = [e for e in found.entries if not e.by_group][:RESIDUAL_PANELS]
         unit = unit_label(found.unit)
         pictures = []
         for e in entries:
@@ -239,7 +239,7 @@ def embedded(loop: bytes) -> Picture:
 
 # What the layout meets where a result.json is not as it was written, beside errors of its template.
 OF_DAMAGE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
-MANY = 60  # rows of a table of candidates or coefficients that are shown
+MOST_ROWS = 60  # rows of a table of candidates or coefficients that are shown
 
 
 def report(
@@ -378,7 +378,7 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "effects": report_text.effects(chapter),
         "noise": c.model.noise.in_words,
         "reference": [(n, report_text.measured(v, "degC")) for n, v in c.hold_at.items()],
-        "coefficients": replace(rows, rows=rows.rows[: 4 * MANY]),
+        "coefficients": replace(rows, rows=rows.rows[: 4 * MOST_ROWS]),
         "matrix": report_text.matrix(chapter),
         "skewed": report_text.skewed(chapter),
         "check": chapter.check,
@@ -388,7 +388,7 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "allan": chapter.check.allan,
         "discoveries": [_discovery(m, data, pictures) for m in data["missing"]],
         "budget": found,
-        "budget_tables": found and [replace(t, rows=t.rows[:MANY]) for t in found.tables()],
+        "budget_tables": found and [replace(t, rows=t.rows[:MOST_ROWS]) for t in found.tables()],
         "no_budget": no_budget,
         "pictures": _pictures(chapter, pictures),
     }
@@ -419,7 +419,7 @@ def _discovery(found: dict[str, Any], data: dict[str, Any], pictures: Pictures) 
         "unstated": found.get("unstated", ""),
         "sets": found["sets"],
         "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
-        "table": replace(shown, rows=shown.rows[:MANY]),
+        "table": replace(shown, rows=shown.rows[:MOST_ROWS]),
         "alike": sorted(", ".join(sorted(g)) for g in groups),
         "not_testable": report_text.not_tested(found["candidates"]),
         "picture": pictures.missing(found, title),

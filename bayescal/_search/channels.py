@@ -14,7 +14,8 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._search.search_path import SearchPath
 from bayescal._search.shared_shape import SharedShape
 
-APART = 1.1  # error of a new run over that of the readings as fitted, from which both are shown
+# Error of a new run over that of the readings as fitted, from which both are shown.
+APART_RATIO = 1.1
 
 
 @dataclass(frozen=True, repr=False)
@@ -82,7 +83,7 @@ class Channels(Printed):
     def _errors(self) -> list[list[str]]:
         trails, columns = self.trails.values(), self._columns()
         shown = ["as fitted, first model", "as fitted, last"]
-        if any(t.final.rmse > APART * t.final.rmse_fitted for t in trails):
+        if any(t.final.rmse > APART_RATIO * t.final.rmse_fitted for t in trails):
             shown.append("new run, last")
         if any(t.holdout is not None for t in trails):
             shown += ["held out, first", "held out, last"]

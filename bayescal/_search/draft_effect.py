@@ -22,7 +22,7 @@ from bayescal._model.frame import derived
 
 SIMPLE_SHARE = 0.97  # share of a free curve's variance, from which a simple formula will do for it
 
-POINTS = 101
+POINTS = 101  # of the curve that formulas are tried on: the narrowest width spans five
 PERIODS = np.geomspace(0.06, 2.0, 1000)  # of a sine, in parts of the range
 PLACES = np.linspace(-0.485, 0.485, 98)  # of a step, in parts of the range
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of an exponential, in parts of the range

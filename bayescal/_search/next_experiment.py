@@ -32,9 +32,10 @@ from bayescal._model.frame import build_frame
 # Assoc. 90 (1995) 773).
 VERY_STRONG_NATS = 5.0
 
-DRAWS = 300
-MOST = 1500  # readings of a campaign that are looked at, evenly spread: their covariances are n × n
-TOGETHER = 256  # draws that are worked out together
+DRAWS = 300  # of each possibility: noise is in closed form, and they only have to rank campaigns
+# Readings of a campaign that are looked at, evenly spread: their covariances are n × n.
+MOST_READINGS = 1500
+DRAWS_TOGETHER = 256  # draws that are worked out together
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,7 @@ def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
 
     Args:
         calibration: the fit.
-        readings: the campaign's plan; of more than `MOST` readings, as many evenly spread.
+        readings: the campaign's plan; of more than `MOST_READINGS` readings, as many evenly spread.
     """
     _, means, noise = expected_readings(calibration, readings, DRAWS)
     # Signal by draws, noise in closed form: a covariance from draws alone would have the rank of their number.
@@ -194,7 +195,7 @@ def expected_readings(
         readings add to that: noise, the deviations of new members, coefficients of readings.
     """
     calibration.model.require(readings)
-    kept = np.arange(0, len(readings), -(-len(readings) // MOST))
+    kept = np.arange(0, len(readings), -(-len(readings) // MOST_READINGS))
     readings = readings.select(kept)
     frame = build_frame(readings, calibration.reference)
     # Members of groups in a campaign to come are new ones: their codes are taken away from the means, and their
@@ -204,7 +205,7 @@ def expected_readings(
     assembly = calibration.assembly_on(unseen)
     record, (x, rows, v) = assembly.record, calibration.draws(draws)
     rows = np.zeros((len(x), record.size, rows.shape[2]))
-    parts = np.array_split(np.arange(len(x)), -(-len(x) // TOGETHER))
+    parts = np.array_split(np.arange(len(x)), -(-len(x) // DRAWS_TOGETHER))
     means = [expected(assembly, x[p], rows[p], assembly.hyper(v[p].T)) for p in parts]
     # The rest at the middle of the draws. Whitening the unit matrix gives L⁻¹; Σ = (L⁻ᵀL⁻¹)⁻¹, whatever the law.
     hyper = assembly.hyper(np.median(v, axis=0))

@@ -16,8 +16,9 @@ from bayescal._core.formatting import number
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import run_codes
 
-ALIKE = 0.99  # correlation of two runs' temperatures at the same time within them, from which they are one profile
-DWELL = 3.0  # times the slowest lag, after which five per cent of it are left
+# Correlation of two runs' temperatures at the same time within them, from which they are one profile.
+ALIKE_CORRELATION = 0.99
+DWELL_LAGS = 3.0  # times the slowest lag, after which five per cent of it are left
 
 
 def repeated(readings: Measurements, column: str) -> bool:
@@ -39,7 +40,7 @@ def repeated(readings: Measurements, column: str) -> bool:
         if inside.sum() < 3 or np.ptp(values[inside]) == 0:
             return False
         other = np.interp(time[inside], first, known)
-        if np.ptp(other) == 0 or np.corrcoef(other, values[inside])[0, 1] < ALIKE:
+        if np.ptp(other) == 0 or np.corrcoef(other, values[inside])[0, 1] < ALIKE_CORRELATION:
             return False
     return True
 
@@ -70,7 +71,9 @@ def another_run(calibration: Calibration, column: str) -> str:
         for s in e.column_shapes
         if s.name == "tau" and column in e.columns and e.shape_name(s) in calibration.posterior
     ]
-    dwell = f", a dwell of {number(DWELL * max(taus) / 60.0, 2)} min at either end" if taus else ""
+    dwell = (
+        f", a dwell of {number(DWELL_LAGS * max(taus) / 60.0, 2)} min at either end" if taus else ""
+    )
     ramp = f"ramps of {number(pace, 2)} °C/min" if math.isfinite(pace) else "ramps"
     return (
         f"One run of another profile would tell: from {number(ends[0], 3)} to {number(ends[1], 3)} °C and back, "

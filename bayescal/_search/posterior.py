@@ -13,7 +13,7 @@ import numpy as np
 from bayescal._core.settings import settings
 from bayescal._search.structures import Structure, Structures, Weighed
 
-SHOWN = 20  # structures kept of a search
+SHOWN_STRUCTURES = 20  # structures kept of a search
 NEXT_TO_NOTHING = 1e-3  # probability of a structure, which moves no digit of what is printed
 
 
@@ -279,6 +279,6 @@ class Search:
                     probability=float(p),
                     rms=None if i else rms,
                 )
-                for i, (w, p) in enumerate(refitted[:SHOWN])
+                for i, (w, p) in enumerate(refitted[:SHOWN_STRUCTURES])
             )
         return cls(shown, len(weighed), complete, **counts)

@@ -29,7 +29,7 @@ from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
 from bayescal._search.discover import placeholders
 
-FEW = 100  # draws of a fit whose mode alone is used
+MODE_DRAWS = 100  # draws of a fit whose mode alone is used
 
 
 @dataclass(frozen=True, repr=False)

@@ -25,11 +25,12 @@ from bayescal._search.structures import OTHER_LAW_NATS, Structures, Weighed
 
 SHARES = (np.arange(10) + 0.5)[:, None] / 10  # of the channels that show what their unit has
 REACH, STEP = 3.5, 0.25  # of the shape's grid, prior standard deviations
-RAGGED_STEP = 0.02
-CLOSE = np.linspace(-4.0, 4.0, 25)  # about what a channel found, in its standard deviations
-LIKELIER = 0.1  # by which an effect's probability moves before the channel is searched again
-NEWS = 0.125  # nats that others tell of a shape before its structures are weighed again: half a standard deviation
-ASKED = 3  # most probable structures with the effect and without, of which a channel is asked
+RAGGED_STEP = 0.02  # the same where the evidence has many maxima, as over a period
+CLOSE_SD = np.linspace(-4.0, 4.0, 25)  # about what a channel found, in its standard deviations
+LIKELIER_BY = 0.1  # by which an effect's probability moves before the channel is searched again
+NEWS_NATS = 0.125  # nats that others tell of a shape before its structures are weighed again: half a standard deviation
+# Most probable structures with the effect and without, of which a channel is asked.
+ASKED_STRUCTURES = 3
 
 
 class FromOthers(NamedTuple):
@@ -50,7 +51,7 @@ class ShapeEvidence(NamedTuple):
         """What the channel concludes of the effect where the others say this."""
         low, high = (shape.prior.coordinate(end) for end in (others.low, others.high))
         middle, sd = (low + high) / 2, (high - low) / (2 * CENTRAL_95)
-        v = _apart(np.concatenate([self.v, middle + sd * CLOSE]))
+        v = _apart(np.concatenate([self.v, middle + sd * CLOSE_SD]))
         # Prior mass as the others have it times the channel's own ratio; the grid is refined where that prior lies,
         # which may be narrower than any step of the channel's grid.
         joint = np.interp(v, self.v, self.log_ratio) + log_mass(v, middle, sd)
@@ -70,15 +71,15 @@ class Conclusion(NamedTuple):
 
     def likelier(self, then: Conclusion) -> bool:
         """Whether the effect is more or less probable than it was, by what counts."""
-        return abs(self.probability - then.probability) > LIKELIER
+        return abs(self.probability - then.probability) > LIKELIER_BY
 
     def informs(self, then: Conclusion) -> bool:
         """Whether more is known of the shape of an effect that may be there (Kullback–Leibler, both as normal)."""
-        may_be = max(self.probability, then.probability) > LIKELIER
+        may_be = max(self.probability, then.probability) > LIKELIER_BY
         # Kullback–Leibler divergence of N(v, sd²) from what it was: ½·(r² + d² − 1) − log r, r the ratio of the
         # standard deviations and d the distance in the former one. Half a standard deviation of shift alone is ⅛.
         narrower, moved = self.sd / then.sd, (self.v - then.v) / then.sd
-        return may_be and (narrower**2 + moved**2 - 1) / 2 - math.log(narrower) > NEWS
+        return may_be and (narrower**2 + moved**2 - 1) / 2 - math.log(narrower) > NEWS_NATS
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +207,7 @@ def _grid(shape: Shape, own: Shape, best: Sequence[Weighed], name: str) -> Float
         at = [h.name for h in weighed.assembly.hypers].index(name)
         sd = math.sqrt(weighed.mode.covariance[at, at])
         # About what the channel found the evidence may have a peak narrower than the even step.
-        there.append(weighed.mode.v[at] + np.clip(sd, 1e-4, 1.0) * CLOSE)
+        there.append(weighed.mode.v[at] + np.clip(sd, 1e-4, 1.0) * CLOSE_SD)
     values = own.prior.value(np.concatenate(there[1:]))
     moved = [shape.prior.coordinate(float(value)) for value in values]
     return _apart(np.concatenate([even, moved]))
@@ -222,7 +223,7 @@ def _best(structures: Structures, name: str, *, holds: bool) -> list[Weighed]:
     """The most probable structures that hold an effect, or do not."""
     weighed = (w for s, w in structures.visited.items() if (name in s.effects) == holds)
     known = [w for w in weighed if math.isfinite(w.total)]
-    return sorted(known, key=lambda w: -w.total)[:ASKED]
+    return sorted(known, key=lambda w: -w.total)[:ASKED_STRUCTURES]
 
 
 def _gains(fine: Library, at: Weighed, name: str) -> Float[np.ndarray, "k"]:

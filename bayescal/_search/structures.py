@@ -42,8 +42,8 @@ OTHER_LAW_NATS = 100.0
 # coefficients on the chamber ramp stood 3 to 8 such sizes out.
 SIZE_FACTORS = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}
 
-WIDE = (-6.0, 6.0)  # coordinates of a noise's size
-STILL = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
+NOISE_COORDINATES = (-6.0, 6.0)  # coordinates of a noise's size
+STILL_SD = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
 UNKNOWN = 0.1  # variance of a coordinate of which nothing is known
 
 
@@ -250,12 +250,12 @@ class Structures:
     def _refitted(self, structure, near, hints) -> Weighed:
         assembly = self._assembled(structure, near)
         if near is None:
-            mode = find_mode(assembly, still=STILL, curved=False)
+            mode = find_mode(assembly, still=STILL_SD, curved=False)
         else:
             known, width = carried(assembly, near.assembly, near.mode)
             begin = starts(assembly, near.assembly, known, hints)
             point = assembly.point_of(near.assembly, near.mode.point)
-            mode = find_mode(assembly, begin, width, point, STILL, curved=False)
+            mode = find_mode(assembly, begin, width, point, STILL_SD, curved=False)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         assembly, mode, log_evidence = averaged(assembly, mode, sized)
         log_prior = self.log_prior(structure)
@@ -276,7 +276,9 @@ class Structures:
         # All of φ but the noise's size is held: the products are then those of one table, and no step of the search
         # passes over the readings. A refit can only raise the density further.
         found = minimize_scalar(
-            lambda size: -density.at(np.where(of_size, size, v))[0], bounds=WIDE, method="bounded"
+            lambda size: -density.at(np.where(of_size, size, v))[0],
+            bounds=NOISE_COORDINATES,
+            method="bounded",
         )
         return self.log_prior(structure) - float(found.fun)
 
@@ -438,7 +440,7 @@ def averaged(
             break
     if chosen != begun:
         assembly = Assembly(assembly.layout, assembly.record, dict(chosen))
-        mode = find_mode(assembly, [mode.v], mode.covariance, mode.point, STILL)
+        mode = find_mode(assembly, [mode.v], mode.covariance, mode.point, STILL_SD)
         at_sizes = _AtSizes(assembly, mode, chosen)
     else:
         mode = at_mode(

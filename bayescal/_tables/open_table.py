@@ -36,7 +36,7 @@ LOG_FORMATS = {
     ".db3": _ROS_2,
 }
 
-MAX_BYTES = 2_000_000_000
+MAX_BYTES = 2_000_000_000  # of a file, and of its numbers in memory: a larger one is refused, and not killed for memory
 TEXT = (".csv", ".tsv", ".dsv", ".txt", ".lvm", ".dat")
 READ = (*TEXT, ".parquet", ".nc", ".xlsx", ".mat", *LOG_FORMATS)
 _PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".joblib")

@@ -138,7 +138,7 @@ def _in_lines(problem: Problem, several: bool, page: int) -> str:
 
 ROW = "reading"  # the one dimension of readings
 FORMATS = (".csv", ".parquet", ".nc")  # that are written
-MOST_COLUMNS = 100_000
+MOST_COLUMNS = 100_000  # a file of more has readings in columns, or is no table
 LONGEST_NAME = 1_000  # characters; looking for a unit in a longer one takes minutes
 
 

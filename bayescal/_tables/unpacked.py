@@ -102,9 +102,9 @@ def refuse_hdf5(opened: Any, file: str, size: int) -> None:
 
 
 # Matrices in a MATLAB file up to 7.2 ("MAT-File Format", The MathWorks, 1999 to 2024, chapter 1).
-_MATRIX, _COMPRESSED = 14, 15
-_CELL, _STRUCT, _OBJECT, _FUNCTION, _OPAQUE = 1, 2, 3, 16, 17
-_SPARSE, _COMPLEX = 5, 0x800
+_MATRIX, _COMPRESSED = 14, 15  # kinds of elements
+_CELL, _STRUCT, _OBJECT, _FUNCTION, _OPAQUE = 1, 2, 3, 16, 17  # classes of arrays
+_SPARSE, _COMPLEX = 5, 0x800  # one of them, and a flag
 _HOLDS_OTHERS = (_CELL, _STRUCT, _OBJECT, _FUNCTION, _OPAQUE)
 
 

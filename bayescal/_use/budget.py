@@ -39,7 +39,7 @@ from bayescal._data.unit_conversion import (
 from bayescal._use.compensation_program import PAST, bias_only
 from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import (
-    ALL,
+    ALL_DRAWS,
     AtPoint,
     OperatingEquation,
     posterior_moments,
@@ -47,13 +47,14 @@ from bayescal._use.operating_equation import (
 
 REST = "between-group sd, shapes, curvature"
 STRUCTURES = "which effects there are (average over structures)"
-SMALL = 5e-4  # share of the variance below which a coefficient is not printed
+LEAST_VARIANCE_SHARE = 5e-4  # share of the variance below which a coefficient is not printed
 READINGS = "noise of the calibration's readings"
 SHARED = (
     "Not in it: errors that all readings share and no prior states, such as that of a reference or of the thermometer. "
     "Add their variances."
 )
-FEW = 10  # groups, below which a spread between them is not known well enough for a normal distribution
+# Groups below which a spread between them is not known well enough for a normal distribution.
+FEWEST_GROUPS_FOR_NORMAL = 10
 
 
 @dataclass(frozen=True)
@@ -202,9 +203,9 @@ def budget_text(found: Budget) -> str:
     """Both tables of an uncertainty budget; k and the kind of each interval said."""
     unit = unit_label(found.unit)
     by_coefficient, by_source = found.tables()
-    seen = [c for c in found.coefficients if abs(c.share) >= SMALL]
+    seen = [c for c in found.coefficients if abs(c.share) >= LEAST_VARIANCE_SHARE]
     left = len(found.coefficients) - len(seen)
-    hidden = f" {left} coefficients below {SMALL:.2%} are not shown." if left else ""
+    hidden = f" {left} coefficients below {LEAST_VARIANCE_SHARE:.2%} are not shown." if left else ""
     parts = [
         f"Uncertainty budget of {found.stimulus} at {found.place}",
         str(replace(by_coefficient, rows=seen)),
@@ -247,7 +248,9 @@ def budget(
     found, gradient = _slopes(chosen, point)
     covariance = chosen._moments.covariance
     variance = float(gradient @ covariance @ gradient)
-    every = posterior_moments(chosen._equation, chosen._calibration, ALL, chosen._calibration.seed)
+    every = posterior_moments(
+        chosen._equation, chosen._calibration, ALL_DRAWS, chosen._calibration.seed
+    )
     untold = not_measured(chosen._calibration, (every.draws @ gradient)[:, None])
     said = () if untold is None else (f"Most of it is prior: {untold}. {untold.cure}.",)
     return Budget(
@@ -389,7 +392,7 @@ def notes_on(chosen: Compensator, point: Mapping[str, float]) -> tuple[str, ...]
         per = block.coefficient.per
         if per is not None and block.name in learned:
             count = len(chosen._calibration.levels.get(per, ()))
-            if count < FEW:
+            if count < FEWEST_GROUPS_FOR_NORMAL:
                 notes.append(
                     f"{block.name} of a new {per} is known from {count} of them: an expanded uncertainty covers less "
                     "than that of a normal distribution."

@@ -56,7 +56,7 @@ from bayescal._use.budget import notes_on
 from bayescal._use.compensation_program import PAST, bias_only
 from bayescal._use.compensation_program import limits as calibrated_limits
 from bayescal._use.compensator import Compensator
-from bayescal._use.operating_equation import ALL, equation_in_use
+from bayescal._use.operating_equation import ALL_DRAWS, equation_in_use
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = rf"(?P<low>{_NUMBER})\s*(?:\.\.|…|to\b)\s*(?P<high>{_NUMBER})"
@@ -212,8 +212,8 @@ def spread_of_devices(text: str) -> SpreadOfDevices:
 
 
 SHIFTS = 401  # shifts among which the most favourable one is looked for: its p_c need only be within 1/400 of the top
-STEPS = 60  # of bisection, each of which halves the bracket: the last is 1e-18 of it
-FAR = 10.0  # standard deviations beyond which a normal distribution has 1e-23
+BISECTIONS = 60  # of bisection, each of which halves the bracket: the last is 1e-18 of it
+FAR_SD = 10.0  # standard deviations beyond which a normal distribution has 1e-23
 
 
 class Limits(NamedTuple):
@@ -275,7 +275,7 @@ def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Lim
         limits: the tolerance interval.
         false_accept: α.
     """
-    reach = FAR * drawn.scatter
+    reach = FAR_SD * drawn.scatter
     # Below the first shift p_c is zero, as no draw is above T_L; so it is above the last.
     first = limits.low - float(drawn.low.max()) - reach
     last = limits.high - float(drawn.high.min()) + reach
@@ -292,7 +292,7 @@ def _most_favourable(drawn: DrawnQuantity, limits: Limits, first: float, last: f
     """The shift with the largest p_c."""
     if np.isinf(first) and np.isinf(last):
         return 0.0
-    reach = FAR * drawn.scatter
+    reach = FAR_SD * drawn.scatter
     if np.isinf(first):  # one limit: all draws inside it
         return limits.high - float(drawn.high.max()) - reach
     if np.isinf(last):
@@ -307,7 +307,7 @@ def _edge(
     drawn: DrawnQuantity, limits: Limits, wanted: float, inside: float, outside: float
 ) -> float:
     """Where p_c falls below what is wanted, between a shift where it does not and one where it is zero."""
-    for _ in range(STEPS):
+    for _ in range(BISECTIONS):
         middle = 0.5 * (inside + outside)
         if drawn.probability(limits, middle) >= wanted:
             inside = middle
@@ -590,7 +590,7 @@ def limited_quantity(
         return _unknown(calibration, limit, local_gravity)
     # All structures: what the less probable ones need is no reason to leave them out, as it is for firmware.
     equation = equation_in_use(calibration, members)
-    chosen = Compensator(calibration, equation, ALL)
+    chosen = Compensator(calibration, equation, ALL_DRAWS)
     if limit.quantity in slots and limit.quantity not in {b.slot for b in equation.blocks}:
         raise InputError(
             f"limit {limit.text!r}: no effect of the model acts on {limit.quantity!r} in use, so that nothing is known "

@@ -58,14 +58,14 @@ from bayescal._use.conformity import (
     with_population,
 )
 
-DAY = 86400.0
+DAY = 86400.0  # s
 YEAR = 365.25 * DAY
 # Where the search ends: a horizon and no claim; beyond it only "not within 10 years" is said.
 HORIZON = 10 * YEAR
-FIRST = 60.0  # s, the first time looked at, shorter than any interval between calibrations
+FIRST_SECONDS = 60.0  # s, the first time looked at, shorter than any interval between calibrations
 TIMES = 160  # looked at, evenly in the logarithm: each is 1.13 times the one before
-STEPS = 50  # of bisection between two of them
-FAR = 3.0  # spans of the record beyond which a drift is extrapolated so far that it is said
+BISECTIONS = 50  # of bisection between two of them
+FAR_SPANS = 3.0  # spans of the record beyond which a drift is extrapolated so far that it is said
 
 CANNOT = "cannot be said from these readings"
 ADVICE = (
@@ -141,7 +141,7 @@ def recalibration(
     time = calibration.readings["time"]
     span = float(np.ptp(time))
     notes = []
-    if after > FAR * span:
+    if after > FAR_SPANS * span:
         notes.append(
             f"The drift is extrapolated to {after / span:.0f} times the {in_words(span)} of the record, as if it "
             "went on as it was: calibrate again sooner to see whether it does."
@@ -169,10 +169,10 @@ def first_below(probability: Callable[[float], float], stated: float) -> float |
     if probability(0.0) < stated:
         return 0.0
     before = 0.0
-    for time in np.geomspace(FIRST, HORIZON, TIMES):
+    for time in np.geomspace(FIRST_SECONDS, HORIZON, TIMES):
         if probability(float(time)) < stated:
             above, below = before, float(time)
-            for _ in range(STEPS):
+            for _ in range(BISECTIONS):
                 middle = 0.5 * (above + below)
                 above, below = (middle, below) if probability(middle) >= stated else (above, middle)
                 if below - above <= 1e-6 * below:

@@ -50,7 +50,7 @@ from bayescal._data.unit_conversion import STANDARD_GRAVITY, convert, unit_label
 from bayescal._use.compensation_program import NOT_RELIABLE, STIMULUS, inputs_at_fit
 from bayescal._use.compensator import Compensator, compensator
 
-ORDER = 3
+ORDER = 3  # of the temperature, the highest that an autopilot takes
 
 
 @dataclass(frozen=True)

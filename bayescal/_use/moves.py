@@ -66,11 +66,11 @@ from bayescal._use.vector_correction import VectorCorrection
 
 SWEEPS = 60  # of integrating anew; four suffice for a matrix that is off by a tenth
 HALVINGS = 10  # of a step that leaves more over than was,
-LARGER = 1.01  # times as much: slopes are exact to the first order in the angles left over
+LARGER_RATIO = 1.01  # times as much: slopes are exact to the first order in the angles left over
 FARTHEST = 0.5  # of an entry of the matrix from nominal: a wrong unit or axis, no gyroscope
 SETTLED = 0.01  # of a standard uncertainty, by which a further sweep may move an estimate
 DISAGREES = 0.01  # probability that of moves and poses that agree any is set aside
-MOST = 0.2  # of the moves that may be
+MOST_LEFT_OUT = 0.2  # of the moves that may be
 # Prior standard deviations of bias (rad/s), matrix, sensitivity to specific force (rad/s/g) and to the rate squared
 # (s/rad) and the Earth's rotation (rad/s) while that estimate is sought: they decide nothing but what moves leave open.
 PRIOR = np.repeat(
@@ -257,7 +257,7 @@ def _readings(
     nominal = np.concatenate([at_rest.mean(axis=0), np.eye(3).ravel(), np.zeros(15)])
     session = _Session(at_rest, windows, felt, forces, white, nominal)
     moved = _between(log, windows, pull, _forces(pull, correction))
-    most = max(1, int(MOST * len(moved.rate)))
+    most = max(1, int(MOST_LEFT_OUT * len(moved.rate)))
     here, aside = session.nominal[:OWN], _Aside((), ())
     at = _closure(moved, felt, here)
     for _ in range(SWEEPS):
@@ -268,7 +268,7 @@ def _readings(
         before, there = line.left_over(at, here, found), None
         for _ in range(HALVINGS if size >= SETTLED else 0):
             tried = _closure(moved, felt, here + change)
-            if line.left_over(tried, here + change, found) < LARGER * before:
+            if line.left_over(tried, here + change, found) < LARGER_RATIO * before:
                 there = tried
                 break
             change = 0.5 * change

@@ -390,7 +390,7 @@ def _theta(equation: OperatingEquation, calibration: Calibration) -> dict[str, A
     }
 
 
-ALL = 10**9  # draws: every one there is
+ALL_DRAWS = 10**9  # draws: every one there is
 
 
 class PosteriorMoments(NamedTuple):
@@ -448,7 +448,7 @@ def _of_folded(
     equation: OperatingEquation, left: Folded, calibration: Calibration, seed: int
 ) -> dict[str, np.ndarray]:
     """Draws of what the folded effects come to at their place, (d,), by the key of their unknown."""
-    whole, *both = _with_and_without(equation, left, calibration, ALL, seed)
+    whole, *both = _with_and_without(equation, left, calibration, ALL_DRAWS, seed)
     at, found = left.values, dict[str, np.ndarray]()
     names = input_names(whole, calibration.frame)
     inputs = {name: jnp.full(1, at.get(name, 0.0)) for name in names}
@@ -462,7 +462,8 @@ def _of_folded(
     return found
 
 
-FEW = 200  # draws, and readings, over which the size of what is left out is known well enough
+# Draws, and readings, over which the size of what is left out is known well enough.
+SIZE_DRAWS = 200
 
 
 def left_out(
@@ -478,8 +479,8 @@ def left_out(
         calibration: that it is of.
         inputs: of the equation that holds them, at the readings of the calibration.
     """
-    whole, *both = _with_and_without(equation, left, calibration, FEW, calibration.seed)
-    rows = slice(None, None, -(-len(calibration.readings) // FEW))
+    whole, *both = _with_and_without(equation, left, calibration, SIZE_DRAWS, calibration.seed)
+    rows = slice(None, None, -(-len(calibration.readings) // SIZE_DRAWS))
     readings, name = calibration.readings, equation.use.stimulus
     acting = readings[name] if readings.has(name) else np.zeros(len(readings))
     there = {n: np.full(len(v), left.values.get(n, 0.0)) for n, v in inputs.items()}
@@ -544,7 +545,7 @@ def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np
     return calibration.samples(block.group_sd_name)
 
 
-TIGHT = 1e-13  # of Newton's last step, relative
+NEWTON_TOLERANCE = 1e-13  # of Newton's last step, relative
 NOISE_READINGS = 1000  # over which a noise that follows a column is averaged; the mean is known far better than it
 
 
@@ -739,7 +740,7 @@ def _invert(equation: OperatingEquation, reference, affine: bool, theta, output,
         first = -at_zero / slope
         if affine:
             return first, slope
-        solver = optx.Newton(rtol=TIGHT, atol=1e-300)
+        solver = optx.Newton(rtol=NEWTON_TOLERANCE, atol=1e-300)
         found = optx.root_find(miss, solver, first, max_steps=40, throw=False)
         _, slope = jax.value_and_grad(miss)(found.value, None)
         settled = jnp.abs(miss(found.value, None)) <= 1e-9 * (jnp.abs(target) + jnp.abs(at_zero))

@@ -54,7 +54,8 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.assembly import Assembly
 from bayescal._use.compensation_program import NOT_RELIABLE
 
-EXACT = 1e-9  # of the largest term, up to which a polynomial of the temperature is the model's own
+# Share of the largest term up to which a polynomial of the temperature is the model's own.
+EXACT_SHARE = 1e-9
 ROUNDING = 1e-13  # of it, up to which a term is none
 ORDERS = 3  # of the temperature
 SIZES = (12, 30, 33)  # how many terms there are up to an order in what acts
@@ -67,11 +68,11 @@ PAIRS = (
     (1, 2),
 )  # of inputs, that terms of second order multiply
 TEMPERATURE = "temperature"  # known in use, as is what acts beside
-SHARED = 3.0  # plausible sizes of a factor that three scale factors share, beyond which what acts is in question
-MENTIONED = 0.1  # of a standard uncertainty: what of the test is larger is said
+SHARED_SIZES = 3.0  # plausible sizes of a factor that three scale factors share, beyond which what acts is in question
+MENTIONED_SHARE = 0.1  # of a standard uncertainty: what of the test is larger is said
 OfTest = dict[str, dict[str, float]]  # of effects, the standard deviation of what they add to slots
 STEP = 1e-6  # of a vector's length, for central differences: 1e-10 of a slope
-NEWTON = 4  # steps of the inverse: each squares the error
+NEWTON_STEPS = 4  # steps of the inverse: each squares the error
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,7 +400,7 @@ class VectorCorrection:
             terms, last = terms[:, :-9].copy(), terms[:, -9:]
             terms[:, :3] += (_by_rows(acts) @ last[..., None])[..., 0]
         force = y.copy()
-        for _ in range(NEWTON):
+        for _ in range(NEWTON_STEPS):
             there, slopes = _outputs(terms, force)
             force = force - np.linalg.solve(slopes, (there - y)[..., None])[..., 0]
         inverse = np.linalg.inv(_outputs(terms, force)[1])
@@ -546,7 +547,7 @@ def vector_correction(
         own = powers[:, : order + 1]
         fitted = np.linalg.lstsq(own, each, rcond=None)[0]
         beyond = each - own @ fitted  # what no polynomial of this order holds
-        if np.max(np.abs(beyond)) <= EXACT * np.max(np.abs(taylor)):
+        if np.max(np.abs(beyond)) <= EXACT_SHARE * np.max(np.abs(taylor)):
             beyond = np.zeros_like(beyond)
             break
     terms = np.moveaxis(fitted.reshape(order + 1, len(taylor), -1), 1, 0)  # (draws, k, p)
@@ -620,7 +621,7 @@ def _common_scale(
                 "is in the uncertainty of magnitudes and in that of no direction.",
             )
         stated = f" ({size:.4g} {unit}; {size * common:.3g} {unit} would fit)"
-    if not plausible or abs(common - 1) <= SHARED * plausible:
+    if not plausible or abs(common - 1) <= SHARED_SIZES * plausible:
         return 0.0, ()
     three = ", ".join(f"{a} {s:.3g}" for a, s in zip("xyz", np.diag(matrix), strict=True))
     return 0.0, (
@@ -754,14 +755,14 @@ def _slots(
             sums = of_test.setdefault(t.known.of, {})
             sums[t.slot] = sums.get(t.slot, np.zeros(count)) + (value * column)[:, 0]
     sds = {name: {s: float(np.std(v)) for s, v in sums.items()} for name, sums in of_test.items()}
-    whole = {name: MENTIONED * np.std(values[:, 0]) for name, values in slots.items()}
+    whole = {name: MENTIONED_SHARE * np.std(values[:, 0]) for name, values in slots.items()}
     return slots, {
         n: each for n, each in sds.items() if any(sd > whole[s] for s, sd in each.items())
     }
 
 
 SWEEPS = 20  # of Gauss–Newton
-SETTLED = 1e-10  # rad, by which the last may move
+SETTLED_RADIANS = 1e-10  # rad, by which the last may move
 UNKNOWNS = 4  # the rotation and the dip
 TURNS = Rotation.create_group("O").as_matrix()  # the 24 that take axes to axes
 SCATTER = 0.2  # of sin(dip) between poses, from which on the axes do not fit or the field is none
@@ -840,7 +841,7 @@ def in_frame_of(
         turn = Rotation.from_rotvec(step[:3]).as_matrix() @ turn
         dip += float(step[3])
         left, weight, gain, shared, of_force, beside = linear(turn, dip)
-        if np.max(np.abs(step)) < SETTLED:
+        if np.max(np.abs(step)) < SETTLED_RADIANS:
             break
     if not np.std(left) < SCATTER:
         raise InputError(

@@ -37,7 +37,7 @@ from bayescal._use.code_writer import include_guard, refuse_without_uncertainty,
 from bayescal._use.expression_graph import template
 from bayescal._use.firmware_parameters import AUTOPILOTS
 from bayescal._use.plain_correction import PlainCorrection, plain_correction
-from bayescal._use.vector_correction import NEWTON, SIZES, VectorCorrection
+from bayescal._use.vector_correction import NEWTON_STEPS, SIZES, VectorCorrection
 
 NOTHING = "Nothing is left out."
 SHAPE = {
@@ -341,7 +341,7 @@ def _header(name: str, c: VectorCorrection, uncertainty: bool) -> str:
         # Twelve numbers, and no equation to solve.
         plain=not uncertainty and c.terms.shape == (1, 12),
         inverse=np.linalg.inv(c.matrix).tolist(),
-        newton=1 if c.order == 1 else NEWTON,
+        newton=1 if c.order == 1 else NEWTON_STEPS,
     )
 
 
@@ -355,7 +355,7 @@ def _module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
         named=named,
         data={n: repr(one) for n, one in held.items()},
         uncertainty=uncertainty,
-        newton=NEWTON,
+        newton=NEWTON_STEPS,
     )
 
 

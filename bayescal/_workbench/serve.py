@@ -29,7 +29,9 @@ from bayescal._workbench.parts.work import in_words
 from bayescal._workbench.session import Session
 from bayescal._workbench.start import FIRST, Address, kept_sessions, skeleton
 
-MOST = 64 * 2**20  # bytes of one message of a browser's; files come in pieces that are far smaller
+LARGEST_MESSAGE = (
+    64 * 2**20
+)  # bytes of one message of a browser's; files come in pieces that are far smaller
 MOST_LINKS = 4  # other sessions that are named; the others are in the folder
 MOST_ASKED = 2**16  # bytes of a request beside its messages: the page asks without a body
 
@@ -216,7 +218,7 @@ def serve(channels: Mapping[str, Sessions], address: Address) -> None:
         websocket_origin=list(address.names),
         prefix=address.path,
         ico_path="none",
-        websocket_max_message_size=MOST,
+        websocket_max_message_size=LARGEST_MESSAGE,
         http_server_kwargs={"max_body_size": MOST_ASKED, "max_header_size": MOST_ASKED},
         keep_alive_milliseconds=10_000,
         title="bayescal workbench",

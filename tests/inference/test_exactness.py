@@ -8,7 +8,7 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._core.importance_weights import ALIKE, Corrections
+from bayescal._core.importance_weights import ALIKE_SCATTER, Corrections
 from bayescal._inference import sampling
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
@@ -224,7 +224,7 @@ def ramps() -> bc.Measurements:
 def test_a_long_record_with_a_lag_is_measured_as_with_every_weight_corrected(
     ramps: bc.Measurements, monkeypatch
 ) -> None:
-    assert len(ramps) > sampling.LONG
+    assert len(ramps) > sampling.COSTLY_READINGS
     model = still_sensor.INSTRUMENT.for_readings(ramps).baseline() + "bias.thermal_lag"
     model = model.with_noise(
         bc.Heteroscedastic("temperature", model.noise.parameters()["noise.white"])
@@ -247,14 +247,16 @@ def test_a_long_record_with_a_lag_is_measured_as_with_every_weight_corrected(
         return mean, sd, sum(corrected)
 
     mean, sd, few = moments()
-    monkeypatch.setattr(sampling, "LONG", len(ramps))
+    monkeypatch.setattr(sampling, "COSTLY_READINGS", len(ramps))
     exact_mean, exact_sd, all_of_them = moments()
     assert few < 0.6 * all_of_them  # those far out, where polynomials end
     assert np.all(np.abs(mean - exact_mean) < 0.02 * exact_sd)
     np.testing.assert_allclose(sd, exact_sd, rtol=0.02)
 
 
-@pytest.mark.parametrize(("scatter", "alike"), [(0.5 * ALIKE, True), (3 * ALIKE, False)])
+@pytest.mark.parametrize(
+    ("scatter", "alike"), [(0.5 * ALIKE_SCATTER, True), (3 * ALIKE_SCATTER, False)]
+)
 def test_weights_are_left_as_they_are_only_where_their_corrections_agree(scatter, alike) -> None:
     random, judged = np.random.default_rng(1), Corrections()
     judged.add(np.zeros(200), 0.3 + scatter * random.standard_normal(200))

@@ -302,7 +302,7 @@ def test_corrections_that_are_alike_are_computed_for_a_few_draws_only(monkeypatc
     monkeypatch.setattr(sampling, "draw_joint", counted)
     readings = accelerometer_triad.simulate(seed=4, campaign=Campaign(poses=40))
     quick = bc.fit(MODEL, readings)
-    assert sum(counts) <= sampling.FIRST
+    assert sum(counts) <= sampling.FIRST_DRAWS
     monkeypatch.setattr(importance_weights, "ALIKE", 0.0)
     counts.clear()
     full = bc.fit(MODEL, readings)

@@ -14,7 +14,7 @@ from bayescal._search.discover import Discovery
 from bayescal._search.posterior import Found
 from bayescal._workbench.app import Workbench
 from bayescal._workbench.kept import path_to
-from bayescal._workbench.panes.fails import MANY, PIXELS, CutAxis, drawn_rows, sentence
+from bayescal._workbench.panes.fails import DRAWN_READINGS, PIXELS, CutAxis, drawn_rows, sentence
 from bayescal._workbench.panes.missing import candidate_rows
 from bayescal._workbench.panes.tabs import ERROR, in_order, safe_name
 from bayescal._workbench.parts.pieces import Rows, new_figure, words
@@ -35,7 +35,7 @@ def many() -> tuple[dict[str, np.ndarray], np.ndarray]:
 def test_extremes_of_every_column_of_pixels_are_drawn(many) -> None:
     columns, residual = many
     rows = drawn_rows(columns, [residual])
-    assert rows.size <= MANY + len(columns) * 2 * PIXELS
+    assert rows.size <= DRAWN_READINGS + len(columns) * 2 * PIXELS
     assert 41_234 in rows
     for values in columns.values():
         place = (values - values.min()) / np.ptp(values)
@@ -49,9 +49,9 @@ def test_extremes_of_every_column_of_pixels_are_drawn(many) -> None:
 
 def test_of_few_readings_all_are_drawn(many) -> None:
     columns, residual = many
-    few = {name: values[:MANY] for name, values in columns.items()}
-    assert drawn_rows(few, [residual[:MANY]]).size == MANY
-    assert sentence(MANY, MANY) == ""
+    few = {name: values[:DRAWN_READINGS] for name, values in columns.items()}
+    assert drawn_rows(few, [residual[:DRAWN_READINGS]]).size == DRAWN_READINGS
+    assert sentence(DRAWN_READINGS, DRAWN_READINGS) == ""
 
 
 def test_a_view_of_a_part_draws_more_of_it(many) -> None:

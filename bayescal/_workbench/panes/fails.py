@@ -112,7 +112,8 @@ def _round(value: float) -> float:
     return float(max(power * m for m in (1, 2, 5) if power * m <= value * (1 + 1e-12)))
 
 
-MANY = 6000  # readings up to which every one is drawn: the browser moves these without a lag
+# Readings up to which every one is drawn: the browser moves these without a lag.
+DRAWN_READINGS = 6000
 PIXELS = 300  # columns of pixels of a panel, about
 
 
@@ -136,7 +137,7 @@ def drawn_rows(
         Indices in rising order.
     """
     size = drawn[0].size
-    if size <= MANY:
+    if size <= DRAWN_READINGS:
         return np.arange(size)
     rising = [np.argsort(values) for values in drawn]
     chosen, seen = np.zeros(size, bool), np.ones(size, bool)
@@ -144,7 +145,7 @@ def drawn_rows(
         low, high = (views or {}).get(name, (float(values.min()), float(values.max())))
         in_view = (values >= low) & (values <= high)
         seen &= in_view if name in (views or {}) else True
-        if np.count_nonzero(in_view) <= MANY // len(covariates):
+        if np.count_nonzero(in_view) <= DRAWN_READINGS // len(covariates):
             chosen |= in_view
             continue
         place = (values - low) / max(high - low, 1e-300)
@@ -155,9 +156,14 @@ def drawn_rows(
                 end[pixel[way]] = way
                 chosen[end[:PIXELS][end[:PIXELS] >= 0]] = True
     between = np.flatnonzero(seen & ~chosen)
-    chosen[between[:: max(1, -(-between.size // (MANY - min(int(chosen.sum()), MANY // 2))))]] = (
-        True
-    )
+    chosen[
+        between[
+            :: max(
+                1,
+                -(-between.size // (DRAWN_READINGS - min(int(chosen.sum()), DRAWN_READINGS // 2))),
+            )
+        ]
+    ] = True
     return np.flatnonzero(chosen)
 
 
@@ -298,8 +304,8 @@ class ResidualsOfState:
 
 
 TOOLS = "box_select,lasso_select,xwheel_zoom,pan,reset,tap"
-SHORT = 48  # letters of a label
-FEW = 600  # readings up to which points are large
+LABEL_LETTERS = 48  # letters of a label
+LARGE_POINT_READINGS = 600  # readings up to which points are large
 NOISE, CURVE, FIT, AT = "#8a939b", "curve", "fit", "at "
 OUTPUT, RESIDUALS = WHAT = ["output", "residuals"]
 
@@ -382,7 +388,7 @@ def _figure(
 ) -> Any:
     unit = shown.units[name]
     made = new_figure(
-        name[:SHORT] if name in shown.levels else f"{name[:SHORT]} [{unit or '1'}]",
+        name[:LABEL_LETTERS] if name in shown.levels else f"{name[:LABEL_LETTERS]} [{unit or '1'}]",
         label,
         tools=TOOLS,
         active_drag="box_select",
@@ -415,7 +421,7 @@ def _dots(made: Any, x: str, name: str, source: ColumnDataSource) -> None:
 
 
 def _points(made: Any, x: str, y: str, source: ColumnDataSource) -> None:
-    size = 5 if len(source.data["row"]) <= FEW else 3.5
+    size = 5 if len(source.data["row"]) <= LARGE_POINT_READINGS else 3.5
     plain = {"marker": "marker", "fill_color": "colour", "line_color": None, "fill_alpha": 0.75}
     drawn = {"x": x, "y": y, "size": size, **plain}
     points = _scatter(made, source, drawn, {"fill_alpha": 0.12}, {"fill_alpha": 1.0})
@@ -440,7 +446,7 @@ def _scatter(
 
 
 AFTER, BEFORE, BOTH = "after", "before", "both"  # this step, the one beside it
-MOST = 4  # panels side by side, at most
+PANELS_IN_A_ROW = 4  # panels side by side, at most
 LEGEND = 6  # runs that are named beside their colour
 SIGNS = "●■▲◆▼⬢"  # as MARKERS
 HINT = "Drag over a panel to select readings; they light up in the others."
@@ -533,8 +539,8 @@ class Fails(Pane):
         if self._showing:
             return
         new = [n for n in event.new if n not in event.old]
-        kept = [n for n in event.old if n in event.new][-(MOST - len(new)) :]
-        if len(event.new) > MOST:
+        kept = [n for n in event.old if n in event.new][-(PANELS_IN_A_ROW - len(new)) :]
+        if len(event.new) > PANELS_IN_A_ROW:
             self.choice.value = [*kept, *new]
         else:
             self._lay_out()
@@ -560,7 +566,7 @@ class Fails(Pane):
         self._place()
         rooms = [self._made[name].room for name in names]
         if [*self.panels] != rooms:
-            self.panels.css_classes = ["panels", *["of4"] * (len(rooms) == MOST)]
+            self.panels.css_classes = ["panels", *["of4"] * (len(rooms) == PANELS_IN_A_ROW)]
             self.panels[:] = rooms
 
     def _now(self) -> np.ndarray:

@@ -11,8 +11,8 @@ from bayescal._core.formatting import probability, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._workbench.parts.pieces import Pane, Rows, button, column, field, row, words
 
-MOST = 6  # coefficients of one effect that stand in its row
-LEAST = 0.005  # probability of a noise law that is shown
+COEFFICIENTS_IN_A_ROW = 6  # coefficients of one effect that stand in its row
+LEAST_PROBABILITY = 0.005  # probability of a noise law that is shown
 NUMBER = {"kind": "value number"}
 
 
@@ -145,12 +145,14 @@ def effect_rows(model: Any, told: list[dict[str, Any]]) -> list[dict[str, Any]]:
         cells: list[dict[str, Any]] = [
             {"text": effect.name, "kind": "name", "title": effect.equation}
         ]
-        for t in own[:MOST]:
+        for t in own[:COEFFICIENTS_IN_A_ROW]:
             short = t["name"].removeprefix(effect.name).lstrip(".:[").replace("]", "")
             value = f"{short if len(own) > 1 else ''} {_value(t)}".strip()
             cells.append({"text": value, **NUMBER, **_contraction(t["contraction"])})
-        if len(own) > MOST:
-            cells.append({"text": f"… and {len(own) - MOST} more", "kind": "value"})
+        if len(own) > COEFFICIENTS_IN_A_ROW:
+            cells.append(
+                {"text": f"… and {len(own) - COEFFICIENTS_IN_A_ROW} more", "kind": "value"}
+            )
         held = [f"{n} = {v:g}" for n, v in model.fixed if n.startswith(effect.name)]
         cells += [{"text": f"held: {', '.join(held)}", **NUMBER}] if held else []
         change = {"id": "change", "label": "Change …", "title": "take out, fix or resize"}
@@ -180,7 +182,7 @@ def noise_rows(state: Any) -> list[dict[str, Any]]:
     rows = []
     for name in dict.fromkeys((used.law, *told)):
         law, here = told.get(name), name == used.law
-        if law is not None and not here and law.probability < LEAST:
+        if law is not None and not here and law.probability < LEAST_PROBABILITY:
             continue
         cells: list[dict[str, Any]] = [
             {"text": used.in_words if law is None else law.in_words, "kind": "name"}

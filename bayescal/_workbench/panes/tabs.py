@@ -680,9 +680,9 @@ class PythonPane(Pane):
         self.code.value = self.session.script()
 
 
-MOST = 200_000_000  # bytes of one file; larger ones are given on the command line
+LARGEST_UPLOAD = 200_000_000  # bytes of one file; larger ones are given on the command line
 OFFERED = 300  # columns of a file that a list offers; others are typed
-TOLD = 6000  # letters of what is wrong
+LONGEST_ERROR = 6000  # letters of what is wrong
 AS_FOUND = "as found"
 INSTEAD = (  # of an option
     (r"--columns '?([^='\s]+)=([^'\n]+?)'?(?=\s*\n|\s{2}|$)", r"left: \1 is \2"),
@@ -693,12 +693,12 @@ INSTEAD = (  # of an option
 
 
 class Upload(pn.widgets.FileDropper):
-    """Panel's own, which trusts the browser with the size: here more than MOST is not kept on this side either."""
+    """Panel's own, which trusts the browser with the size: here more than `LARGEST_UPLOAD` is not kept either."""
 
     def _process_event(self, event: Any) -> None:
         name, piece = event.data.get("name"), event.data.get("data")
         kept = sum(len(part) for part in self._file_buffer.get(name, ()))
-        if piece is not None and kept + len(piece) > MOST:
+        if piece is not None and kept + len(piece) > LARGEST_UPLOAD:
             self._file_buffer.pop(name, None)
             return
         if piece is not None and event.data["chunk"] == 1:
@@ -721,7 +721,7 @@ class FilePane(Pane):
         self._readings: Measurements | None = None
         self.drop = Upload(
             multiple=False,
-            max_file_size=f"{MOST // 1_000_000}MB",
+            max_file_size=f"{LARGEST_UPLOAD // 1_000_000}MB",
             previews=[],
             layout="compact",
             margin=0,
@@ -746,7 +746,8 @@ class FilePane(Pane):
         self.form = row(visible=False)
         self._fields: dict[str, tuple[Any, Any]] = {}
         self._others = other_fields()
-        intro = f"Drop a file of readings of {instrument.name}, up to {bytes_text(MOST)}; nothing leaves this computer."
+        most = bytes_text(LARGEST_UPLOAD)
+        intro = f"Drop a file of readings of {instrument.name}, up to {most}; nothing leaves this computer."
         buttons = row(self.use, self.again, self.mapping)
         kinds = ("bare", "scrolls")
         left = column(words(intro, "small"), self.drop, buttons, self.form, kinds=kinds)
@@ -761,8 +762,10 @@ class FilePane(Pane):
 
     def receive(self, name: str, content: bytes) -> None:
         """Take a file's content, and say what `calibrate` would."""
-        if len(content) > MOST:
-            self._say(f"{name[:80]} is larger than {bytes_text(MOST)}: give it on the command line")
+        if len(content) > LARGEST_UPLOAD:
+            self._say(
+                f"{name[:80]} is larger than {bytes_text(LARGEST_UPLOAD)}: give it on the command line"
+            )
             return
         self._path = self._folder / safe_name(name)
         self._path.write_bytes(content)
@@ -796,7 +799,9 @@ class FilePane(Pane):
         self.form.visible = bool(headers)
 
     def _say(self, text: str) -> None:
-        self.told.object = text if len(text) <= TOLD else f"{text[:TOLD]}\n… and more"
+        self.told.object = (
+            text if len(text) <= LONGEST_ERROR else f"{text[:LONGEST_ERROR]}\n… and more"
+        )
 
     def _make_form(self, headers: tuple[str, ...]) -> None:
         """A line a column that the instrument reads: which of the file's it is, and in which unit."""
