@@ -69,7 +69,7 @@ from ._model.noise_law import Noise as Noise
 from ._model.noise_law import offered as offered
 from ._model.independent_noise import White as White
 from ._model.independent_noise import Heteroscedastic as Heteroscedastic
-from ._model.correlated_noise import OrnsteinUhlenbeck as OrnsteinUhlenbeck
+from ._model.summed_noise import OrnsteinUhlenbeck as OrnsteinUhlenbeck
 from ._model.summed_noise import SummedNoise as SummedNoise
 from ._model.independent_noise import StudentT as StudentT
 from ._model.independent_noise import Quantised as Quantised

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxtyping import Array, Float
 
-import bayescal._model.correlated_noise  # the laws that there are: a search weighs them, files name them
-import bayescal._model.independent_noise
+import bayescal._model.independent_noise  # the laws that there are: a search weighs them, files name them
 import bayescal._model.summed_noise  # noqa: F401
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.jit import importable, written_by_value

@@ -71,8 +71,10 @@ class Noise(abc.ABC):
         dict[str, type[Noise]]
     ] = {}  # by its class's name, which a saved calibration keeps
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, interface: bool = False, **options: Any) -> None:
         super().__init_subclass__(**options)
+        if interface:  # what several laws share, and none itself
+            return
         _refuse_unfit(cls)
         Noise.known[cls.__name__] = cls
         static(cls)
@@ -265,7 +267,7 @@ def _refuse_unfit(kind: type[Noise]) -> None:
         raise TypeError(f'{name}: a noise law says {" and ".join(missing)}, as in law = "my_law"')
     needed = [] if own["gaussian"] else ["log_density", "sample"]
     needed += [] if own.get("independent", True) else ["whiten", "sample"]
-    if missing := [n for n in dict.fromkeys(needed) if n not in own]:
+    if missing := [n for n in dict.fromkeys(needed) if getattr(kind, n) is getattr(Noise, n)]:
         why = "is not Gaussian" if not own["gaussian"] else "does not take readings as independent"
         raise TypeError(f"{name} {why}: it must have a method {' and '.join(missing)} of its own")
     for other in Noise.known.values():

@@ -20,13 +20,15 @@ from jaxtyping import Array, Float
 from scipy import special as on_host
 
 from bayescal._data.time_in_runs import EVEN_STEPS
-from bayescal._model.correlated_noise import allan_of_exponential
 from bayescal._model.noise_law import WHITE
 from bayescal._model.prior import LogUniform, Normal, Positive, multiplied
 from bayescal._model.state_space import Block, exponential, pairs
 from bayescal._model.static import static
 
 Values = Mapping[str, Any]
+# Of an Ornstein–Uhlenbeck process alone: q, the coefficient of the random walk; its time; its standard deviation.
+DIFFUSION, CORRELATION_TIME = "noise.diffusion", "noise.correlated.time"
+CORRELATED = "noise.correlated"
 ENDLESS = 30.0  # spans, after which a random walk returns: within 2 % of an endless one in a record of one span
 RUNGS = 8.0  # from one time of a ladder to the next: its spectrum within 3.5 % of 1/f
 FASTEST = 0.25  # steps, the shortest of these times: below a period of two steps, the shortest there is, over 2π
@@ -38,6 +40,7 @@ FINE = 2  # places of a spectrum to each that its readings tell apart
 FEWEST_WINDOWS = 8
 GRID = 16  # slopes of a frequency, from none to twice the Nyquist frequency over half the column's range
 LOUDEST = 20.0  # times the usual, as much as a window counts: a spike is no line
+SHORT = 1e-5  # correlation times, below which correlated noise is a random walk to as many digits
 FLAT = 2 * math.log(2) / math.pi  # Allan variance of flicker noise over B²
 
 
@@ -125,20 +128,26 @@ class CorrelatedTerm(NoiseTerm):
     Of one before it with the time τ' it has τ = τ'·(longest/τ')^u, u uniform from 0 to 1: so they cannot exchange.
 
     Attributes:
-        place: 1 for the first, and so on.
+        place: 1 for the first, and so on; 0 for one that is alone, whose names have no number.
     """
 
     place: int
     words: ClassVar[str] = "Ornstein–Uhlenbeck"
 
     def _name(self, what: str, place: int | None = None) -> str:
+        if not self.place:
+            return {"diffusion": DIFFUSION, "time": CORRELATION_TIME, "size": CORRELATED}[what]
         return f"noise.correlated{place or self.place}.{what}"
 
     def parameters(self, bounds: Bounds) -> dict[str, Any]:
         found: dict[str, Any] = {self._name("diffusion"): bounds.diffusion}
-        if self.place == 1:
+        if self.place < 2:
             return {**found, self._name("time"): LogUniform(bounds.shortest, bounds.longest)}
         return {**found, self._name("place"): Normal(0.0, 1.0)}
+
+    @property
+    def symbol(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return "" if self.place else "K"
 
     def unit(self, name: str, output: str) -> str:
         if name.endswith(".diffusion"):
@@ -174,7 +183,7 @@ class CorrelatedTerm(NoiseTerm):
 
     def derived(self, values, bounds):
         size = {self._name("size"): np.sqrt(self.variance(values, bounds))}
-        return size if self.place == 1 else {**size, self._name("time"): self.time(values, bounds)}
+        return size if self.place < 2 else {**size, self._name("time"): self.time(values, bounds)}
 
 
 class WalkTerm(NoiseTerm):
@@ -478,6 +487,22 @@ def _of_errors(size: Any, passed: float, h: Float[Array, "n"]) -> Block:
     return Block(
         jnp.zeros((*h.shape, 2)), jnp.stack([new, nothing], -1), size * jnp.ones(2), passed
     )
+
+
+def allan_of_exponential(m: Float[np.ndarray, "k"], a: Any) -> Any:
+    """Allan variance of evenly spaced readings of unit variance whose correlation is exp(−a·k), k readings apart.
+
+    With ρ = exp(−a) and a fall E = 1 − ρᵐ it is [(1 + ρ)/(1 − ρ) − ρ·E·(2 + E)/(m·(1 − ρ)²)]/m: from the variance V of
+    a mean of m readings of such a sequence, as 2·V(m) − 2·V(2m). Over times short against the correlation's it is a
+    random walk's, a·(2m² + 1)/(3m); IEEE 952 has the limits of continuous averages.
+
+    Args:
+        m: readings averaged.
+        a: step over correlation time; complex for a correlation that turns, of which the real part is then taken.
+    """
+    rho, fall, gap = np.exp(-a), -np.expm1(-m * a), -np.expm1(-a)
+    stationary = ((1 + rho) / gap - rho * fall * (2 + fall) / (m * gap**2)) / m
+    return np.where(np.abs(m * a) < SHORT, a * (2 * m**2 + 1) / (3 * m), stationary)
 
 
 def _exponential_complex(m: Float[np.ndarray, "k"], a: Any) -> Any:

@@ -251,6 +251,44 @@ _innovations = jax.custom_vjp(_new, nondiff_argnums=(0,))
 _innovations.defvjp(_forward, _backward)
 
 
+def smoothed(
+    states: States, white: Float[Array, "n"], columns: Float[Array, "n m"]
+) -> tuple[Float[Array, "n m"], Float[Array, "n"]]:
+    """Mean and variance of what the states show at each row, given all readings of its run; a column by itself.
+
+    Args:
+        states: of a sum.
+        white: variance of each reading by itself; infinite where there is none, and the states alone are asked for.
+        columns: readings, in the order of time within runs.
+
+    Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.
+    """
+    steps, seen = (states.carry, states.fresh, states.last), jnp.asarray(states.shown)
+    (new, total), (_, gain, _, left, _, means) = _forward(states.shown, steps, white, columns)
+
+    # r = h·v/F + (1 − k·hᵀ)ᵀ·Aᵀr and N = h·hᵀ/F + (1 − k·hᵀ)ᵀ·AᵀN·A·(1 − k·hᵀ) gather what this reading and later
+    # ones say, v what is new in one, F its variance and k its gain; the state's mean moves by P·r, its covariance by
+    # −P·N·P, P the covariance before the reading.
+    def back(later, row):
+        (r, big), (kept, taken, more, spread, before, k, v, f) = later, row
+        made = _step(kept, taken, _step(kept, taken, spread).T)
+        column = (made + (jnp.diag(more) if more.ndim == 1 else more)) @ seen
+        passes = jnp.eye(len(seen)) - k[:, None] * seen
+        r = seen[:, None] * (v / f) + _times(passes.T, r)
+        big = seen[:, None] * seen / f + _times(_times(passes.T, big), passes)
+        mean = seen @ _step(kept, taken, before) + column @ r
+        variance = column @ seen - column @ _times(big, column[:, None])[:, 0]
+        r = _step_back(kept, taken, r)
+        return (r, _step_back(kept, taken, _step_back(kept, taken, big).T)), (mean, variance)
+
+    size = len(states.shown)
+    nothing = jnp.zeros((size, columns.shape[1])), jnp.zeros((size, size))
+    carry, fresh, last = steps
+    rows = carry, last, fresh, left, means, gain, new, total
+    _, (mean, variance) = jax.lax.scan(back, nothing, rows, reverse=True)
+    return mean, jnp.maximum(variance, 0.0)
+
+
 def of_means(states: States, count: int, first: Float[Array, "n"]) -> States:
     """States of the means of so many readings each, evenly spaced: exact, whatever the terms.
 

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayescal._core.jit import compiled
 from bayescal._data import unit_conversion
-from bayescal._model.correlated_noise import OrnsteinUhlenbeck
 from bayescal._model.frame import Frame
 from bayescal._model.independent_noise import (
     CURVATURE,
@@ -26,7 +26,7 @@ from bayescal._model.independent_noise import (
 from bayescal._model.noise_law import WHITE, Noise, Parameters, offered, own_variance
 from bayescal._model.noise_terms import TERMS, Bounds, CorrelatedTerm, NoiseTerm
 from bayescal._model.prior import HalfCauchy, Normal, Positive
-from bayescal._model.state_space import States, drawn, filtered, states_of
+from bayescal._model.state_space import States, drawn, filtered, smoothed, states_of
 from bayescal._model.static import set_once
 
 # Readings of the longest run, below which a second correlated noise is not told from the first.
@@ -41,65 +41,22 @@ OFFERED = (  # what measured records show beside white noise (IEEE 952, and a un
 MOST_ALIKE = 3  # Ornstein–Uhlenbeck terms: more than that no record of a day tells apart
 
 
-class SummedNoise(Noise):
-    """White noise and further terms, each stationary and independent of the others within each run.
+class SumOfTerms(Noise, interface=True):
+    """What every sum computes, whatever its class says of terms and columns; see `SummedNoise`."""
 
-    Terms are, by name: "correlated" (Ornstein–Uhlenbeck; up to three, ordered by their times), "smooth" (Matérn-3/2),
-    "walk" (K of IEEE 952), "flicker" (B), "tone", "quantisation" (Q), "averaging" (by the sensor itself). White noise
-    is always among them. Readings are whitened by the Kalman filter, in time linear in their number, whatever their
-    spacing.
-
-        bc.SummedNoise(step, span, ("walk", "correlated"))
-
-    Attributes:
-        shortest, longest: the usual step and the longest run, s: what correlation times a record can tell.
-        terms: which, beside white noise.
-        scale: prior of the white part's standard deviation, output unit.
-        correlated: prior of a correlated part's.
-        column: that the frequency of a tone follows, as "temperature"; none if empty.
-        scatter: a column, "elapsed" or a rate, that the white part's standard deviation follows as `Heteroscedastic`
-            has it, by `noise.slope` and `noise.curvature`; none if empty.
-
-    Raises:
-        ValueError: unknown terms, one twice that is there once, quantisation beside averaging, or bounds not in order.
-
-    Source: A. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989), ch. 3.
-    """
-
-    shortest: float
-    longest: float
-    terms: tuple[str, ...]
-    scale: Positive = HalfCauchy(1.0)
-    correlated: Positive = HalfCauchy(1.0)
-    column: str = ""
-    scatter: str = ""
-    gaussian: ClassVar[bool] = True
-    law: ClassVar[str] = "sum"
-    looks_like: ClassVar[str] = "noise that is correlated in time, over more than one time"
-    independent: ClassVar[bool] = False
-    refines: ClassVar[str] = OrnsteinUhlenbeck.law
+    shortest: ClassVar[float]
+    longest: ClassVar[float]
+    terms: ClassVar[tuple[str, ...]]
+    scale: ClassVar[Positive]
+    correlated: ClassVar[Positive]
+    column: ClassVar[str] = ""
+    scatter: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         if not 0 < self.shortest < self.longest:
             raise ValueError(
                 f"correlation times must be positive and in order, not {self.shortest} and {self.longest}"
             )
-        if not self.terms:
-            raise ValueError(f"a sum needs terms besides white noise, of {', '.join(TERMS)}")
-        if unknown := [t for t in self.terms if t not in TERMS]:
-            raise ValueError(
-                f"no noise term is called {unknown[0]!r}: there are {', '.join(TERMS)}"
-            )
-        if self.column and "tone" not in self.terms:
-            raise ValueError(f"a tone follows the column {self.column!r}, and the sum has no tone")
-        if {"quantisation", "averaging"} <= {*self.terms}:
-            raise ValueError(
-                "quantisation and averaging correlate neighbouring readings by opposite signs: give one of them"
-            )
-        set_once(self, terms=tuple(sorted(self.terms, key=list(TERMS).index)))
-        for name, count in Counter(self.terms).items():
-            if count > (MOST_ALIKE if name == "correlated" else 1):
-                raise ValueError(f"the noise term {name!r} is there {count} times")
 
     # what it is made of -----------------------------------------------------------------------------------------
 
@@ -130,23 +87,19 @@ class SummedNoise(Noise):
         return [dict(ChainMap(*chosen)) for chosen in itertools.product(*found)]
 
     @property
-    def name(self) -> str:
-        along = f"; {self.column}" if self.column else ""
-        along += f"; scatter({self.scatter})" if self.scatter else ""
-        return f"{self.law}({', '.join(self.terms)}{along})"
-
-    @property
-    def in_words(self) -> str:
-        counts = Counter(p.words for p in self.parts)
-        white = f"white (scatter follows {self.scatter})" if self.scatter else "white"
-        return " + ".join((white, *(f"{c} {w}" if c > 1 else w for w, c in counts.items())))
-
-    @property
     def plain(self) -> Noise:
         usual = super().plain
         if any(part.bounded for part in self.parts):
             return usual
         return replace(usual, shortest=1.0, longest=2.0)
+
+    @property
+    def in_words(self) -> str:
+        counts = Counter(p.words for p in self.parts)
+        white = f"white (scatter follows {self.scatter})" if self.scatter else "white"
+        return self.words or " + ".join(
+            (white, *(f"{c} {w}" if c > 1 else w for w, c in counts.items()))
+        )
 
     def parameters(self) -> dict[str, Any]:
         found: dict[str, Any] = {WHITE: self.scale}
@@ -228,46 +181,123 @@ class SummedNoise(Noise):
         return white / factors + sum(p.allan(own, self.bounds, factors, step) for p in self.parts)
 
     def slow_part(self, values, time, left, white, at, along=None):
-        """The Kalman filter over all these times, and the smoother back.
-
-        Source: J. Durbin and S. Koopman, Time Series Analysis by State Space Methods (2012), §4.4.
-        """
+        """By the Kalman smoother over all these times."""
         grid, first = np.unique(np.concatenate([time, at]), return_index=True)
-        z = None if along is None else np.concatenate(along)[first]
-        states = self.states(values, jnp.asarray(np.diff(grid, prepend=grid[0] + 1.0)), z)
-        h, size = states.shown, len(states.shown)
-        carry, fresh = map(np.asarray, states.dense())
-        place, weight = np.searchsorted(grid, time), np.zeros(grid.size)
-        pull = np.zeros((grid.size, left.shape[1]))
+        place = np.searchsorted(grid, time)
+        weight, pull = np.zeros(grid.size), np.zeros((grid.size, left.shape[1]))
         np.add.at(weight, place, 1 / white)
         np.add.at(pull, place, left / white[:, None])
-        x, p = np.zeros((size, left.shape[1])), np.zeros((size, size))
-        mean, variance, steps = np.empty_like(pull), np.empty(grid.size), []
-        # Forward: prediction, then the update where there is a reading. Times that are only asked for have no weight,
-        # and their gain is zero.
-        for t in range(grid.size):
-            x, p = carry[t] @ x, carry[t] @ p @ carry[t].T + fresh[t]
-            column = p @ h
-            mean[t], variance[t] = h @ x, h @ column
-            gain, new, information = np.zeros(size), 0 * mean[t], 0.0
-            if weight[t] > 0:
-                information = 1 / (variance[t] + 1 / weight[t])
-                gain, new = column * information, pull[t] / weight[t] - mean[t]
-                x, p = x + np.outer(gain, new), p - np.outer(gain, column)
-            steps.append((column, gain, new * information, information))
-        # Backward: r = h·v/F + (1 − k·hᵀ)ᵀ·r and N = h·hᵀ/F + (1 − k·hᵀ)ᵀ·N·(1 − k·hᵀ) gather what later readings
-        # say, v what is new in one and F its variance; the state's mean moves by P·r, its covariance by −P·N·P.
-        r, big = np.zeros(x.shape), np.zeros((size, size))
-        for t in range(grid.size - 1, -1, -1):
-            column, gain, new, information = steps[t]
-            kept = np.eye(size) - np.outer(gain, h)
-            r = np.outer(h, new) + kept.T @ r
-            big = information * np.outer(h, h) + kept.T @ big @ kept
-            mean[t] += column @ r
-            variance[t] -= column @ big @ column
-            r, big = carry[t].T @ r, carry[t].T @ big @ carry[t]
+        with np.errstate(divide="ignore"):
+            own = 1 / weight  # infinite where nothing was read
+        pull /= np.maximum(weight, np.finfo(float).tiny)[:, None]
+        z = None if along is None else np.concatenate(along)[first]
+        # Steps that pad to one of a few lengths, so that few are compiled, are runs of their own without readings.
+        more = (0, 2 ** math.ceil(math.log2(grid.size)) - grid.size)
+        step = np.pad(np.diff(grid, prepend=grid[0] + 1.0), more, constant_values=-1.0)
+        own = np.pad(own, more, constant_values=np.inf)
+        z = None if z is None else np.pad(z, more)
         asked = np.searchsorted(grid, at)
-        return mean[asked], np.maximum(variance[asked], 0.0)
+        values = {name: np.float64(values[name]) for name in self.parameters()}
+        mean, variance = _smoothed(self.plain, values, step, z, own, np.pad(pull, (more, (0, 0))))
+        return np.asarray(mean)[asked], np.asarray(variance)[asked]
+
+
+@compiled
+def _smoothed(law: SumOfTerms, values, step, z, white, columns):
+    return smoothed(law.states(values, step, z), white, columns)
+
+
+class SummedNoise(SumOfTerms):
+    """White noise and further terms, each stationary and independent of the others within each run.
+
+    Terms are, by name: "correlated" (Ornstein–Uhlenbeck; up to three, ordered by their times), "smooth" (Matérn-3/2),
+    "walk" (K of IEEE 952), "flicker" (B), "tone", "quantisation" (Q), "averaging" (by the sensor itself). White noise
+    is always among them. Readings are whitened by the Kalman filter, in time linear in their number, whatever their
+    spacing.
+
+        bc.SummedNoise(step, span, ("walk", "correlated"))
+
+    Attributes:
+        shortest, longest: the usual step and the longest run, s: what correlation times a record can tell.
+        terms: which, beside white noise.
+        scale: prior of the white part's standard deviation, output unit.
+        correlated: prior of a correlated part's.
+        column: that the frequency of a tone follows, as "temperature"; none if empty.
+        scatter: a column, "elapsed" or a rate, that the white part's standard deviation follows as `Heteroscedastic`
+            has it, by `noise.slope` and `noise.curvature`; none if empty.
+
+    Raises:
+        ValueError: unknown terms, one twice that is there once, quantisation beside averaging, or bounds not in order.
+
+    Source: A. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989), ch. 3.
+    """
+
+    shortest: float
+    longest: float
+    terms: tuple[str, ...]
+    scale: Positive = HalfCauchy(1.0)
+    correlated: Positive = HalfCauchy(1.0)
+    column: str = ""
+    scatter: str = ""
+    gaussian: ClassVar[bool] = True
+    law: ClassVar[str] = "sum"
+    looks_like: ClassVar[str] = "noise that is correlated in time, over more than one time"
+    independent: ClassVar[bool] = False
+    refines: ClassVar[str] = "ornstein_uhlenbeck"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.terms:
+            raise ValueError(f"a sum needs terms besides white noise, of {', '.join(TERMS)}")
+        if unknown := [t for t in self.terms if t not in TERMS]:
+            raise ValueError(
+                f"no noise term is called {unknown[0]!r}: there are {', '.join(TERMS)}"
+            )
+        if self.column and "tone" not in self.terms:
+            raise ValueError(f"a tone follows the column {self.column!r}, and the sum has no tone")
+        if {"quantisation", "averaging"} <= {*self.terms}:
+            raise ValueError(
+                "quantisation and averaging correlate neighbouring readings by opposite signs: give one of them"
+            )
+        set_once(self, terms=tuple(sorted(self.terms, key=list(TERMS).index)))
+        for name, count in Counter(self.terms).items():
+            if count > (MOST_ALIKE if name == "correlated" else 1):
+                raise ValueError(f"the noise term {name!r} is there {count} times")
+
+    @property
+    def name(self) -> str:
+        along = f"; {self.column}" if self.column else ""
+        along += f"; scatter({self.scatter})" if self.scatter else ""
+        return f"{self.law}({', '.join(self.terms)}{along})"
+
+
+class OrnsteinUhlenbeck(SumOfTerms):
+    """White noise and correlated (Ornstein–Uhlenbeck) noise of unknown diffusion and time: the sum of this one term.
+
+    The correlated part has the covariance (q²·τ/2)·exp(−|Δt|/τ) within a run; runs are independent. Readings close
+    together against the time τ know only the diffusion q, the coefficient of the random walk (IEEE 952: rate random
+    walk); hence τ is bounded.
+
+    Attributes:
+        shortest, longest: bounds of the correlation time, s, its logarithm uniform between; see `over_record`.
+        scale: prior of the white part's standard deviation, output unit.
+        correlated: prior of the correlated part's, output unit, at the geometric middle of the correlation times.
+
+    Raises:
+        ValueError: bounds not positive, or not in order.
+    """
+
+    shortest: float
+    longest: float
+    scale: Positive = HalfCauchy(1.0)
+    correlated: Positive = HalfCauchy(1.0)
+    terms: ClassVar[tuple[str, ...]] = ("correlated",)
+    parts: ClassVar[tuple[NoiseTerm, ...]] = (CorrelatedTerm(0),)
+    gaussian: ClassVar[bool] = True
+    law: ClassVar[str] = "ornstein_uhlenbeck"
+    words: ClassVar[str] = "Ornstein–Uhlenbeck"
+    looks_like: ClassVar[str] = "noise that is correlated in time"
+    independent: ClassVar[bool] = False
 
 
 @cache
@@ -293,6 +323,18 @@ def _start_of_scatter(frame: Frame, left: Float[np.ndarray, "n"], column: str) -
     return {SLOPE: float(slope), CURVATURE: float(bend)}
 
 
+def over_record(scale: Positive, step: float, span: float) -> OrnsteinUhlenbeck:
+    """White noise beside correlated noise whose correlation time the record can tell: from one step to its span.
+
+    Args:
+        scale: prior of the standard deviation of either part, output unit.
+        step: usual time between neighbours, s.
+        span: of the longest run, s.
+    """
+    # A correlation time below a step is white noise to these readings, and one beyond the span a random walk.
+    return OrnsteinUhlenbeck(step, max(span, 10 * step), scale, scale)
+
+
 def over_octaves(
     scale: Positive,
     step: float,
@@ -313,6 +355,16 @@ def over_octaves(
     """
     shortest, longest = 2.0 ** math.floor(math.log2(step)), 2.0 ** math.ceil(math.log2(span))
     return SummedNoise(shortest, longest, terms, scale, scale, column, scatter)
+
+
+@offered
+def _within_runs(scale: Positive, frame: Frame) -> list[Noise]:
+    """Where there is time."""
+    steps = np.asarray(frame.step)
+    if not (steps > 0).any():
+        return []
+    span = float(np.max(np.asarray(frame.columns["elapsed"])))
+    return [over_record(scale, float(np.median(steps[steps > 0])), span)]
 
 
 @offered

@@ -9,10 +9,11 @@ import numpy as np
 import bayescal as bc
 from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.record import Record
-from bayescal._model.correlated_noise import CORRELATION_TIME, OrnsteinUhlenbeck
 from bayescal._model.frame import reference_of
+from bayescal._model.noise_terms import CORRELATION_TIME
 from bayescal._model.parameters import Hyper, Layout
 from bayescal._model.prior import HalfCauchy, HalfNormal
+from bayescal._model.summed_noise import OrnsteinUhlenbeck
 from bayescal._search.discover import structures_over
 from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
 

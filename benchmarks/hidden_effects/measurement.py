@@ -24,7 +24,7 @@ from scipy.special import logsumexp
 
 import bayescal as bc
 from bayescal._inference.linear_model import linear_model
-from bayescal._model.correlated_noise import OrnsteinUhlenbeck
+from bayescal._model.summed_noise import OrnsteinUhlenbeck
 from bayescal._search.calibrate import _other_path
 from bayescal._search.scores import View
 from bayescal._search.structures import Structure

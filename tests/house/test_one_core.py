@@ -24,7 +24,7 @@ from bayescal._inference import (
     record,
     sampling,
 )
-from bayescal._model.correlated_noise import OrnsteinUhlenbeck, over_record
+from bayescal._model.summed_noise import OrnsteinUhlenbeck, over_record
 from bayescal_models import mems_gyro, still_sensor
 
 GYRO = mems_gyro.INSTRUMENT
@@ -32,7 +32,7 @@ CORE = (
     "gaussian chebyshev programs terms column_products record assembly noise_on_record products density laplace "
     "linear_model joint sampling least_squares"
 )
-LAWS = "independent_noise correlated_noise"
+LAWS = "independent_noise summed_noise"
 # What only a named option or a kind of model needs, by that: each has tests of its own.
 NEEDED_BY = {
     "noise in a column of the readings": "joint._draw_rows laplace.of_single_readings "
@@ -50,7 +50,7 @@ NEEDED_BY = {
     "log likelihoods of single readings, for ArviZ": "noise_on_record._densities noise_on_record.log_densities",
     "a term that something added stands for": "linear_model.LinearModel.uncertainty linear_model.LinearModel.beyond",
     "NUTS where weights fail": "independent_noise.StudentT.amplitudes",
-    "JSON of a result": "correlated_noise.OrnsteinUhlenbeck.derived",
+    "JSON of a result": "summed_noise.SumOfTerms.derived",
 }
 
 

@@ -22,9 +22,9 @@ from bayescal._inference.record import INTERPOLATED, Record
 from bayescal._inference.sampling import ManyPhi, weighted_draws
 from bayescal._inference.terms import ColumnsOf
 from bayescal._model import forward
-from bayescal._model.correlated_noise import over_record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout, bind
+from bayescal._model.summed_noise import over_record
 from bayescal_models import (
     differential_pair,
     inclinometer,

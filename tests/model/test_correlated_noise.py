@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._model.correlated_noise import over_record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.prior import LogNormal, LogUniform, Positive, multiplied
+from bayescal._model.summed_noise import over_record
 from bayescal_models import mems_gyro, still_sensor
 
 FAST = bc.LeastSquares(draws=200)

@@ -10,9 +10,10 @@ from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
 from bayescal._inference.noise_on_record import whitening
 from bayescal._inference.record import Record
-from bayescal._model.correlated_noise import CORRELATION_TIME, DIFFUSION, OrnsteinUhlenbeck
 from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.noise_terms import CORRELATION_TIME, DIFFUSION
 from bayescal._model.parameters import bind
+from bayescal._model.summed_noise import OrnsteinUhlenbeck
 from bayescal_models import still_sensor
 
 VALUES = {"noise.white": 20.0, DIFFUSION: 1.5, CORRELATION_TIME: 300.0}
