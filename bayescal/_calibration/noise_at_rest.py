@@ -13,30 +13,35 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any, ClassVar, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
-from scipy.linalg import solve_triangular
-from scipy.optimize import minimize
-from scipy.special import gammaln, ndtri, softmax
+from jaxtyping import Float
+from scipy.special import ndtri, softmax
 
 from bayescal._core.errors import InputError
-from bayescal._core.importance_weights import effective_size, resample
+from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
 from bayescal._data.measurements import Measurements
-from bayescal._inference.laplace import curvature
-from bayescal._inference.programs import padded_length
-from bayescal._model.noise_law import LOG_2PI, WHITE
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.density import Density
+from bayescal._inference.laplace import Mode, find_mode, flat_scales
+from bayescal._inference.record import Record
+from bayescal._inference.sampling import WeightedDraws, weighted_draws
+from bayescal._model.channel_at_rest import CHANNEL, CURVE, DEGREE, LEVEL
+from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.independent_noise import White
+from bayescal._model.model import Model
+from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_terms import FLAT, TERMS
-from bayescal._model.prior import HalfCauchy
+from bayescal._model.parameters import Layout, bind
+from bayescal._model.prior import HalfCauchy, Positive
 from bayescal._model.state_space import filtered, of_means
-from bayescal._model.summed_noise import SummedNoise
+from bayescal._model.summed_noise import SumOfTerms
 
 # Share of the probability of the likeliest noise law of a sensor at rest, from which another one has its share of the
 # draws; a tenth of them would be too few for figures of its own.
@@ -66,26 +71,49 @@ WINDOWS = 8  # of the longest, at least
 # Places of a spectrum from a line to what it stands above: a window's own width is 2.
 BESIDE = np.array([3, 4, 5, 6])
 SMOOTH = 0.02  # relative, of a spectrum without lines over as many places: it bends where one noise takes over another
-DEGREE = 3  # of the polynomial over temperature: a sensor's own law is rarely of more in one soak
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
-SETTLED = 1e-3  # nats that a step of a search for a maximum gains, below which it is found; at 1e-2 0.4 were left
-SHIFT = 1e-3  # of a coordinate, for curvatures from slopes
-LEAST = 0.05  # curvature of a coordinate, below which its prior has taken over
-DRAWS = 512  # of a heavy-tailed Gaussian about the mode
+SETTLED = 0.1  # standard deviations that a climb's last step moves by: within a hundredth of a nat of the maximum
+DRAWS = 512  # proposals of each round
 FEWEST = 0.25  # of them, for a sum of little probability or a bound
-KEPT = 2048  # of these, drawn anew by their weights, over all sums together
-TAILS = 5.0  # its degrees of freedom
-ENOUGH = 48.0  # draws of equal weight that tell as much: ends of 95 % are then known to four tenths of a deviation
-ROUNDS = 4  # of draws at most, until they tell as much
-TOGETHER = 4  # draws whose filters run in one loop: more leave the cache
+KEPT = 2048  # draws by their weights, over all sums together
+ROUNDS = 4  # of proposals at most, until their weights are sound
 
 
-class _Part(NamedTuple):
-    """Readings, or means of as many as said elsewhere, padded by runs of one row of zeros."""
+class RestingSum(SumOfTerms):
+    """A sum of terms on readings one step apart, of which the first are means of blocks, by their exact law.
 
-    table: Float[Any, "n q"]  # a level, what else is integrated out, and the output
-    first: Float[Any, "n"]  # where runs begin
-    within: Float[Any, "n r"]  # 1 for the run that a row is of; none for rows that pad
+    Attributes:
+        shortest, longest: steps.
+        terms: beside white noise; there may be none.
+        count: readings in each mean.
+        means: how many rows are means; the rest are single readings.
+        scale, correlated: priors, in the unit of the output.
+    """
+
+    shortest: float
+    longest: float
+    terms: tuple[str, ...]
+    count: int = 1
+    means: int = 0
+    scale: Positive = HalfCauchy(1.0)
+    correlated: Positive = HalfCauchy(1.0)
+    gaussian: ClassVar[bool] = True
+    law: ClassVar[str] = "sum_at_rest"
+    independent: ClassVar[bool] = False
+
+    def whiten(self, columns, extra, parameters, frame):
+        m, step = self.means, frame.step
+        own = self._own_variance(parameters, frame) + extra
+        own = own.at[:m].divide(self.count)
+        if not self.terms:
+            sd = jnp.sqrt(own)
+            return columns / sd[:, None], jnp.log(sd)
+        single = filtered(self.states(parameters, step[m:]), own[m:], columns[m:])
+        if not m:
+            return single
+        one = self.states(parameters, jnp.array([-1.0, 1.0]))
+        of_blocks = filtered(of_means(one, self.count, step[:m] < 0), own[:m], columns[:m])
+        return tuple(map(jnp.concatenate, zip(of_blocks, single, strict=True)))
 
 
 class RestNoise(NamedTuple):
@@ -99,22 +127,21 @@ class RestNoise(NamedTuple):
 
     terms: tuple[str, ...]
     draws: dict[str, np.ndarray]
-    law: SummedNoise | None
+    law: SumOfTerms
 
     def allan_variance(self, factors: Float[np.ndarray, "k"], step: float) -> np.ndarray:
         """Of the law at each draw (d, k), output unit squared."""
-        white = self.draws[WHITE] ** 2
-        if self.law is None:
-            return white[:, None] / factors
-        total = white + self.law.slow_variance(self.draws)
+        total = self.draws[WHITE] ** 2 + self.law.slow_variance(self.draws)
         return self.law.allan_variance(self.draws, total, factors, step)
 
 
 class _AtRest(NamedTuple):
     """A channel in units of its own: the scatter of differences, and steps."""
 
-    parts: tuple[_Part, ...]
-    counts: tuple[int, ...]
+    layout: Layout
+    record: Record
+    count: int  # readings in a mean,
+    means: int  # and how many rows of the record are means
     size: float  # output units
     step: float  # s
     longest: float  # steps, a power of two
@@ -122,8 +149,13 @@ class _AtRest(NamedTuple):
     allan: np.ndarray  # variances, in units of size²
     line: Mapping[str, float] = {}  # a tone to begin with, in output units and steps; none if empty
 
-    def law(self, terms: tuple[str, ...]) -> SummedNoise | None:
-        return SummedNoise(1.0, self.longest, terms) if terms else None
+    def law(self, terms: Terms) -> RestingSum:
+        return RestingSum(1.0, self.longest, terms, self.count, self.means)
+
+    def assembly(self, terms: Terms) -> Assembly:
+        """Levels, the curve over temperature and this sum, on the readings."""
+        model = self.layout.model.with_noise(self.law(terms))
+        return Assembly(replace(self.layout, model=model), self.record)
 
     def physical(self, terms: tuple[str, ...], own: dict[str, np.ndarray]) -> RestNoise:
         """Parameters in output units and seconds."""
@@ -132,7 +164,7 @@ class _AtRest(NamedTuple):
         factors |= {ROUNDED: self.size * self.step, "time": self.step, "place": 1.0}
         factors["frequency"] = 1 / self.step
         found = {n: v * factors.get(n.rpartition(".")[2], self.size) for n, v in own.items()}
-        law = SummedNoise(self.step, self.longest * self.step, terms) if terms else None
+        law = RestingSum(self.step, self.longest * self.step, terms)
         return RestNoise(terms, found, law)
 
 
@@ -167,7 +199,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     """
     runs = even_runs(readings)
     channel, notes = _channel(readings, runs)
-    fits: dict[Terms, _Fit] = {(): _fit(channel, ())}
+    fits: dict[Terms, Mode] = {(): _fit(channel, ())}
     output = np.asarray(readings["output"], float)
     (brief, surely), (clear, line) = _of_neighbours(output, runs), _line(output, runs)
     channel = channel._replace(line=line)
@@ -181,7 +213,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     looked: Terms = ()
     while (best := max(fits, key=lambda t: _total(fits, t))) != looked:
         looked = best
-        known = dict(zip(_priors(channel.law(best)), fits[best].mode, strict=True))
+        known = dict(zip(channel.law(best).parameters(), fits[best].v, strict=True))
         for terms in _beside(best, among):
             if terms not in fits:
                 fits[terms] = _fit(channel, terms, known)
@@ -189,7 +221,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     for term in kept:
         if (without := tuple(t for t in best if t != term)) not in fits:
             fits[without] = _fit(channel, without)
-    sampled: dict[Terms, _Sampled] = {}
+    sampled: dict[Terms, WeightedDraws] = {}
     while True:
         order = sorted(fits, key=lambda t: -_total(fits, t))
         totals = np.array([_total(fits, t) for t in order])
@@ -278,7 +310,7 @@ def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[s
     return best, found
 
 
-def _total(fits: dict[Terms, _Fit], terms: tuple[str, ...]) -> float:
+def _total(fits: dict[Terms, Mode], terms: tuple[str, ...]) -> float:
     """Log evidence and log prior: white noise has one half of it, other sums that are weighed share the rest."""
     others, nothing = max(1, len(fits) - 1), settings().prior_complete
     return fits[terms].log_evidence + math.log(nothing if not terms else (1 - nothing) / others)
@@ -294,33 +326,40 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
             f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is rounded "
             "more coarsely than its noise: record it with more digits"
         )
-    columns = [np.ones(len(output))]
+    given = {"output": (output - np.median(output)) / size}
+    effects = [LEVEL]
     if readings.has("temperature") and float(np.ptp(readings["temperature"])) > STIRRED_DEGREES:
-        t = np.asarray(readings["temperature"], float)
-        t = 2 * (t - t.min()) / np.ptp(t) - 1
-        columns += list(np.polynomial.legendre.legvander(t, DEGREE)[:, 1:].T)
+        given["temperature"] = np.asarray(readings["temperature"], float)
+        effects.append(CURVE)
         notes.append(
             f"a polynomial of degree {DEGREE} over temperature was taken out beside the noise"
         )
-    table = np.column_stack([*columns, (output - np.median(output)) / size])
     total = sum(len(r) for r in rows)
     count = 2 ** max(0, math.ceil(math.log2(total / LONG)))
-    parts, counts = [], []
+    blocks: list[np.ndarray] = []
     if count > 1:
-        whole = [r[: len(r) // count * count].reshape(-1, count) for r in rows if len(r) >= count]
-        parts.append(_part([table[r].mean(axis=1) for r in whole]))
-        counts.append(count)
+        blocks = [r[: len(r) // count * count].reshape(-1, count) for r in rows if len(r) >= count]
         rows = _stretches(rows, LONG // STRETCHES)
         notes.append(
-            f"of {total} readings the filter took {sum(map(len, whole))} means of {count} by their exact law, and "
+            f"of {total} readings the filter took {sum(map(len, blocks))} means of {count} by their exact law, and "
             f"{len(rows)} stretches of {len(rows[0])} single readings"
         )
-    parts.append(_part([table[r] for r in rows]))
-    counts.append(1)
+    parts = [*blocks, *(r[:, None] for r in rows)]
+    lengths = [len(part) for part in parts]
+    still = Measurements.from_arrays(
+        CHANNEL,
+        run=np.repeat([f"{k:06d}" for k in range(len(parts))], lengths),
+        time=np.concatenate([np.arange(float(length)) for length in lengths]),
+        **{n: np.concatenate([v[part].mean(axis=1) for part in parts]) for n, v in given.items()},
+    )
+    reference = reference_of(still)
+    frame = build_frame(still, reference)
+    layout, _ = bind(Model(CHANNEL, tuple(effects), White()), still, reference=reference)
     longest = 2.0 ** math.ceil(math.log2(max(len(r) for r in runs.rows)))
     variance, _ = overlapping(output / size, runs)
-    made = _AtRest(tuple(parts), tuple(counts), size, runs.step, longest, runs.factors, variance)
-    return made, notes
+    record = Record(CHANNEL, frame, np.asarray(frame["output"]))
+    own = (size, runs.step, longest, runs.factors, variance)
+    return _AtRest(layout, record, count, sum(map(len, blocks)), *own), notes
 
 
 def _stretches(rows: Sequence[np.ndarray], length: int) -> list[np.ndarray]:
@@ -334,112 +373,26 @@ def _stretches(rows: Sequence[np.ndarray], length: int) -> list[np.ndarray]:
     return found
 
 
-def _part(runs: Sequence[Float[np.ndarray, "k q"]]) -> _Part:
-    lengths = [len(run) for run in runs]
-    total = sum(lengths)
-    more = padded_length(total) - total
-    first = np.ones(total + more, bool)
-    first[:total] = False
-    first[np.cumsum([0, *lengths[:-1]])] = True
-    within = np.repeat(np.eye(len(runs)), lengths, axis=0)
-    table = np.concatenate(runs)
-    return _Part(np.pad(table, ((0, more), (0, 0))), first, np.pad(within, ((0, more), (0, 0))))
-
-
 # one sum -------------------------------------------------------------------------------------------------------------
 
 
-class _Fit(NamedTuple):
-    log_evidence: float
-    mode: Float[np.ndarray, "d"]
-    covariance: Float[np.ndarray, "d d"]
-
-
-def _priors(law: SummedNoise | None) -> dict[str, Any]:
-    return {WHITE: HalfCauchy(1.0)} if law is None else law.parameters()
-
-
-def _log_posterior(
-    law: SummedNoise | None, counts: tuple[int, ...], parts: tuple[_Part, ...], v: Array
-) -> Array:
-    """Of coordinates v, levels and the polynomial integrated out under a flat prior."""
-    priors = _priors(law)
-    values = {name: prior.value(v[i]) for i, (name, prior) in enumerate(priors.items())}
-    total = sum(prior.log_density(v[i]) for i, prior in enumerate(priors.values()))
-    gram: Any = 0.0
-    for part, count in zip(parts, counts, strict=True):
-        own = jnp.full(part.first.shape, values[WHITE] ** 2 / count)
-        if law is None:
-            white, log_sd = part.table / jnp.sqrt(own)[:, None], 0.5 * jnp.log(own)
-        else:
-            if count == 1:
-                states = law.states(values, jnp.where(part.first, -1.0, 1.0))
-            else:
-                one = law.states(values, jnp.array([-1.0, 1.0]))
-                states = of_means(one, count, part.first)
-            white, log_sd = filtered(states, own, part.table)
-        # Runs are independent: one column of ones, whitened, is the levels of them all, and these are orthogonal.
-        level, rest = white[:, 0], white[:, 1:]
-        precision = part.within.T @ level**2
-        shared = part.within.T @ (level[:, None] * rest)
-        gram = gram + rest.T @ rest - shared.T @ (shared / precision[:, None])
-        total = total - part.within.sum(axis=1) @ log_sd - 0.5 * jnp.sum(jnp.log(precision))
-    factor = jnp.linalg.cholesky(gram)  # its last row: what the other columns leave of the output
-    return total - jnp.sum(jnp.log(jnp.diag(factor)[:-1])) - 0.5 * factor[-1, -1] ** 2
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _with_slopes(law, counts, parts, v):
-    return jax.value_and_grad(lambda at: _log_posterior(law, counts, parts, at))(v)
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _abreast(law, counts, parts, vs):
-    return jax.vmap(lambda v: _log_posterior(law, counts, parts, v))(vs)
-
-
-def _several(channel: _AtRest, law: SummedNoise | None, vs: np.ndarray) -> np.ndarray:
-    """Log posteriors of many, some at once: as many in each call, so that one program serves."""
-    found = []
-    for start in range(0, len(vs), TOGETHER):
-        pick = np.minimum(np.arange(start, start + TOGETHER), len(vs) - 1)
-        made = np.asarray(_abreast(law, channel.counts, channel.parts, vs[pick]))
-        found.append(made[: len(vs) - start])
-    return np.nan_to_num(np.concatenate(found), nan=-np.inf)
-
-
-def _fit(channel: _AtRest, terms: Terms, known: Mapping[str, float] | None = None) -> _Fit:
-    """The mode and the curvature there.
+def _fit(channel: _AtRest, terms: Terms, known: Mapping[str, float] | None = None) -> Mode:
+    """The mode of a sum, levels and the curve integrated out, and its Laplace evidence.
 
     Args:
         terms: of the sum.
         known: coordinates at the mode of a part of it, by name: a search begins there and at the best start beside.
     """
-    law = channel.law(terms)
-    priors = _priors(law)
-
-    def down(v: np.ndarray) -> tuple[float, np.ndarray]:
-        value, slope = _with_slopes(law, channel.counts, channel.parts, v)
-        if not math.isfinite(float(value)):
-            return math.inf, np.zeros(len(v))
-        return -float(value), -np.asarray(slope)
-
-    # By the same program as the slopes: one for values alone would take longer to compile than it saves here.
+    assembly = channel.assembly(terms)
+    priors = assembly.noise.parameters()
     starts = list(_starts(channel, terms, priors))
     if known is not None:
         least = starts[-1]  # further terms as small as any start has them
         starts.append(np.array([known.get(n, v) for n, v in zip(priors, least, strict=True)]))
-    there = [down(start)[0] for start in starts]
-    settled = {"ftol": SETTLED / max(1.0, min(map(abs, there)))}
-    tries = [
-        minimize(down, starts[i], jac=True, method="L-BFGS-B", options=settled)
-        for i in np.argsort(there)[:STARTS]
-    ]
-    best = min(tries, key=lambda t: t.fun)
-    weights, vectors = np.linalg.eigh(curvature(lambda at: -down(at)[1], best.x, SHIFT))
-    weights = np.maximum(weights, LEAST)
-    evidence = -float(best.fun) + 0.5 * len(best.x) * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
-    return _Fit(evidence, best.x, (vectors / weights) @ vectors.T)
+    order = np.argsort(-_density(assembly).values(np.array(starts)))[:STARTS]
+    tries = [find_mode(assembly, [starts[i]], still=SETTLED, curved=False) for i in order]
+    best = max(tries, key=lambda t: t.log_density)
+    return find_mode(assembly, [best.v], covariance=best.covariance, still=SETTLED)
 
 
 def _starts(
@@ -478,67 +431,32 @@ def _starts(
             yield np.array([float(p.coordinate(scaled[n])) for n, p in priors.items()])
 
 
-def _log_density(
-    v: Float[np.ndarray, "n d"], middle: Float[np.ndarray, "d"], root: Float[np.ndarray, "d d"]
-) -> Float[np.ndarray, "n"]:
-    """Of the heavy-tailed Gaussian, Student's t."""
-    moved, d = solve_triangular(root, (v - middle).T, lower=True), v.shape[1]
-    far = np.log1p(np.sum(moved**2, axis=0) / TAILS)
-    volume = 0.5 * d * math.log(math.pi * TAILS) + float(np.sum(np.log(np.diag(root))))
-    of_tails = float(gammaln((TAILS + d) / 2) - gammaln(TAILS / 2))
-    return of_tails - volume - 0.5 * (TAILS + d) * far
+def _density(assembly: Assembly) -> Density:
+    """Of the sum's coordinates, levels and the curve integrated out."""
+    nothing = np.zeros(len(assembly.hypers))
+    return Density(assembly, assembly.start, flat_scales(assembly, assembly.start, nothing))
 
 
-class _Sampled(NamedTuple):
-    v: Float[np.ndarray, "n d"]
-    weight: Float[np.ndarray, "n"]
-    log_evidence: float
-
-
-def _sampled(channel: _AtRest, terms: Terms, fit: _Fit, seed: int, share: float) -> _Sampled:
-    """Coordinates by importance sampling from heavy-tailed Gaussians, the first about the mode.
-
-    All rounds count together, each draw against the mean density of all Gaussians (J.-M. Cornuet et al., Adaptive
-    multiple importance sampling, Scand. J. Stat. 39 (2012) 798).
+def _sampled(channel: _AtRest, terms: Terms, mode: Mode, seed: int, share: float) -> WeightedDraws:
+    """Draws by importance sampling, as in every fit.
 
     Args:
         share: of all draws; a sum of little probability has few of those that are kept.
     """
-    law, random = channel.law(terms), np.random.default_rng(seed)
-    share, d = max(share, FEWEST), len(fit.mode)
-    enough, tried = ENOUGH * share, TOGETHER * math.ceil(DRAWS / TOGETHER * share)
-    about: list[tuple[np.ndarray, np.ndarray]] = []  # middles and roots
-    v, posterior = np.zeros((0, d)), np.zeros(0)
-    middle, covariance = fit.mode, fit.covariance
-    for _ in range(ROUNDS):
-        about.append((middle, np.linalg.cholesky(covariance)))
-        stretch = np.sqrt(TAILS / random.chisquare(TAILS, tried))
-        new = middle + (random.standard_normal((tried, d)) * stretch[:, None]) @ about[-1][1].T
-        v, posterior = np.concatenate([v, new]), np.append(posterior, _several(channel, law, new))
-        log_weight = posterior - np.logaddexp.reduce([_log_density(v, *one) for one in about])
-        weight = softmax(log_weight)
-        if effective_size(weight) >= enough:
-            break
-        # Where the posterior bends away from its curvature at the mode, the next draws lie as all so far do by their
-        # weights, flattened to a power at which enough of them count.
-        likely = np.isfinite(log_weight)
-        power, some = 1.0, v[likely]
-        while effective_size(flat := softmax(power * log_weight[likely])) < min(
-            enough, len(some) / 2
-        ):
-            power *= 0.8
-        middle, covariance = flat @ some, np.cov(some.T, aweights=flat).reshape(d, d)
-    return _Sampled(v, weight, float(np.logaddexp.reduce(log_weight)) - math.log(tried))
+    proposals = math.ceil(DRAWS * max(share, FEWEST))
+    return weighted_draws(channel.assembly(terms), mode, seed, proposals, ROUNDS)
 
 
-def _drawn(channel: _AtRest, terms: Terms, sampled: _Sampled, seed: int, share: float) -> RestNoise:
+def _drawn(
+    channel: _AtRest, terms: Terms, sampled: WeightedDraws, seed: int, share: float
+) -> RestNoise:
     """Parameters of equal probability, drawn anew by their weights.
 
     Args:
         share: of all draws that are kept.
     """
-    count = max(1, round(share * KEPT))
-    chosen = sampled.v[np.sort(resample(sampled.weight, count, seed))]
-    priors = _priors(channel.law(terms))
+    weight, _ = smoothed(sampled.log_weight)
+    chosen = sampled.v[np.sort(resample(weight, max(1, round(share * KEPT)), seed))]
+    priors = channel.law(terms).parameters()
     own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
     return channel.physical(terms, own)

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from bayescal._calibration.noise_at_rest import (
     AVERAGED,
     ROUNDED,
+    RestingSum,
     RestNoise,
     WeighedNoise,
     weigh_noise,
@@ -32,7 +33,6 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse, unit_label
 from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_terms import FLAT
-from bayescal._model.summed_noise import SummedNoise
 
 SHOWN_PROBABILITY = 0.01  # probability from which a noise law is printed
 # Quantile of the posterior of N and K that a filter is given: noise taken as too small makes it overconfident.
@@ -251,7 +251,7 @@ def _events(readings: Measurements, runs: EvenRuns) -> tuple[str, ...]:
 
 
 def _words(terms: tuple[str, ...]) -> str:
-    return SummedNoise(1.0, 2.0, terms).in_words if terms else "white"
+    return RestingSum(1.0, 2.0, terms).in_words
 
 
 def _density(one: RestNoise) -> np.ndarray:
@@ -337,7 +337,6 @@ def _figures(
             assert draws is not None
             made.append(_figure("", f"tone, {words}", of, of, draws))
     for place in range(1, 1 + best.terms.count("correlated")):
-        assert best.law is not None
         derived = {**best.draws, **best.law.derived(best.draws)}
         size, time = (derived[f"noise.correlated{place}.{what}"] for what in ("size", "time"))
         name = f"Ornstein–Uhlenbeck {place}"

@@ -141,13 +141,12 @@ def test_means_and_stretches_weigh_a_random_walk_as_single_readings_do(monkeypat
     for longest in (1024, 20_000):
         monkeypatch.setattr(noise_at_rest, "LONG", longest)
         channel, _ = noise_at_rest._channel(data, even_runs(data))
-        law = channel.law(("walk",))
-        assert law is not None
+        assembly = channel.assembly(("walk",))
         white = N / math.sqrt(STEP) / channel.size
         sizes = [K * math.sqrt(STEP) / channel.size * k for k in (1 / 3, 1.0, 3.0)]
-        priors = law.parameters().values()
+        priors = assembly.noise.parameters().values()
         at = [[p.coordinate(x) for p, x in zip(priors, (white, k), strict=True)] for k in sizes]
-        found = noise_at_rest._several(channel, law, np.array(at))
+        found = noise_at_rest._density(assembly).values(np.array(at))
         profiles.append(found - found[1])
     loss = profiles[1]
     assert (loss[[0, 2]] < -5).all()
