@@ -17,6 +17,7 @@ from bayescal._inference import programs
 from bayescal._inference.chebyshev import BETWEEN, NODES, REACH, weights
 from bayescal._inference.column_products import ColumnProducts
 from bayescal._inference.terms import ColumnsOf, coordinates
+from bayescal._model.channel_at_rest import CHANNEL
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Instrument
@@ -98,6 +99,13 @@ class Record:
                 programs.padded(frame if law.independent else frame.in_time())
             )
         return self._for_laws[key]
+
+    def of_noise(self, left: Float[np.ndarray, "n"]) -> Record:
+        """What a model leaves of the readings, as the output of a channel at rest: a fit of noise alone."""
+        made = Record(CHANNEL, self.frame, left, _for_laws=self._for_laws)
+        one = {slot: np.ones(self.size) for slot in made.slots}
+        vars(made)["affine"] = np.zeros(self.size), one  # nothing to compile
+        return made
 
     @cached_property
     def codes(self) -> dict[str, np.ndarray]:

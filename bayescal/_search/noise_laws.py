@@ -8,22 +8,23 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize
 
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
-from bayescal._inference.gaussian import LOG_2PI
-from bayescal._inference.laplace import NOTHING_KNOWN, curvature
-from bayescal._inference.noise_on_record import Whitening, total_log_density
+from bayescal._inference.assembly import Assembly
+from bayescal._inference.density import Density
+from bayescal._inference.laplace import NOTHING_KNOWN, at_mode, find_mode
+from bayescal._inference.noise_on_record import total_log_density
 from bayescal._inference.record import Record
+from bayescal._model.channel_at_rest import CHANNEL
 from bayescal._model.frame import Frame
 from bayescal._model.model import Model
 from bayescal._model.noise_law import OFFERS, WHITE, Noise
+from bayescal._model.parameters import Layout
 
 # Readings from which a noise law can be told at all: a fourth moment is then known to a half.
 FEWEST_FOR_NOISE = 30
@@ -33,12 +34,7 @@ LEVELS = (
     0.0,
     1.0,
 )  # coordinates of a law's further parameters, at which a maximum is looked for first
-SHIFT = 1e-3  # of a coordinate, for slopes and curvatures
-STEPS = 20  # of Newton's at most, none longer than this many prior standard deviations
-LONGEST = 1.0
-CURVED = 1e-2  # the same where slopes are exact
-TOLERANCE = 1e-6  # relative, of a log density of thousands: a hundredth of a nat
-FLAT = 0.05  # curvature of a coordinate below which its prior has taken over
+STILL = 0.1  # standard deviations that a climb's last step moves by: within a hundredth of a nat of the maximum
 
 
 def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
@@ -70,9 +66,6 @@ def log_prior(laws: Mapping[str, Noise], name: str) -> float:
     return -math.log(len(set(kinds)) * kinds.count(laws[name].law))
 
 
-_Maximum = tuple[float, np.ndarray, np.ndarray]  # log density, where it is, minus its curvature
-
-
 class OnResiduals(NamedTuple):
     """Log evidence of a noise law alone, and the coordinates of its parameters at the maximum, by name."""
 
@@ -87,7 +80,9 @@ def on_residuals(
     left: Float[np.ndarray, "n"],
     near: Mapping[str, float] = NOTHING_KNOWN,
 ) -> OnResiduals:
-    """A law of known expected output, by Laplace; no evidence where nothing is left of the readings.
+    """A law of known expected output, by Laplace: the fit of a model without effects.
+
+    There is no evidence where nothing is left of the readings.
 
     Args:
         law: which.
@@ -95,114 +90,39 @@ def on_residuals(
         left: what the expected output leaves of them.
         near: coordinates of its parameters by name where the maximum may be, such as that of other residuals.
     """
-    of_kind = _independent if law.independent else partial(_correlated, near=near)
-    found = of_kind(law, record, left)
-    if found is None:
-        return OnResiduals(-math.inf, {})
-    value, v, bent = found
-    weights = np.maximum(np.linalg.eigvalsh(bent), FLAT)
-    volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(weights)))
-    return OnResiduals(value + volume, dict(zip(law.parameters(), v.tolist(), strict=True)))
-
-
-def _correlated(
-    law: Noise, record: Record, left: np.ndarray, near: Mapping[str, float]
-) -> _Maximum | None:
-    """Of a correlated Gaussian law, found along exact slopes."""
     priors = law.parameters()
-    names, table = list(priors), left[:, None]
-
-    def values(v: Float[np.ndarray, "... d"]) -> dict[str, Any]:
-        return {name: prior.value(v[..., i]) for i, (name, prior) in enumerate(priors.items())}
-
-    def of_priors(v: Float[np.ndarray, "... d"]) -> Float[np.ndarray, "..."]:
-        return sum(np.asarray(p.log_density(v[..., i])) for i, p in enumerate(priors.values()))  # pyright: ignore[reportReturnType]
-
-    def down(v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray]:
-        whiten = Whitening(law, values(v), record)
-        white, logdet = whiten.both(table)
-        value = -0.5 * (float(np.sum(white**2)) + logdet + len(left) * LOG_2PI)
-        # By coordinates: the slope by each parameter times that of the parameter by its coordinate, and the prior's.
-        by = whiten.slopes(table)
-        up, low = values(v + SHIFT), values(v - SHIFT)
-        slope = np.array([by[n] * float(up[n] - low[n]) for n in names]) / (2 * SHIFT)
-        each = SHIFT * np.eye(len(v))
-        slope += (of_priors(v + each) - of_priors(v - each)) / (2 * SHIFT)
-        return -(value + float(of_priors(v))), -slope
-
-    # Slow noise hardly moves from one reading to the next: differences of neighbours are about the white part's.
-    jumps = np.diff(left[record.in_time[0]])
-    narrow = float(np.median(np.abs(jumps))) or float(np.sqrt(np.mean(left**2)))
-    if not narrow > 0:
-        return None
-    stated = law.starts(record.frame.in_time(), left[record.in_time[0]])
+    starts = [[near[n] for n in priors]] if near else []
     starts = np.array(
-        [
+        starts
+        + [
             one
-            for values in ({WHITE: narrow, **some} for some in stated)
+            for values in _stated(law, record, left)
             for one in itertools.product(
                 *([p.coordinate(values[n])] if n in values else LEVELS for n, p in priors.items())
             )
         ]
-        + ([[near[n] for n in names]] if near else [])
     )
     if not len(starts):
-        return None
+        return OnResiduals(-math.inf, {})
     hyper = {name: p.value(starts[:, i]) for i, (name, p) in enumerate(priors.items())}
-    there = total_log_density(law, record, left[None], hyper) + of_priors(starts)
-    found = minimize(
-        down, starts[int(np.argmax(there))], jac=True, method="L-BFGS-B", tol=TOLERANCE
-    )
-    bends = curvature(lambda at: -down(at)[1], found.x, CURVED, -found.jac)
-    return -float(found.fun), found.x, bends
+    there = total_log_density(law, record, left[None], hyper)
+    there += sum(np.asarray(p.log_density(starts[:, i])) for i, p in enumerate(priors.values()))
+    alone = Assembly(Layout(Model(CHANNEL, (), law), ()), record.of_noise(left))
+    top = find_mode(alone, [starts[int(np.argmax(there))]], still=STILL, curved=False)
+    mode = at_mode(Density(alone, top.point, top.flat), top.v, top.change, quick=True)
+    return OnResiduals(float(mode.log_evidence), dict(zip(priors, mode.v.tolist(), strict=True)))
 
 
-def _independent(law: Noise, record: Record, left: np.ndarray) -> _Maximum | None:
-    """Of an independent law, by Newton's steps on differences."""
-    priors = law.parameters()
-
-    def values(v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b"]:
-        hyper = {name: p.value(v[:, i]) for i, (name, p) in enumerate(priors.items())}
-        density = total_log_density(law, record, left[None], hyper)
-        return density + sum(p.log_density(v[:, i]) for i, p in enumerate(priors.values()))
-
-    white, scale = next(iter(priors.values())), float(np.sqrt(np.mean(left**2)))
-    # 1.5 times the median absolute value is the standard deviation that outliers have not widened; the rms is that of
-    # the law without outliers. One of them is near the maximum.
-    narrow = 1.5 * float(np.median(np.abs(left)))
-    scales = [white.coordinate(s) for s in (scale, narrow) if s > 0]
-    if not scales:
-        return None
-    starts = np.array(list(itertools.product(scales, *[LEVELS] * (len(priors) - 1))))
-    v = starts[int(np.argmax(values(starts)))]
-    value, slope, bent = _quadratic(values, v)
-    for _ in range(STEPS):
-        weights, vectors = np.linalg.eigh(bent)
-        # Newton with absolute eigenvalues: uphill also where the density bends up, between two maxima.
-        step = vectors @ (vectors.T @ slope / np.maximum(np.abs(weights), FLAT))
-        step *= min(1.0, LONGEST / max(float(np.max(np.abs(step))), 1e-300))
-        trials = v + step * np.array([[1.0], [0.3], [0.1]])
-        there = values(trials)
-        if not there.max() > value + 1e-4:
-            break
-        v = trials[int(np.argmax(there))]
-        value, slope, bent = _quadratic(values, v)
-    return value, v, bent
-
-
-def _quadratic(values, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:
-    """Of a function of many points: its value, slope and negative curvature at one, by differences."""
-    steps = SHIFT * np.eye(len(v))
-    pairs = list(itertools.combinations(range(len(v)), 2))
-    both = [steps[i] + steps[j] for i, j in pairs]
-    points = v + np.array([0 * v, *steps, *-steps, *both, *(-b for b in both)])
-    found = values(points)
-    here, d = found[0], len(v)
-    up, down = found[1 : d + 1], found[d + 1 : 2 * d + 1]
-    second = np.diag(up + down - 2 * here)
-    # f(v ± (sᵢ + sⱼ)) summed, less 2·f(v), is fᵢᵢ + fⱼⱼ + 2·fᵢⱼ in units of the step: the mixed derivative.
-    for (i, j), b, c in zip(
-        pairs, found[2 * d + 1 :], found[2 * d + 1 + len(pairs) :], strict=False
-    ):
-        second[i, j] = second[j, i] = 0.5 * (b + c - 2 * here - second[i, i] - second[j, j])
-    return float(here), (up - down) / (2 * SHIFT), -second / SHIFT**2
+def _stated(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> list[dict[str, float]]:
+    """Values of some of a law's parameters where its maximum may be; none where nothing is left of the readings."""
+    scale = float(np.sqrt(np.mean(left**2)))
+    if law.independent:
+        # 1.5 times the median absolute value is the standard deviation that outliers have not widened; the rms is
+        # that of the law without outliers. One of them is near the maximum.
+        scales = (scale, 1.5 * float(np.median(np.abs(left))))
+        return [{next(iter(law.parameters())): s} for s in scales if s > 0]
+    # Slow noise hardly moves from one reading to the next: differences of neighbours are about the white part's.
+    in_time = left[record.in_time[0]]
+    narrow = float(np.median(np.abs(np.diff(in_time)))) or scale
+    known = law.starts(record.frame.in_time(), in_time) if narrow > 0 else []
+    return [{WHITE: narrow, **some} for some in known]
