@@ -80,14 +80,14 @@ ROUNDS = 4  # of proposals at most, until their weights are sound
 
 
 class RestingSum(SumOfTerms):
-    """A sum of terms on readings one step apart, of which the first are means of blocks, by their exact law.
+    """A sum of terms on evenly spaced readings, of which the first rows are means of blocks, by their exact law.
 
     Attributes:
-        shortest, longest: steps.
+        shortest, longest: the step between readings, and about that of the longest run, s.
         terms: beside white noise; there may be none.
         count: readings in each mean.
         means: how many rows are means; the rest are single readings.
-        scale, correlated: priors, in the unit of the output.
+        scale, correlated: priors of standard deviations, output unit.
     """
 
     shortest: float
@@ -111,7 +111,7 @@ class RestingSum(SumOfTerms):
         single = filtered(self.states(parameters, step[m:]), own[m:], columns[m:])
         if not m:
             return single
-        one = self.states(parameters, jnp.array([-1.0, 1.0]))
+        one = self.states(parameters, jnp.stack([-1.0, step[m + 1]]))
         of_blocks = filtered(of_means(one, self.count, step[:m] < 0), own[:m], columns[:m])
         return tuple(map(jnp.concatenate, zip(of_blocks, single, strict=True)))
 
@@ -136,36 +136,27 @@ class RestNoise(NamedTuple):
 
 
 class _AtRest(NamedTuple):
-    """A channel in units of its own: the scatter of differences, and steps."""
+    """A channel, as rows that are means of blocks and single readings."""
 
     layout: Layout
     record: Record
     count: int  # readings in a mean,
     means: int  # and how many rows of the record are means
-    size: float  # output units
+    size: float  # standard deviation of neighbours, output unit
     step: float  # s
-    longest: float  # steps, a power of two
-    factors: np.ndarray
-    allan: np.ndarray  # variances, in units of size²
-    line: Mapping[str, float] = {}  # a tone to begin with, in output units and steps; none if empty
+    longest: float  # a power of two of steps, s
+    tau: np.ndarray  # averaging times, s,
+    allan: np.ndarray  # and variances, output unit squared
+    line: Mapping[str, float] = {}  # a tone to begin with, for steps of one second; none if empty
 
     def law(self, terms: Terms) -> RestingSum:
-        return RestingSum(1.0, self.longest, terms, self.count, self.means)
+        scale = HalfCauchy(self.size)
+        return RestingSum(self.step, self.longest, terms, self.count, self.means, scale, scale)
 
     def assembly(self, terms: Terms) -> Assembly:
         """Levels, the curve over temperature and this sum, on the readings."""
         model = self.layout.model.with_noise(self.law(terms))
         return Assembly(replace(self.layout, model=model), self.record)
-
-    def physical(self, terms: tuple[str, ...], own: dict[str, np.ndarray]) -> RestNoise:
-        """Parameters in output units and seconds."""
-        root = math.sqrt(self.step)
-        factors = {"diffusion": self.size / root, "walk": self.size / root}
-        factors |= {ROUNDED: self.size * self.step, "time": self.step, "place": 1.0}
-        factors["frequency"] = 1 / self.step
-        found = {n: v * factors.get(n.rpartition(".")[2], self.size) for n, v in own.items()}
-        law = RestingSum(self.step, self.longest * self.step, terms)
-        return RestNoise(terms, found, law)
 
 
 class WeighedNoise(NamedTuple):
@@ -326,7 +317,7 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
             f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is rounded "
             "more coarsely than its noise: record it with more digits"
         )
-    given = {"output": (output - np.median(output)) / size}
+    given = {"output": output - np.median(output)}
     effects = [LEVEL]
     if readings.has("temperature") and float(np.ptp(readings["temperature"])) > STIRRED_DEGREES:
         given["temperature"] = np.asarray(readings["temperature"], float)
@@ -349,16 +340,16 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
     still = Measurements.from_arrays(
         CHANNEL,
         run=np.repeat([f"{k:06d}" for k in range(len(parts))], lengths),
-        time=np.concatenate([np.arange(float(length)) for length in lengths]),
+        time=runs.step * np.concatenate([np.arange(length) for length in lengths]),
         **{n: np.concatenate([v[part].mean(axis=1) for part in parts]) for n, v in given.items()},
     )
     reference = reference_of(still)
     frame = build_frame(still, reference)
     layout, _ = bind(Model(CHANNEL, tuple(effects), White()), still, reference=reference)
-    longest = 2.0 ** math.ceil(math.log2(max(len(r) for r in runs.rows)))
-    variance, _ = overlapping(output / size, runs)
+    longest = runs.step * 2.0 ** math.ceil(math.log2(max(len(r) for r in runs.rows)))
+    variance, _ = overlapping(output, runs)
     record = Record(CHANNEL, frame, np.asarray(frame["output"]))
-    own = (size, runs.step, longest, runs.factors, variance)
+    own = (size, runs.step, longest, runs.factors * runs.step, variance)
     return _AtRest(layout, record, count, sum(map(len, blocks)), *own), notes
 
 
@@ -399,26 +390,26 @@ def _starts(
     channel: _AtRest, terms: tuple[str, ...], priors: dict[str, Any]
 ) -> Iterator[np.ndarray]:
     """Coordinates, from the Allan curve: each term as large as the curve lets it be, times in several places."""
-    m, allan = channel.factors, channel.allan
-    walk = math.sqrt(3 * allan[-1] / m[-1])
+    tau, allan, step, line = channel.tau, channel.allan, channel.step, channel.line
+    walk = math.sqrt(3 * allan[-1] / tau[-1])
     sizes = {
         "noise.walk": walk,
         "noise.flicker": math.sqrt(float(np.min(allan)) / FLAT),
-        "noise.quantisation": math.sqrt(allan[0] / 3),
+        "noise.quantisation": tau[0] * math.sqrt(allan[0] / 3),
         "noise.averaging": math.sqrt(allan[0]),
     }
-    if channel.line:
-        sizes |= {TONE[0]: channel.line[TONE[0]] / channel.size, TONE[1]: channel.line[TONE[1]]}
+    if line:
+        sizes |= {TONE[0]: line[TONE[0]], TONE[1]: line[TONE[1]] / step}
     places = [0.2, 0.5, 0.8]
     alike, memories = terms.count("correlated"), (0.25, 2.0) if "tone" in terms else (1.0,)
     several = itertools.combinations(places, alike) if alike else [()]
     for shares, memory in itertools.product(several, memories):
-        times = [channel.longest**share for share in shares]
+        times = [step * (channel.longest / step) ** share for share in shares]
         values = {WHITE: math.sqrt(allan[0]), **sizes}
-        values |= {TONE[2]: memory * channel.line[TONE[2]]} if channel.line else {}
-        before = 1.0
+        values |= {TONE[2]: memory * line[TONE[2]] * step} if line else {}
+        before = step
         for k, time in enumerate(times, 1):
-            variance = 1.6 * float(np.interp(math.log(2 * time), np.log(m), allan))
+            variance = 1.6 * float(np.interp(math.log(2 * time), np.log(tau), allan))
             values[f"noise.correlated{k}.diffusion"] = math.sqrt(2 * variance / time)
             values[f"noise.correlated{k}.time"] = time
             part = math.log(time / before) / math.log(channel.longest / before)
@@ -459,4 +450,4 @@ def _drawn(
     chosen = sampled.v[np.sort(resample(weight, max(1, round(share * KEPT)), seed))]
     priors = channel.law(terms).parameters()
     own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
-    return channel.physical(terms, own)
+    return RestNoise(terms, own, channel.law(terms))

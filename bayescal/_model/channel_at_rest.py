@@ -51,7 +51,7 @@ CURVE = Effect(
 )
 CHANNEL = Instrument(
     name="channel_at_rest",
-    title="a channel at rest, in parts of the scatter of its differences, time in steps",
+    title="a channel at rest, its output in whatever unit it has",
     columns=(
         Column("run", None),
         Column("time", "s"),

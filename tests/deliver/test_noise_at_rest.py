@@ -142,8 +142,8 @@ def test_means_and_stretches_weigh_a_random_walk_as_single_readings_do(monkeypat
         monkeypatch.setattr(noise_at_rest, "LONG", longest)
         channel, _ = noise_at_rest._channel(data, even_runs(data))
         assembly = channel.assembly(("walk",))
-        white = N / math.sqrt(STEP) / channel.size
-        sizes = [K * math.sqrt(STEP) / channel.size * k for k in (1 / 3, 1.0, 3.0)]
+        white = N / math.sqrt(STEP)
+        sizes = [K * k for k in (1 / 3, 1.0, 3.0)]
         priors = assembly.noise.parameters().values()
         at = [[p.coordinate(x) for p, x in zip(priors, (white, k), strict=True)] for k in sizes]
         found = noise_at_rest._density(assembly).values(np.array(at))
