@@ -32,6 +32,7 @@ from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode, find_mode, flat_scales
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import WeightedDraws, weighted_draws
+from bayescal._inference.trust import FEWEST_DRAWS, unevenness
 from bayescal._model.channel_at_rest import CHANNEL, CURVE, DEGREE, LEVEL
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.independent_noise import White
@@ -429,13 +430,21 @@ def _density(assembly: Assembly) -> Density:
 
 
 def _sampled(channel: _AtRest, terms: Terms, mode: Mode, seed: int, share: float) -> WeightedDraws:
-    """Draws by importance sampling, as in every fit.
+    """Draws by importance sampling, as in every fit, until their weights are sound or have been tried often enough.
 
     Args:
         share: of all draws; a sum of little probability has few of those that are kept.
     """
-    proposals = math.ceil(DRAWS * max(share, FEWEST))
-    return weighted_draws(channel.assembly(terms), mode, seed, proposals, ROUNDS)
+    assembly, share, found = channel.assembly(terms), max(share, FEWEST), None
+    for _ in range(ROUNDS):
+        found = weighted_draws(
+            assembly, mode, seed, math.ceil(DRAWS * share), ROUNDS, earlier=found
+        )
+        weights, k_hat = smoothed(found.log_weight)
+        if not unevenness(weights, k_hat, enough=FEWEST_DRAWS * share):
+            break
+    assert found is not None
+    return found
 
 
 def _drawn(
