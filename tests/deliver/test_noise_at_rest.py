@@ -164,6 +164,23 @@ def test_a_dependence_on_temperature_is_no_noise() -> None:
     assert bc.noise(data).law == "white"
 
 
+def test_levels_and_the_curve_over_temperature_are_integrated_out() -> None:
+    """Restricted likelihood of white noise: −(n − q)·log σ − squares/2σ², q levels and coefficients of a cubic."""
+    temperature = 25 + 5 * np.sin(np.arange(200) / 30)
+    data = still(7, n=200, temperature=temperature)
+    output = data["output"] + 1e-3 * (temperature - 25) ** 2
+    channel, _ = noise_at_rest._channel(data.with_column("output", output), even_runs(data))
+    assembly = channel.assembly(())
+    (prior,) = assembly.noise.parameters().values()
+    sizes = np.array([0.008, 0.012])
+    v = np.array([[prior.coordinate(s)] for s in sizes])
+    found = noise_at_rest._density(assembly).values(v) - np.asarray(prior.log_density(v[:, 0]))
+    design = np.vander((temperature - 25) / 5, 4)
+    left = output - design @ np.linalg.lstsq(design, output, rcond=None)[0]
+    exact = -(200 - 4) * np.log(sizes) - 0.5 * float(left @ left) / sizes**2
+    assert found[1] - found[0] == pytest.approx(exact[1] - exact[0], rel=1e-8)
+
+
 def test_what_cannot_be_told_is_refused() -> None:
     data = still(6)
     rounded = data.with_column("output", np.round(data["output"], 1))

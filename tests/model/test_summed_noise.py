@@ -365,6 +365,22 @@ def test_a_sum_says_its_name_units_and_coefficients() -> None:
     }
 
 
+def test_ornstein_uhlenbeck_noise_is_the_sum_of_one_term(rng) -> None:
+    frame, _, _ = two_runs()
+    alone, one = law_of(ALONE), law_of(("correlated",))
+    columns = jnp.asarray(rng.standard_normal((60, 2)))
+    for a, b in zip(
+        alone.whiten(columns, 0.0, in_jax(alone), frame),
+        one.whiten(columns, 0.0, in_jax(one), frame),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(a, b)
+    assert list(alone.parameters()) == ["noise.white", "noise.diffusion", "noise.correlated.time"]
+    assert [*alone.parameters().values()] == [*one.parameters().values()]
+    assert set(alone.derived(VALUES)) == {"noise.correlated"}
+    assert alone.coefficients_in_time == {"noise.diffusion": "K"}
+
+
 def test_laws_of_the_same_terms_share_their_programs() -> None:
     one, other = (
         bc.SummedNoise(s, 100 * s, ("smooth", "correlated"), bc.HalfCauchy(s)) for s in (1.0, 3.0)
