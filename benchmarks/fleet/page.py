@@ -115,9 +115,7 @@ def _wafer(r: dict[str, Any]) -> str:
 
 The twelve best of {r["pairs"]:,} pairs of {r["devices"]:,} made-up resonators:
 {r["processor_s"]:.0f} CPU seconds, {r["peak_memory_mb"]:.0f} MB.
-{r["classes_excluded"]:,} of {r["classes"]:,} pairs of classes were excluded by their bound
-({r["pairs_of_excluded_classes"]:,} pairs), {r["bounded"]:,} pairs by one of their own;
-{r["evaluated"]:,} were computed.
+{r["bounded"]:,} pairs were excluded by their bound, {r["evaluated"]:,} were computed.
 The best leaves {r["best"][2]:.2f} µg, the twelfth {r["last"][2]:.2f} µg, and no excluded pair less than
 {r["least_excluded"]:.2f} µg. On {c["devices"]:,} devices the full table ({c["full_table_s"]:.0f} s; by bounds
 {c["by_bounds_s"]:.1f} s) has {told}.
