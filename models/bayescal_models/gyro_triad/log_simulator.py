@@ -16,7 +16,7 @@ from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROME
 from bayescal_models.gyro_triad.campaign import MovesByHand
 from bayescal_models.gyro_triad.simulator import BASELINE, COUNTS, OFF_DIAGONAL
 from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
-from bayescal_models.triad.simulator import SHARES
+from bayescal_models.triad.simulator import members_of
 
 EARTH = 15.041 / 3600  # °/s
 MOUNTED = (0.03, -0.05, 0.04)  # by how much the magnetometers are turned against the body, rad
@@ -43,13 +43,8 @@ def simulate_log(
     Raises:
         ValueError: an effect that this log has no law for.
     """
-    plan, given = campaign or MovesByHand(), dict(effects or {})
-    if unknown := sorted(set(given) - set(LAWS)):
-        raise ValueError(f"no law for {', '.join(unknown)}: choose among {', '.join(LAWS)}")
-    sizes = {name: np.zeros(COUNTS[name]) for name in LAWS}
-    sizes |= {name: np.array(members) for name, members in BASELINE.items()}
-    for name, size in given.items():
-        sizes[name] = size * SHARES[: COUNTS[name]] if np.ndim(size) == 0 else np.asarray(size)
+    plan, counts = campaign or MovesByHand(), {name: COUNTS[name] for name in LAWS}
+    sizes = members_of(effects, counts, BASELINE)
     rng = np.random.default_rng(seed)
     rate, force, up = _path(plan, rng)  # °/s, g
     around = np.zeros(3)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bayescal_models.gyro_triad.campaign import Campaign
-from bayescal_models.triad.simulator import REFERENCE, SHARES
+from bayescal_models.triad.simulator import REFERENCE, members_of
 
 # The unit that is there unless effects say otherwise: bias °/s, scale ppm, misalignment mrad.
 BASELINE = {
@@ -53,15 +53,7 @@ def simulated_columns(
     Raises:
         ValueError: an unknown effect, or a size that is no number.
     """
-    plan, given = campaign or Campaign(), dict(effects or {})
-    if unknown := sorted(set(given) - set(COUNTS)):
-        raise ValueError(f"no law for {', '.join(unknown)}: choose among {', '.join(COUNTS)}")
-    sizes = {name: np.zeros(members) for name, members in COUNTS.items()}
-    sizes |= {name: np.array(members) for name, members in BASELINE.items()}
-    for name, size in given.items():
-        if not np.all(np.isfinite(size)):
-            raise ValueError(f"{name}: its size {size!r} is no number")
-        sizes[name] = size * SHARES[: COUNTS[name]] if np.ndim(size) == 0 else np.asarray(size)
+    plan, sizes = campaign or Campaign(), members_of(effects, COUNTS, BASELINE)
     rng = np.random.default_rng(seed)
     of_run = rng.standard_normal((plan.runs, 3))
     rows: list[dict[str, Any]] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from bayescal_models.triad.poses import KINDS
+KINDS = ("random", "six", "twelve", "planar", "level")  # of poses
 
 # Of two sessions over temperature in directions known to 0.5 mrad.
 TWO_SESSIONS: dict[str, Any] = {

@@ -7,13 +7,12 @@ own equation. All of it is computed pose by pose in NumPy, independently of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from bayescal_models.triad.campaign import Campaign
-from bayescal_models.triad.poses import beside, directions
+from bayescal_models.triad.campaign import KINDS, Campaign
 
 BODY = 200.0  # s
 REFERENCE = 25.0  # °C, where bias, scale and misalignment are those
@@ -39,33 +38,70 @@ COUNTS = {
 }
 
 
-def poses_of(
-    baseline: Mapping[str, Any],
-    known: Sequence[str],
-    small: float,
+def members_of(
     effects: Mapping[str, Any] | None,
-    seed: int,
-    campaign: Campaign,
-) -> dict[str, Any]:
-    """Columns of poses with these effects hidden in them, by name.
+    counts: Mapping[str, int],
+    baseline: Mapping[str, Any],
+    known: Collection[str] | None = None,
+) -> dict[str, np.ndarray]:
+    """Sizes of the members of every family, by canonical name.
+
+    Args:
+        effects: canonical name → size, of which the members come at their own `SHARES`; or one for each member.
+        counts: how many members each family has; the others are zero.
+        baseline: what is there unless effects say otherwise.
+        known: effects that can be given; all that have a count if not given.
+
+    Raises:
+        ValueError: an unknown effect, or a size that is no number.
+    """
+    given, known = dict(effects or {}), counts if known is None else known
+    if unknown := sorted(set(given) - {*known}):
+        raise ValueError(f"no law for {', '.join(unknown)}: choose among {', '.join(known)}")
+    sizes = {name: np.zeros(count) for name, count in counts.items()}
+    sizes |= {name: np.asarray(members, float) for name, members in baseline.items()}
+    for name, size in given.items():
+        if not np.all(np.isfinite(size)):
+            raise ValueError(f"{name}: its size {size!r} is no number")
+        sizes[name] = size * SHARES[: counts[name]] if np.ndim(size) == 0 else np.asarray(size)
+    return sizes
+
+
+def simulator_of(
+    baseline: Mapping[str, Any], known: Sequence[str], small: float, plan: type[Campaign]
+) -> Callable[..., dict[str, Any]]:
+    """A simulator of poses.
 
     Args:
         baseline: what is there unless effects say otherwise, by its canonical name: sizes of its three members.
         known: effects of the instrument.
         small: output units in the unit of biases and terms of second order, such as 10⁻³ for mg.
-        effects: canonical name → size, or one for each member of the family.
-        seed: of every random number.
-        campaign: the poses.
-
-    Raises:
-        ValueError: an unknown effect, or a size that is no number.
+        plan: kind of its campaigns, which without options is the default.
     """
-    given = dict(effects or {})
-    if unknown := sorted(set(given) - {*known}):
-        raise ValueError(f"no law for {', '.join(unknown)}: choose among {', '.join(known)}")
-    for name, size in given.items():
-        if not np.all(np.isfinite(size)):
-            raise ValueError(f"{name}: its size {size!r} is no number")
+
+    def simulated_columns(
+        effects: Mapping[str, Any] | None = None, *, seed: int, campaign: Campaign | None = None
+    ) -> dict[str, Any]:
+        """Columns of poses with these effects hidden in them, by name.
+
+        Args:
+            effects: canonical name → true size, in the unit of the effect's coefficients, whose members come at
+                their own `SHARES` of it; bias, scale and misalignment are there unless given otherwise.
+            seed: of every random number.
+            campaign: the poses; random ones if not given.
+
+        Raises:
+            ValueError: an unknown effect, or a size that is no number.
+        """
+        sizes = members_of(effects, COUNTS, baseline, known)
+        return _poses(sizes, small, seed, campaign or plan())
+
+    return simulated_columns
+
+
+def _poses(
+    sizes: Mapping[str, np.ndarray], small: float, seed: int, campaign: Campaign
+) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     each = len(campaign.temperatures) * campaign.poses
     count = campaign.runs * each
@@ -81,10 +117,6 @@ def poses_of(
     run = np.repeat(np.arange(campaign.runs), each)
     time = campaign.interval * np.arange(count) + 3600.0 * run
     of_run, noise = rng.standard_normal((campaign.runs, 3)), rng.standard_normal((count, 3))
-    sizes = {name: np.zeros(members) for name, members in COUNTS.items()}
-    sizes |= {name: np.asarray(members, float) for name, members in baseline.items()}
-    for name, size in given.items():
-        sizes[name] = size * SHARES[: COUNTS[name]] if np.ndim(size) == 0 else np.asarray(size)
     warm = (temperature - REFERENCE)[:, None]
     progress = ((time - time.mean()) / max(float(np.ptp(time)), 1.0))[:, None]
     bias = sizes["bias.constant"] + sizes["bias.temperature"] * warm
@@ -122,3 +154,49 @@ def behind(temperature: np.ndarray, run: np.ndarray, interval: float) -> np.ndar
             before = found[i - 1] + temperature[i - 1] - temperature[i]
             found[i] = before * math.exp(-interval / BODY)
     return found
+
+
+def directions(kind: str, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Unit vectors (count, 3).
+
+    Args:
+        kind: "random" over the sphere; "six" each axis up and down, in turn; "twelve" halfway between two axes, in
+            turn; "planar" at random angles about the y axis; "level" within 10° of z up.
+        count: of poses.
+        rng: of every random number.
+
+    Raises:
+        ValueError: another kind.
+    """
+    if kind == "random":
+        made = rng.standard_normal((count, 3))
+    elif kind == "six":
+        made = np.resize(np.concatenate([np.eye(3), -np.eye(3)]), (count, 3))
+    elif kind == "twelve":
+        pairs = [
+            (i, j, s, t) for i, j in ((0, 1), (0, 2), (1, 2)) for s in (1, -1) for t in (1, -1)
+        ]
+        made = np.zeros((12, 3))
+        for row, (i, j, s, t) in zip(made, pairs, strict=True):
+            row[i], row[j] = s, t
+        made = np.resize(made, (count, 3))
+    elif kind == "planar":
+        angle = rng.uniform(0, 2 * np.pi, count)
+        made = np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)])
+    elif kind == "level":
+        tilt, way = (
+            np.deg2rad(10) * np.sqrt(rng.uniform(size=count)),
+            rng.uniform(0, 2 * np.pi, count),
+        )
+        made = np.column_stack(
+            [np.sin(tilt) * np.cos(way), np.sin(tilt) * np.sin(way), np.cos(tilt)]
+        )
+    else:
+        raise ValueError(f"poses {kind!r} are not one of {', '.join(KINDS)}")
+    return made / np.linalg.norm(made, axis=1)[:, None]
+
+
+def beside(direction: np.ndarray, angle: float, rng: np.random.Generator) -> np.ndarray:
+    """Directions that stand beside these by a random angle of this standard deviation about each cross axis, rad."""
+    moved = direction + angle * rng.standard_normal(direction.shape)
+    return moved / np.linalg.norm(moved, axis=1)[:, None]
