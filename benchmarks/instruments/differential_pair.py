@@ -23,8 +23,8 @@ import bayescal as bc
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.pairing import criteria
-from bayescal_models.differential_pair.pairing.best_pair_probability import judge
 from bayescal_models.differential_pair.pairing.devices import devices_from
+from bayescal_models.differential_pair.pairing.selection import judge
 from benchmarks.intervals import by_stated, expected_counts
 from benchmarks.record import RESULTS, add_line, read_lines, write
 

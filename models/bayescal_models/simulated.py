@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial, wraps
-from typing import Any, ParamSpec
+from typing import Any, NamedTuple, ParamSpec
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,12 +37,15 @@ def refuse_effects(effects: Mapping[str, float], known: Collection[str], where: 
         ValueError: an unknown name, or a size that is not finite.
     """
     for name, size in effects.items():
-        if name not in known:
-            raise ValueError(
-                f"no effect {name!r} can be hidden in {where}: choose among {', '.join(known)}"
-            )
-        if not np.isfinite(size):
-            raise ValueError(f"the size of {name!r} is {size!r}: give a finite number")
+        choices = f"choose among {', '.join(known)}"
+        refuse(name not in known, f"no effect {name!r} can be hidden in {where}: {choices}")
+        refuse(not np.isfinite(size), f"the size of {name!r} is {size!r}: give a finite number")
+
+
+def refuse(wrong: Any, message: str) -> None:
+    """Raise a ValueError with this message where something is wrong."""
+    if wrong:
+        raise ValueError(message)
 
 
 def refuse_options(
@@ -65,12 +68,12 @@ def refuse_options(
     """
     for name in (*positive, *not_negative):
         value = getattr(campaign, name)
-        if not (value > 0 if name in positive else value >= 0):
-            wanted = "a number above 0" if name in positive else "0 or more"
-            raise ValueError(f"Campaign({name}={value!r}): give {wanted}.")
+        wanted = "a number above 0" if name in positive else "0 or more"
+        wrong = not (value > 0 if name in positive else value >= 0)
+        refuse(wrong, f"Campaign({name}={value!r}): give {wanted}.")
     for name, known in choices.items():
-        if (value := getattr(campaign, name)) not in known:
-            raise ValueError(f"Campaign({name}={value!r}): choose one of {', '.join(known)}.")
+        value = getattr(campaign, name)
+        refuse(value not in known, f"Campaign({name}={value!r}): choose one of {', '.join(known)}.")
 
 
 class Clock:
@@ -145,6 +148,32 @@ def experiments(
         campaigns: by what each is in words.
     """
     return tuple((n, partial(columns, seed=0, campaign=made)) for n, made in campaigns.items())
+
+
+class Simulated(NamedTuple):
+    """Readings of a simulated test, and everything that made them.
+
+    Attributes:
+        columns: of the readings, by name.
+        world: what happened in the test.
+        contributions: of each effect and of what is there without one, by name.
+        noise_free: the output without noise and rounding, (n,).
+    """
+
+    columns: dict[str, NDArray[Any]]
+    world: Any
+    contributions: dict[str, Any]
+    noise_free: Array
+
+
+def columns_of(simulator: Callable[P, Simulated]) -> Callable[P, dict[str, NDArray[Any]]]:
+    """The columns alone of what a simulator makes: a function of the same arguments."""
+
+    @wraps(simulator)
+    def simulated_columns(*args: P.args, **options: P.kwargs) -> dict[str, NDArray[Any]]:
+        return simulator(*args, **options).columns
+
+    return simulated_columns
 
 
 def readings_of(

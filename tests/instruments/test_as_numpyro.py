@@ -14,7 +14,7 @@ from numpyro.diagnostics import effective_sample_size
 from numpyro.infer.util import log_density
 
 import bayescal as bc
-from bayescal_models.in_numpyro import draws
+from tests.support.in_numpyro import draws
 from tests.support.tiers import slow_but
 
 # Of the others the latent quantities are not the framework's own: nothing but draws compares.

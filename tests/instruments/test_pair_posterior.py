@@ -16,7 +16,7 @@ from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.noise import NoiseWhileChanging
 from bayescal_models.differential_pair.pairing import criteria
-from bayescal_models.differential_pair.pairing.best_pair_probability import judge
+from bayescal_models.differential_pair.pairing.selection import judge
 from bayescal_models.differential_pair.simulator import columns_and_truth
 from benchmarks.accuracy import coverage
 from benchmarks.accuracy.chunks import seed_of

@@ -11,8 +11,7 @@ import pytest
 
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.pairing import criteria
-from bayescal_models.differential_pair.pairing.best_pair_probability import judge
-from bayescal_models.differential_pair.pairing.selection import CRITERIA
+from bayescal_models.differential_pair.pairing.selection import CRITERIA, judge
 from tests.support.made_up.pairs import SMALL, made_up
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models.differential_pair.pairing.best_pair_probability import judge
+from bayescal_models.differential_pair.pairing.selection import judge
 from bayescal_models.differential_pair.pairing.wafer import (
     Wafer,
     _bounds,

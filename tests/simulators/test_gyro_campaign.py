@@ -9,13 +9,18 @@ import pytest
 
 from bayescal_models.mems_gyro.campaign import Campaign
 from bayescal_models.mems_gyro.resonance import Resonance, resonance_denominator
-from bayescal_models.mems_gyro.simulator import NOISE_LAWS, SimulatedCampaign, simulate_arrays
+from bayescal_models.mems_gyro.simulator import NOISE_LAWS, simulate_arrays
+from bayescal_models.simulated import Simulated
 
 DEFAULT = Campaign()
 RATES = (0.0, 100.0, -100.0)
 
 
-def in_run(sim: SimulatedCampaign, run: str, values: np.ndarray) -> np.ndarray:
+def simulated(campaign: Campaign, effects: dict | None = None, **options) -> Simulated:
+    return simulate_arrays(effects, campaign=campaign, **options)
+
+
+def in_run(sim: Simulated, run: str, values: np.ndarray) -> np.ndarray:
     """The values of one run."""
     return values[sim.columns["run"] == run]
 
@@ -26,9 +31,9 @@ def in_run(sim: SimulatedCampaign, run: str, values: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("noise_law", NOISE_LAWS)
 def test_same_seed_same_readings(noise_law: str) -> None:
     effects = {"bias.run": 0.05, "unlisted.humidity": 0.02}
-    first = simulate_arrays(DEFAULT, effects, seed=7, noise_law=noise_law)
-    again = simulate_arrays(DEFAULT, effects, seed=7, noise_law=noise_law)
-    other = simulate_arrays(DEFAULT, effects, seed=8, noise_law=noise_law)
+    first = simulated(DEFAULT, effects, seed=7, noise_law=noise_law)
+    again = simulated(DEFAULT, effects, seed=7, noise_law=noise_law)
+    other = simulated(DEFAULT, effects, seed=8, noise_law=noise_law)
     for name, values in first.columns.items():
         np.testing.assert_array_equal(values, again.columns[name])
         assert values.shape == other.columns[name].shape == (DEFAULT.readings,)
@@ -36,7 +41,7 @@ def test_same_seed_same_readings(noise_law: str) -> None:
 
 
 def test_default_campaign_goes_up_down_up_in_330_readings() -> None:
-    sim = simulate_arrays(DEFAULT, seed=0)
+    sim = simulated(DEFAULT, seed=0)
     assert len(sim.columns["output"]) == DEFAULT.readings == 330
     assert list(sim.columns) == ["run", "time", "temperature", "board_temperature", "output"]
     for run, first, last in (("1", 30, 80), ("2", 80, 30), ("3", 30, 80)):
@@ -48,7 +53,7 @@ def test_default_campaign_goes_up_down_up_in_330_readings() -> None:
 
 
 def test_without_effects_the_output_is_the_line_and_noise() -> None:
-    sim = simulate_arrays(DEFAULT, seed=4)
+    sim = simulated(DEFAULT, seed=4)
     line = 21.5 + 0.0535 * (sim.columns["temperature"] - 55.0)
     np.testing.assert_allclose(sim.noise_free, line, atol=1e-10)
     noise = sim.columns["output"] - line
@@ -60,8 +65,8 @@ def test_without_effects_the_output_is_the_line_and_noise() -> None:
 
 def test_readings_are_averages_of_the_logger_samples() -> None:
     effects = {"bias.rate": 0.1, "bias.thermal_lag": 0.05, "unlisted.periodic": 0.1}
-    short = simulate_arrays(DEFAULT, effects, seed=2)
-    long = simulate_arrays(replace(DEFAULT, average=60.0), effects, seed=2)
+    short = simulated(DEFAULT, effects, seed=2)
+    long = simulated(replace(DEFAULT, average=60.0), effects, seed=2)
     for values, longer in (
         (short.noise_free, long.noise_free),
         (short.columns["time"], long.columns["time"]),
@@ -75,7 +80,7 @@ def test_noise_laws() -> None:
     many = replace(DEFAULT, runs=12)
     noise = {}
     for law in NOISE_LAWS:
-        sim = simulate_arrays(many, seed=3, noise_law=law)
+        sim = simulated(many, seed=3, noise_law=law)
         noise[law] = sim.columns["output"] - sim.noise_free
 
     def follow(values: np.ndarray) -> float:
@@ -92,15 +97,15 @@ def test_noise_laws() -> None:
 
 
 def test_converter_rounds_the_voltage() -> None:
-    sim = simulate_arrays(replace(DEFAULT, converter_step=0.1e-3), seed=1)
+    sim = simulated(replace(DEFAULT, converter_step=0.1e-3), seed=1)
     steps = (1.2 + 0.83e-3 * sim.columns["output"]) / 0.1e-3
     np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
     assert len(np.unique(steps.round())) < 40
 
 
 def test_thermometer_errs_without_touching_the_gyro() -> None:
-    good = simulate_arrays(DEFAULT, seed=1)
-    bad = simulate_arrays(replace(DEFAULT, thermometer_noise=0.29, thermometer_offset=0.4), seed=1)
+    good = simulated(DEFAULT, seed=1)
+    bad = simulated(replace(DEFAULT, thermometer_noise=0.29, thermometer_offset=0.4), seed=1)
     error = bad.columns["temperature"] - good.columns["temperature"]
     assert error.mean() == pytest.approx(0.4, abs=0.06)
     assert error.std() == pytest.approx(0.29, rel=0.15)
@@ -125,7 +130,7 @@ def test_all_of_the_offset_as_quadrature_is_17_times_too_flat(held: str, ratio: 
 
 
 def test_resonance_of_the_table_s_slope_is_nearly_straight() -> None:
-    sim = simulate_arrays(replace(DEFAULT, law="resonance"), seed=1)
+    sim = simulated(replace(DEFAULT, law="resonance"), seed=1)
     temperature = sim.columns["temperature"]
     slope, middle = np.polyfit(temperature - 55.0, sim.noise_free, 1)
     assert slope == pytest.approx(0.0535, rel=0.01) and middle == pytest.approx(21.5, abs=0.01)
@@ -138,13 +143,13 @@ def test_resonance_of_the_table_s_slope_is_nearly_straight() -> None:
 
 def test_refusals_say_what_to_do() -> None:
     with pytest.raises(ValueError, match=r"'bias\.lag'.*choose among bias\.temperature_quadratic"):
-        simulate_arrays(DEFAULT, {"bias.lag": 0.1}, seed=1)
+        simulated(DEFAULT, {"bias.lag": 0.1}, seed=1)
     with pytest.raises(ValueError, match=r"set Campaign\(slope"):
-        simulate_arrays(DEFAULT, {"bias.temperature": 0.1}, seed=1)
+        simulated(DEFAULT, {"bias.temperature": 0.1}, seed=1)
     with pytest.raises(ValueError, match=r"'bias\.drift' is nan"):
-        simulate_arrays(DEFAULT, {"bias.drift": float("nan")}, seed=1)
+        simulated(DEFAULT, {"bias.drift": float("nan")}, seed=1)
     with pytest.raises(ValueError, match="white, student_t, ornstein_uhlenbeck"):
-        simulate_arrays(DEFAULT, seed=1, noise_law="pink")
+        simulated(DEFAULT, seed=1, noise_law="pink")
     with pytest.raises(ValueError, match=r"average=45\.0.*dwell|dwell=300\.0.*average"):
         Campaign(average=45.0)
     with pytest.raises(ValueError, match=r"lag_time=0.*above 0"):

@@ -12,10 +12,10 @@ from bayescal_models.mems_gyro import INSTRUMENT
 from bayescal_models.mems_gyro.campaign import Campaign
 from bayescal_models.mems_gyro.simulator import (
     LAWS,
-    SimulatedCampaign,
     simulate_arrays,
     simulated_columns,
 )
+from bayescal_models.simulated import Simulated
 
 DEFAULT = Campaign()
 RATES = (0.0, 100.0, -100.0)
@@ -26,12 +26,16 @@ ALL = {**SIZES, **UNLISTED}
 HIDDEN = list(ALL)
 
 
-def hidden(name: str, campaign: Campaign = DEFAULT, seed: int = 1) -> SimulatedCampaign:
+def hidden(name: str, campaign: Campaign = DEFAULT, seed: int = 1) -> Simulated:
     """One effect of its plausible size, hidden alone."""
-    return simulate_arrays(campaign, {name: ALL[name]}, seed=seed)
+    return simulated(campaign, {name: ALL[name]}, seed=seed)
 
 
-def in_run(sim: SimulatedCampaign, run: str, values: np.ndarray) -> np.ndarray:
+def simulated(campaign: Campaign, effects: dict | None = None, **options) -> Simulated:
+    return simulate_arrays(effects, campaign=campaign, **options)
+
+
+def in_run(sim: Simulated, run: str, values: np.ndarray) -> np.ndarray:
     """The values of one run."""
     return values[sim.columns["run"] == run]
 
@@ -39,11 +43,11 @@ def in_run(sim: SimulatedCampaign, run: str, values: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", HIDDEN)
 def test_an_effect_changes_the_output_by_its_contribution_alone(name: str) -> None:
     turning = replace(DEFAULT, rate_input=RATES)
-    without, with_it = simulate_arrays(turning, seed=5), hidden(name, turning, seed=5)
+    without, with_it = simulated(turning, seed=5), hidden(name, turning, seed=5)
     change = with_it.columns["output"] - without.columns["output"]
     np.testing.assert_allclose(change, with_it.contributions[name], atol=1e-10)
     np.testing.assert_allclose(sum(with_it.contributions.values()), with_it.noise_free)
-    twice = simulate_arrays(turning, {name: 2 * ALL[name]}, seed=5)
+    twice = simulated(turning, {name: 2 * ALL[name]}, seed=5)
     np.testing.assert_allclose(twice.contributions[name], 2 * with_it.contributions[name])
     assert np.ptp(change) > 0.02
 
@@ -91,7 +95,7 @@ def test_reference_follows_the_board_which_heats_itself() -> None:
     board = sim.columns["board_temperature"]
     expected = 0.02 * (board - 55.0)
     np.testing.assert_allclose(sim.contributions["bias.reference_voltage"], expected, atol=1e-9)
-    held = simulate_arrays(replace(DEFAULT, temperatures=(40.0,), dwell=6000.0, runs=1), seed=1)
+    held = simulated(replace(DEFAULT, temperatures=(40.0,), dwell=6000.0, runs=1), seed=1)
     np.testing.assert_allclose(held.columns["board_temperature"][[0, -1]], [40, 42], atol=0.1)
     np.testing.assert_allclose(held.columns["temperature"], 40.0, atol=1e-9)
 
@@ -137,7 +141,7 @@ def test_scale_shows_only_under_a_rate() -> None:
 
 
 def test_rates_are_cycled_over_the_steps_of_all_runs() -> None:
-    rate = simulate_arrays(replace(DEFAULT, rate_input=RATES), seed=1).columns["rate_input"]
+    rate = simulated(replace(DEFAULT, rate_input=RATES), seed=1).columns["rate_input"]
     steps = rate.reshape(-1, 10)
     np.testing.assert_array_equal(steps, np.resize(RATES, 33)[:, None] * np.ones(10))
 
@@ -149,7 +153,7 @@ def test_unlisted_effects() -> None:
     assert step[0] == 0.0 and step[-1] == pytest.approx(0.2)
     assert (step == 0.0).mean() == pytest.approx(0.45, abs=0.01)
     sim = hidden("unlisted.humidity")
-    expected = 0.02 * (sim.columns["humidity"] - 45.0)
+    expected = 0.02 * (sim.columns["humidity [%]"] - 45.0)
     np.testing.assert_allclose(sim.contributions["unlisted.humidity"], expected, atol=1e-9)
     assert "humidity [%]" in simulated_columns({"unlisted.humidity": 0.02}, seed=1)
     assert "humidity" not in hidden("bias.rate").columns

@@ -10,8 +10,8 @@ import pytest
 from bayescal_models import ng_accelerometer as ng
 from bayescal_models.ng_accelerometer.model import TIDE
 from bayescal_models.ng_accelerometer.moon_and_sun import plumb_line, tide
-from bayescal_models.ng_accelerometer.simulator import LAWS, Simulated, simulate_arrays
-from bayescal_models.simulated import HOUR
+from bayescal_models.ng_accelerometer.simulator import LAWS, simulate_arrays
+from bayescal_models.simulated import HOUR, Simulated
 
 PLAN = replace(ng.INSTRUMENT_A, alternate=True, runs=2, positions=4)
 HIDDEN = [*[effect.name for effect in ng.INSTRUMENT.candidates], "bias.rate"]  # a form of the lag
@@ -40,7 +40,9 @@ def test_an_effect_changes_the_output_alone_and_in_proportion(name: str) -> None
     size = ng.INSTRUMENT.effect(name).coefficients[0].size
     once, twice = hidden(name, size), hidden(name, 2 * size)
     change = once.noise_free - PLAIN.noise_free
-    np.testing.assert_allclose(once.output - PLAIN.output, change, atol=1e-9)  # the same noise
+    np.testing.assert_allclose(
+        once.columns["output"] - PLAIN.columns["output"], change, atol=1e-9
+    )  # the same noise
     for (slot, a), (_, b) in zip(once.contributions[name], twice.contributions[name], strict=True):
         assert np.ptp(a) > 0 or slot in ("second_order", "third_order", "cross_coupling")
         np.testing.assert_allclose(b, 2 * a)

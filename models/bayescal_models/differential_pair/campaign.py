@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from bayescal_models.simulated import Array, refuse
 
 G = 1e6  # µg
 RADIUS = 1.0  # m, of the arm (ours)
@@ -61,19 +60,18 @@ class Campaign:
             ValueError: no device in a group, fewer than 8 readings, an unknown profile, or ramps longer than
                 the plateaus.
         """
-        if self.outer < 1 or self.inner < 1:
-            raise ValueError(
-                f"Campaign(outer={self.outer}, inner={self.inner}): each group needs a device"
-            )
-        if self.samples < 8:
-            raise ValueError(f"Campaign(samples={self.samples}): give at least 8 readings")
-        if self.profile not in PROFILES:
-            raise ValueError(f"Campaign(profile={self.profile!r}): choose {' or '.join(PROFILES)}")
-        if self.ramp * len(self.levels) >= self.duration:
-            raise ValueError(
-                f"Campaign(ramp={self.ramp:g} s): {len(self.levels)} levels in {self.duration:g} s leave "
-                "no plateau; shorten the ramps"
-            )
+        groups = f"Campaign(outer={self.outer}, inner={self.inner})"
+        refuse(min(self.outer, self.inner) < 1, f"{groups}: each group needs a device")
+        refuse(self.samples < 8, f"Campaign(samples={self.samples}): give at least 8 readings")
+        refuse(
+            self.profile not in PROFILES,
+            f"Campaign(profile={self.profile!r}): choose {' or '.join(PROFILES)}",
+        )
+        refuse(
+            self.ramp * len(self.levels) >= self.duration,
+            f"Campaign(ramp={self.ramp:g} s): {len(self.levels)} levels in {self.duration:g} s leave "
+            "no plateau; shorten the ramps",
+        )
 
     @property
     def time(self) -> Array:

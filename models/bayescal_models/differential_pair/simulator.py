@@ -2,7 +2,7 @@
 
 The world is made ten times per reading and averaged: an arm that is driven through plateaus, a fixture that windage
 heats, a slow disturbance shared by all devices, and each device's own. The disturbance is made of a thermal
-transient and slow oscillations, not of the polynomials by which the model describes it.
+transient and slow oscillations, not of the polynomials by which the model describes it; its time runs from 0 to 1.
 """
 
 from __future__ import annotations
@@ -12,15 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayescal_models.differential_pair.campaign import GRAVITY, RADIUS, Campaign, G
-from bayescal_models.differential_pair.disturbance import departures, shared, warming
-from bayescal_models.simulated import generators, refuse_effects
-
-Array = NDArray[np.float64]
+from bayescal_models.simulated import Array, generators, refuse_effects
 
 FINE = 10  # steps of the world in each reading
+WARMING = 0.45  # time constant of the fixture's heating by windage, in records
 HIDDEN = (
     "environment.temperature",
     "scale.second_order",
@@ -62,19 +59,7 @@ def simulated_columns(
     campaign: Campaign | None = None,
     noise_law: str = "white",
 ) -> dict[str, Any]:
-    """A batch with these effects hidden in it: its columns, by name, in the instrument's units.
-
-    Args:
-        effects: canonical name → true size in the coefficient's unit: for effects with one coefficient a device
-            the standard deviation over devices, else the coefficient.
-        seed: of every random number; the same seed gives the same devices, disturbance and noise whatever the
-            effects and the profile.
-        campaign: the plan; `Campaign()` if not given.
-        noise_law: "white"; there is no other here.
-
-    Raises:
-        ValueError: an unknown effect, a size that is not finite, or another noise law.
-    """
+    """The columns alone; as `columns_and_truth`, and no other noise law than "white" is accepted."""
     if noise_law != "white":
         raise ValueError(f"noise law {noise_law!r} is not simulated for these devices: take white")
     return columns_and_truth(effects, seed=seed, campaign=campaign)[0]
@@ -83,7 +68,14 @@ def simulated_columns(
 def columns_and_truth(
     effects: Mapping[str, float] | None = None, *, seed: int, campaign: Campaign | None = None
 ) -> tuple[dict[str, Any], Truth]:
-    """The same, with the truth.
+    """A batch with these effects hidden in it: its columns, by name, in the instrument's units, and the truth.
+
+    Args:
+        effects: canonical name → true size in the coefficient's unit: for effects with one coefficient a device
+            the standard deviation over devices, else the coefficient.
+        seed: of every random number; the same seed gives the same devices, disturbance and noise whatever the
+            effects and the profile.
+        campaign: the plan; `Campaign()` if not given.
 
     Raises:
         ValueError: an unknown effect, or a size that is not finite.
@@ -110,25 +102,23 @@ def columns_and_truth(
     made = _outputs(plan, fine, sign, scale, drawn) + env
     scatter = plan.noise / np.sqrt(plan.duration / plan.samples)
     readings = average(made) + scatter * noise.standard_normal((count, plan.samples))
-    names = (
-        *(f"outer {i + 1}" for i in range(plan.outer)),
-        *(f"inner {i + 1}" for i in range(plan.inner)),
-    )
+    groups = np.repeat(["outer", "inner"], [plan.outer, plan.inner])
+    places = (*range(1, plan.outer + 1), *range(1, plan.inner + 1))
+    names = tuple(f"{group} {place}" for group, place in zip(groups, places, strict=True))
     commanded = average(acceleration(plan, fine))
-    measured = None
+    # One record after another, as a logger's file would have them.
+    columns = {
+        "device": np.repeat(names, plan.samples),
+        "group": np.repeat(groups, plan.samples),
+        "time": np.tile(plan.time, count),
+        "acceleration": np.tile(commanded, count),
+        "output": readings.ravel(),
+    }
     if plan.thermometer is not None:
         error = plan.thermometer * thermometer.standard_normal(plan.samples)
-        measured = average(temperature) + error
-    columns = _columns(plan, names, commanded, measured, readings)
-    return columns, Truth(
-        names,
-        plan.outer,
-        scale=scale,
-        sensitivity=sensitivity,
-        environment=average(env),
-        acceleration=commanded,
-        seed=seed,
-    )
+        columns["temperature"] = np.tile(average(temperature) + error, count)
+    truth = Truth(names, plan.outer, scale, sensitivity, average(env), commanded, seed)
+    return columns, truth
 
 
 def acceleration(plan: Campaign, time: Array) -> Array:
@@ -168,24 +158,38 @@ def _outputs(
     return output + tilt * (G + tangential) + drift + drawn["bias.device"][:, None]
 
 
-def _columns(
-    plan: Campaign,
-    names: tuple[str, ...],
-    commanded: Array,
-    temperature: Array | None,
-    readings: Array,
-) -> dict[str, Any]:
-    """One record after another, as a logger's file would have them."""
-    count = len(names)
-    columns = {
-        "device": np.repeat(names, plan.samples),
-        "group": np.repeat(
-            ["outer", "inner"], [plan.outer * plan.samples, plan.inner * plan.samples]
-        ),
-        "time": np.tile(plan.time, count),
-        "acceleration": np.tile(commanded, count),
-        "output": readings.ravel(),
-    }
-    if temperature is not None:
-        columns["temperature"] = np.tile(temperature, count)
-    return columns
+def _transient(random: np.random.Generator, time: Array) -> Array:
+    """A body that is heated from the start on, of unit rise in the long run."""
+    return 1.0 - np.exp(-time / random.uniform(0.2, 0.7))
+
+
+def _wave(random: np.random.Generator, time: Array) -> Array:
+    """A slow oscillation, such as of the room's air, of period 1 to 2.5 records."""
+    return np.sin(2 * np.pi * (time / random.uniform(1.0, 2.5) + random.uniform()))
+
+
+def shared(random: np.random.Generator, time: Array) -> Array:
+    """The shared disturbance, of unit rms over the record."""
+    transient = random.choice([-1.0, 1.0]) * random.uniform(0.8, 1.6) * _transient(random, time)
+    waves = [random.uniform(0.2, 0.7) * _wave(random, time) for _ in range(2)]
+    made = transient + waves[0] + waves[1]
+    return made / np.sqrt(np.mean(made**2))
+
+
+def departures(random: np.random.Generator, time: Array, count: int) -> Array:
+    """Each device's own disturbance, (count, time): an offset, a transient and a wave, together of rms about 1."""
+    made = []
+    for _ in range(count):
+        offset, heat, slow = random.standard_normal(3) / np.sqrt(3.0)
+        transient = _transient(random, time)
+        made.append(
+            offset
+            + heat * transient / np.sqrt(np.mean(transient**2))
+            + slow * np.sqrt(2.0) * _wave(random, time)
+        )
+    return np.array(made)
+
+
+def warming(time: Array) -> Array:
+    """Temperature of the fixture, of unit rise in the long run, with a slow wave of the room."""
+    return 1.0 - np.exp(-time / WARMING) + 0.1 * np.sin(2 * np.pi * time / 0.6)

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from bayescal_models.inclinometer.geometry import possible
-from bayescal_models.simulated import refuse_options
+from bayescal_models.simulated import refuse, refuse_options
 
 
 @dataclass(frozen=True)
@@ -97,18 +97,22 @@ class Campaign:
     def __post_init__(self) -> None:
         counts = {"devices": self.devices, "runs": self.runs, "axes": len(self.axes)}
         for name, count in counts.items():
-            if count < 1:
-                raise ValueError(f"Campaign({name}): {count} of them; give at least 1.")
+            refuse(count < 1, f"Campaign({name}): {count} of them; give at least 1.")
         refuse_options(
             self,
             positive=("interval", "period", "lag_time", "settling_time", "reversal"),
             not_negative=("noise", "dividing", "repeatability", "swing", "pause", "device_spread"),
         )
-        if len(self.grid) and {label for label, _ in self.axes} != {"x", "y"}:
-            raise ValueError("Campaign(grid=…): a verification needs the axes x and y.")
+        refuse(
+            len(self.grid) and {label for label, _ in self.axes} != {"x", "y"},
+            "Campaign(grid=…): a verification needs the axes x and y.",
+        )
         for angle in (*self.angles, *self.grid):
-            if not (math.isfinite(angle) and abs(angle) <= 90):
-                raise ValueError(f"Campaign: an angle of {angle!r}°; give degrees from −90 to 90.")
+            possible_angle = math.isfinite(angle) and abs(angle) <= 90
+            refuse(
+                not possible_angle,
+                f"Campaign: an angle of {angle!r}°; give degrees from −90 to 90.",
+            )
 
     def pairs(self) -> np.ndarray:
         """Tilts (x, y) of a verification in the order of the test, rad, (points, 2)."""

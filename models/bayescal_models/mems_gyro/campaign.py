@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayescal_models.mems_gyro.resonance import Resonance
-from bayescal_models.simulated import Array, refuse_options
+from bayescal_models.simulated import Array, refuse, refuse_options
 
 GRID = 1.0
 """Step of the grid on which a test is simulated, s."""
@@ -102,45 +102,40 @@ class Campaign:
             not_negative=("pause", "noise", "wander", "thermometer_noise"),
             law=("line", "resonance"),
         )
-        if not 0 <= self.step_fraction <= 1:
-            raise ValueError(
-                f"Campaign(step_fraction={self.step_fraction!r}): give a share from 0 to 1."
-            )
-        if self.runs != int(self.runs):
-            raise ValueError(f"Campaign(runs={self.runs!r}): give a whole number of runs.")
-        if self.converter_step is not None and not self.converter_step > 0:
-            raise ValueError(
-                f"Campaign(converter_step={self.converter_step!r}): give a step in V above 0, "
-                "or None for no rounding."
-            )
-        if self.noise_degrees <= 2:
-            raise ValueError(
-                f"Campaign(noise_degrees={self.noise_degrees!r}): Student-t noise has a standard "
-                "deviation only above 2 degrees of freedom; give more than 2."
-            )
-        if not self.temperatures or self.rate_input == ():
-            raise ValueError(
-                "Campaign: `temperatures` and `rate_input` need at least one value each; "
-                "rate_input=None leaves the gyro at rest."
-            )
-        self._check_times()
-
-    def _check_times(self) -> None:
-        """Every time of the plan is a multiple of the next shorter one, ending at the grid."""
-        for longer, shorter in (
-            ("pause", GRID),
-            ("dwell", "average"),
-            ("average", "logging_interval"),
-            ("logging_interval", GRID),
+        refuse(
+            not 0 <= self.step_fraction <= 1,
+            f"Campaign(step_fraction={self.step_fraction!r}): give a share from 0 to 1.",
+        )
+        refuse(
+            self.runs != int(self.runs),
+            f"Campaign(runs={self.runs!r}): give a whole number of runs.",
+        )
+        refuse(
+            self.converter_step is not None and not self.converter_step > 0,
+            f"Campaign(converter_step={self.converter_step!r}): give a step in V above 0, or None for no rounding.",
+        )
+        refuse(
+            self.noise_degrees <= 2,
+            f"Campaign(noise_degrees={self.noise_degrees!r}): Student-t noise has a standard "
+            "deviation only above 2 degrees of freedom; give more than 2.",
+        )
+        refuse(
+            not self.temperatures or self.rate_input == (),
+            "Campaign: `temperatures` and `rate_input` need at least one value each; "
+            "rate_input=None leaves the gyro at rest.",
+        )
+        # Every time of the plan is a multiple of the next shorter one, ending at the grid.
+        grid = ("the integration grid", GRID)
+        average, logging = ((n, getattr(self, n)) for n in ("average", "logging_interval"))
+        for longer, (name, unit) in (
+            *(("pause", grid), ("dwell", average), ("average", logging)),
+            ("logging_interval", grid),
         ):
             long = getattr(self, longer)
-            unit = getattr(self, shorter) if isinstance(shorter, str) else shorter
-            name = shorter if isinstance(shorter, str) else "the integration grid"
-            if abs(long / unit - round(long / unit)) > 1e-9:
-                raise ValueError(
-                    f"Campaign({longer}={long!r}): it has to be a multiple of {name} ({unit:g} s); "
-                    "change one of the two."
-                )
+            refuse(
+                abs(long / unit - round(long / unit)) > 1e-9,
+                f"Campaign({longer}={long!r}): it has to be a multiple of {name} ({unit:g} s); change one of the two.",
+            )
 
     @property
     def run_duration(self) -> float:

@@ -1,6 +1,6 @@
 """Simulated campaigns of a MEMS gyro in a stepped chamber, made by physics of their own.
 
-    sim = simulate_arrays(Campaign(), {"bias.thermal_lag": 0.05}, seed=1)
+    sim = simulate_arrays({"bias.thermal_lag": 0.05}, seed=1)
     sim.columns["output"], sim.noise_free, sim.contributions["bias.thermal_lag"]
 
 The world is made second by second over the whole test, pauses included, so that what a run finds at its start is what
@@ -12,7 +12,6 @@ is a law in that world, and the logger's samples are averaged into readings at t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 
 from bayescal_models import simulated
 from bayescal_models.mems_gyro.campaign import GRID, Campaign
-from bayescal_models.simulated import Array, Clock, correlated
+from bayescal_models.simulated import Array, Clock, Simulated, correlated
 
 NOISE_LAWS = ("white", "student_t", "ornstein_uhlenbeck")
 SILICON_TEMPERATURE = (
@@ -186,70 +185,31 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
 """Every effect that can be hidden, by its canonical name."""
 
 
-def simulated_columns(
+def simulate_arrays(
     effects: Mapping[str, float] | None = None,
     *,
     seed: int,
     campaign: Campaign | None = None,
     noise_law: str = "white",
-) -> dict[str, NDArray[Any]]:
-    """A stepped-chamber campaign with these effects hidden in it: its columns, by name, of which readings are made.
+) -> Simulated:
+    """A stepped-chamber campaign with effects hidden in it.
+
+    The same seed gives the same noise, the same turn-on offsets and the same humidity whatever the effects, so two
+    simulations differ by the effects alone. The number of rows depends on the campaign only. Contributions are in °/s
+    and add up to the output without noise: "baseline", "rate_input" where there is one, and each hidden effect.
 
     Args:
-        effects: canonical name → true size, in the unit of the effect's coefficient.
+        effects: canonical name → true size, in the unit of the effect's coefficient. The baseline's constant and slope
+            are options of the campaign.
         seed: of every random number.
-        campaign: plan of the test; the default has three runs between 30 and 80 °C.
-        noise_law: "white", "student_t" or "ornstein_uhlenbeck"; see `simulate_arrays`.
-
-    Raises:
-        ValueError: an unknown effect or noise law, or a size that is not finite.
-    """
-    made = simulate_arrays(campaign or Campaign(), effects, seed=seed, noise_law=noise_law)
-    headers = {"humidity": "humidity [%]"}  # no column of the instrument's own
-    return {headers.get(name, name): values for name, values in made.columns.items()}
-
-
-@dataclass(frozen=True)
-class SimulatedCampaign:
-    """Readings of a simulated campaign, and everything that made them.
-
-    Attributes:
-        columns: one array per column, of the same length; `run` is text, the others float64.
-        noise_free: the output without noise and rounding, °/s.
-        contributions: parts of `noise_free` in °/s, which is their sum: "baseline", "rate_input"
-            where there is one, and each hidden effect.
-    """
-
-    columns: dict[str, NDArray[Any]]
-    noise_free: Array
-    contributions: dict[str, Array]
-
-
-def simulate_arrays(
-    campaign: Campaign,
-    effects: Mapping[str, float] | None = None,
-    *,
-    seed: int,
-    noise_law: str = "white",
-) -> SimulatedCampaign:
-    """Simulate a campaign with effects hidden in it.
-
-    The same seed gives the same noise, the same turn-on offsets and the same humidity whatever
-    the effects, so two simulations differ by the effects alone. The number of rows depends on the
-    campaign only.
-
-    Args:
-        campaign: the plan of the test and the world it is made in.
-        effects: canonical name → size, in the unit of the effect's coefficient. The baseline's
-            constant and slope are options of the campaign.
-        seed: seed of every random number.
-        noise_law: "white"; "student_t" (same standard deviation, heavier tails);
-            "ornstein_uhlenbeck" (the white noise, and the campaign's correlated part, `wander`).
+        campaign: the plan of the test and the world it is made in; the default has three runs between 30 and 80 °C.
+        noise_law: "white"; "student_t" (same standard deviation, heavier tails); "ornstein_uhlenbeck" (the white noise,
+            and the campaign's correlated part, `wander`).
 
     Raises:
         ValueError: an effect or a noise law of an unknown name, or a size that is not finite.
     """
-    effects = dict(effects or {})
+    campaign, effects = campaign or Campaign(), dict(effects or {})
     _check(effects, noise_law)
     names = ("noise", "wander", "thermometer", "run", "humidity")
     generators = simulated.generators(names, seed)
@@ -273,9 +233,12 @@ def simulate_arrays(
     if campaign.rate_input is not None:
         columns["rate_input"] = contributions["rate_input"].copy()
     if "unlisted.humidity" in effects:
-        columns["humidity"] = world.average(world.humidity)
+        columns["humidity [%]"] = world.average(world.humidity)  # no column of the instrument's own
     columns["output"] = output
-    return SimulatedCampaign(columns, noise_free, contributions)
+    return Simulated(columns, world, contributions, noise_free)
+
+
+simulated_columns = simulated.columns_of(simulate_arrays)
 
 
 def _check(effects: Mapping[str, float], noise_law: str) -> None:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
-from bayescal_models.simulated import DEGREE, HOUR, refuse_options
+from bayescal_models.simulated import DEGREE, HOUR, refuse, refuse_options
 
 GRID = 10.0
 """Step of the grid on which the test is integrated, s."""
@@ -129,29 +129,28 @@ class Campaign:
                 beyond full scale.
         """
         for name in ("positions", "runs", "repeats"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"Campaign({name}={getattr(self, name)}): needs at least 1")
-        if not self.tilts:
-            raise ValueError("Campaign(tilts=()): needs at least one tilt of the face, rad")
-        if len(set(self.temperatures)) < 2:
-            raise ValueError(
-                f"Campaign(temperatures={self.temperatures}): a temperature model needs at least "
-                "two different set points"
-            )
-        if self.reading_time <= 0 or self.reading_time % GRID:
-            raise ValueError(
-                f"Campaign(reading_time={self.reading_time:g}): must be a positive multiple of "
-                f"{GRID:g} s, the step of the simulation"
-            )
+            value = getattr(self, name)
+            refuse(value < 1, f"Campaign({name}={value}): needs at least 1")
+        refuse(not self.tilts, "Campaign(tilts=()): needs at least one tilt of the face, rad")
+        refuse(
+            len(set(self.temperatures)) < 2,
+            f"Campaign(temperatures={self.temperatures}): a temperature model needs at least "
+            "two different set points",
+        )
+        refuse(
+            self.reading_time <= 0 or self.reading_time % GRID,
+            f"Campaign(reading_time={self.reading_time:g}): must be a positive multiple of "
+            f"{GRID:g} s, the step of the simulation",
+        )
         times = ("soak", "move_time", "pause", "noise", "thermometer_noise", "chamber_wander")
         refuse_options(self, positive=("ramp",), not_negative=times)
         for tilt, position in self.set_ups or [(tilt, math.pi / 2) for tilt in self.tilts]:
             asked = abs(1e6 * math.sin(tilt) * math.sin(position))
-            if asked > self.full_scale:
-                raise ValueError(
-                    f"Campaign: a tilt of {tilt / DEGREE:g}° gives {asked / 1e3:.3g} mg, beyond the full scale of "
-                    f"{self.full_scale / 1e3:g} mg: tilt less, or give full_scale"
-                )
+            refuse(
+                asked > self.full_scale,
+                f"Campaign: a tilt of {tilt / DEGREE:g}° gives {asked / 1e3:.3g} mg, beyond the full scale of "
+                f"{self.full_scale / 1e3:g} mg: tilt less, or give full_scale",
+            )
 
     @property
     def T0(self) -> float:

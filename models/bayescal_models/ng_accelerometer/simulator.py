@@ -1,6 +1,7 @@
 """Columns of a simulated test, with effects hidden in it: one small physical law per effect.
 
-    columns = simulated_columns({"base_tilt.tide": 200.0, "second_order": 0.05}, seed=1)
+    made = simulate_arrays({"base_tilt.tide": 200.0, "second_order": 0.05}, seed=1)
+    made.columns["output"], made.world, made.contributions["second_order"]
 
 A law takes the world of the test and returns what one unit of the effect adds to its slot, moment by moment. None
 uses the columns from which a candidate builds its basis (set points, the thermometer's record, the clock of the
@@ -14,16 +15,15 @@ alone. The size of `base_tilt.tide` is each component's largest tilt of the mont
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from bayescal_models import simulated
 from bayescal_models.ng_accelerometer.campaign import INSTRUMENT_A, Campaign
 from bayescal_models.ng_accelerometer.world import World
-from bayescal_models.simulated import ARCSEC, DEGREE, Array
+from bayescal_models.simulated import ARCSEC, DEGREE, Array, Simulated
 
 G = 1e6  # µg
 STREAMS = ("noise", "thermometer", "chamber", "laboratory", "groups")
@@ -169,35 +169,17 @@ LAWS: Mapping[str, tuple[Law, ...]] = MappingProxyType(_all())
 """Every effect that can be in a test, baseline and hidden, by canonical name."""
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """A simulated test before its readings are noted down.
-
-    Attributes:
-        world: where the table stood and every temperature behind it.
-        sizes: size of every effect in it, the instrument's truth included.
-        contributions: of every effect to its slot, in the slot's unit, (slot, (n, m)) for each component.
-        noise_free: output, µg, (n,).
-        output: with noise, µg, (n,).
-    """
-
-    world: World
-    sizes: dict[str, float]
-    contributions: dict[str, tuple[tuple[str, Array], ...]]
-    noise_free: Array
-    output: Array
-
-
-def simulated_columns(
+def simulate_arrays(
     effects: Mapping[str, float] | None = None,
     *,
     seed: int,
     campaign: Campaign = INSTRUMENT_A,
-) -> dict[str, Any]:
-    """A test with these effects hidden in it: its columns, by name, in the instrument's units.
+) -> Simulated:
+    """A test with these effects hidden in it.
 
-    The same seed gives the same noise, the same weather and the same scatter whatever the effects, so two
-    simulations differ by the effects alone.
+    The same seed gives the same noise, the same weather and the same scatter whatever the effects, so two simulations
+    differ by the effects alone. Contributions are those of every effect to its slot, in the slot's unit, (slot, (n, m))
+    for each component.
 
     Args:
         effects: canonical name → true size, in the unit of the effect's coefficients, all of which take it (see
@@ -205,34 +187,6 @@ def simulated_columns(
             constants and scatter are there too, as `campaign.truth` has them unless given here.
         seed: of every random number.
         campaign: plan of the test.
-
-    Raises:
-        ValueError: an unknown effect, or a size that is no number.
-    """
-    made = simulate_arrays(effects, seed=seed, campaign=campaign)
-    world, temperature = made.world, made.world.device.mean(axis=1)
-    scatter = simulated.generators(STREAMS, seed)["thermometer"].standard_normal(
-        (2, len(temperature))
-    )
-    return {
-        "run": np.array([str(k + 1) for k in world.run]),
-        "temperature_point": world.point,
-        "time": world.time.mean(axis=1),
-        "temperature": temperature + campaign.thermometer_noise * scatter[0],
-        "lab_temperature": world.laboratory.mean(axis=1) + campaign.thermometer_noise * scatter[1],
-        "position_angle": world.angle[:, 0],
-        "tilt": world.tilt[:, 0],
-        "output": made.output,
-    }
-
-
-def simulate_arrays(
-    effects: Mapping[str, float] | None = None,
-    *,
-    seed: int,
-    campaign: Campaign = INSTRUMENT_A,
-) -> Simulated:
-    """The same with everything that made it.
 
     Raises:
         ValueError: an unknown effect, or a size that is no number.
@@ -247,7 +201,21 @@ def simulate_arrays(
     }
     noise_free = respond(world, contributions).mean(axis=1)
     noise = campaign.noise * generators["noise"].standard_normal(len(noise_free))
-    return Simulated(world, sizes, contributions, noise_free, output=noise_free + noise)
+    scatter = generators["thermometer"].standard_normal((2, len(noise_free)))
+    columns = {
+        "run": np.array([str(k + 1) for k in world.run]),
+        "temperature_point": world.point,
+        "time": world.time.mean(axis=1),
+        "temperature": world.device.mean(axis=1) + campaign.thermometer_noise * scatter[0],
+        "lab_temperature": world.laboratory.mean(axis=1) + campaign.thermometer_noise * scatter[1],
+        "position_angle": world.angle[:, 0],
+        "tilt": world.tilt[:, 0],
+        "output": noise_free + noise,
+    }
+    return Simulated(columns, world, contributions, noise_free)
+
+
+simulated_columns = simulated.columns_of(simulate_arrays)
 
 
 def respond(world: World, contributions: Mapping[str, tuple[tuple[str, Array], ...]]) -> Array:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayescal_models.simulated import refuse_options
+from bayescal_models.simulated import refuse, refuse_options
 
 GRID = 5.0
 """Step on which temperatures are integrated, s."""
@@ -102,25 +102,27 @@ class Campaign:
             device=DEVICES,
             noise_law=NOISE_LAWS,
         )
-        if not 0 <= self.coupling < 1:
-            raise ValueError(
-                f"Campaign(coupling={self.coupling!r}): give a share from 0 to below 1."
-            )
-        if len(set(self.temperatures)) < 2:
-            raise ValueError(
-                f"Campaign(temperatures={self.temperatures!r}): a temperature model needs at least two."
-            )
-        if not self.repeats and not (self.attitudes and self.ramp_speeds):
-            raise ValueError(
-                "Campaign: neither a tumble run nor a ramp is left; plan at least one."
-            )
-        if any(not speed > 0 for speed in self.ramp_speeds):
-            raise ValueError(f"Campaign(ramp_speeds={self.ramp_speeds!r}): give speeds above 0.")
+        refuse(
+            not 0 <= self.coupling < 1,
+            f"Campaign(coupling={self.coupling!r}): give a share from 0 to below 1.",
+        )
+        refuse(
+            len(set(self.temperatures)) < 2,
+            f"Campaign(temperatures={self.temperatures!r}): a temperature model needs at least two.",
+        )
+        refuse(
+            not self.repeats and not (self.attitudes and self.ramp_speeds),
+            "Campaign: neither a tumble run nor a ramp is left; plan at least one.",
+        )
+        refuse(
+            any(not speed > 0 for speed in self.ramp_speeds),
+            f"Campaign(ramp_speeds={self.ramp_speeds!r}): give speeds above 0.",
+        )
+        own = f"Campaign(average={self.average!r})"
         for name in ("interval", "position_time"):
-            if self.average > getattr(self, name):
-                raise ValueError(
-                    f"Campaign(average={self.average!r}): longer than {name} ({getattr(self, name):g} s); "
-                    "shorten the average, or lengthen the other."
-                )
-        if self.average < GRID:
-            raise ValueError(f"Campaign(average={self.average!r}): give at least {GRID:g} s.")
+            most = getattr(self, name)
+            refuse(
+                self.average > most,
+                f"{own}: longer than {name} ({most:g} s); shorten the average, or lengthen the other.",
+            )
+        refuse(self.average < GRID, f"{own}: give at least {GRID:g} s.")
