@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -121,70 +121,3 @@ class Campaign:
 
 
 VERIFICATION = Campaign(grid=tuple(float(a) for a in range(-45, 46, 15)), runs=1)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Where and when each reading is taken; one entry per reading.
-
-    Attributes:
-        device, axis, run: labels.
-        placement: placement angle as set (ω, or the other axis' tilt), rad.
-        tilt: along the own axis as set, rad; 0 in a zero test.
-        time: s.
-        forward: +1 in forward sweeps, −1 in backward ones.
-        turned: angle gone since the direction last changed, deg; infinite before it ever did.
-        verification: whether this is one.
-    """
-
-    device: np.ndarray
-    axis: np.ndarray
-    run: np.ndarray
-    placement: np.ndarray
-    tilt: np.ndarray
-    time: np.ndarray
-    forward: np.ndarray
-    turned: np.ndarray
-    verification: bool = field(default=False)
-
-
-def plan(campaign: Campaign) -> Plan:
-    """Lay a campaign out, device by device, mounting by mounting."""
-    rows, clock = [], 0.0
-    make = _verification if len(campaign.grid) else _zero_test
-    for device in range(campaign.devices):
-        prefix = f"{device + 1}" if campaign.devices > 1 else ""
-        for labels, columns in make(campaign, prefix):
-            count = len(columns[0])
-            # Both axes of a verification are read at one time.
-            step = np.arange(count) % (count // 2) if len(campaign.grid) else np.arange(count)
-            time = clock + campaign.interval * step
-            clock = float(time.max()) + campaign.pause
-            rows.append(([str(device + 1)] * count, *labels, *columns, time))
-    names = ("device", "axis", "run", "placement", "tilt", "forward", "turned", "time")
-    joined = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-    return Plan(**dict(zip(names, joined, strict=True)), verification=bool(campaign.grid))
-
-
-def _zero_test(campaign: Campaign, prefix: str):
-    """Of each mounting: labels (axis, run), and columns (placement, tilt, forward, turned)."""
-    sweep = np.asarray(campaign.angles, dtype=float)
-    angles, forward, turned = sweep, np.ones(sweep.size), np.full(sweep.size, np.inf)
-    if campaign.backward:
-        angles = np.concatenate([sweep, sweep[::-1]])
-        forward = np.concatenate([forward, -forward])
-        turned = np.concatenate([turned, np.abs(sweep[::-1] - sweep[-1])])
-    zero = np.zeros(angles.size)
-    for (axis, _), run in product(campaign.axes, range(1, campaign.runs + 1)):
-        labels = [axis] * angles.size, [f"{prefix}{axis}{run}"] * angles.size
-        yield labels, (np.deg2rad(angles), zero, forward, turned)
-
-
-def _verification(campaign: Campaign, prefix: str):
-    points = campaign.pairs()
-    one, ever = np.ones(2 * len(points)), np.full(2 * len(points), np.inf)
-    for run in range(1, campaign.runs + 1):
-        axis = ["x"] * len(points) + ["y"] * len(points)
-        labels = axis, [f"{prefix}{a}{run}" for a in axis]
-        own, cross = points.T.ravel(), points[:, ::-1].T.ravel()
-        yield labels, (cross, own, one, ever)

@@ -7,31 +7,110 @@ thermometer, a base that settles, a hysteresis that needs some degrees to turn r
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bayescal_models import simulated
-from bayescal_models.inclinometer.campaign import Accelerometer, Campaign, Plan, plan
+from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
 from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement, sensed
 
 MEAN_TEMPERATURE = 20.0  # °C
 PHASES = (0.0, 0.7)  # rad, where temperature and the base's settling start: not in step
 
 
-@dataclass(frozen=True)
-class _World:
-    """What is true at each reading, one entry each."""
+class World:
+    """A campaign laid out, device by device and mounting by mounting, and what is true: one entry per reading.
 
-    accelerometer: Accelerometer  # arrays of its constants
-    share: np.ndarray  # multiple at which hidden effects come
-    tilt: np.ndarray  # true, along the axis, rad
-    cross: np.ndarray  # true tilt of the other axis, or true placement angle, rad
-    placement: np.ndarray  # placement angle that the zero follows, rad
-    warmth: np.ndarray  # hinge temperature − mean, °C
-    settled: np.ndarray  # part of the base's tilting that has happened, from −½ to ½
-    sweep: np.ndarray  # direction of the sweep, turning round gradually
+    Attributes:
+        plan: of the test.
+        device, axis, run: labels.
+        placement_set, tilt: placement angle (ω, or the other axis' tilt) and tilt along the own axis as set, rad.
+        time: s.
+        forward: +1 in forward sweeps, −1 in backward ones.
+        accelerometer: one of arrays of its constants; hidden effects come at its `share`.
+        cross: true tilt of the other axis, or true placement angle, rad.
+        placement: placement angle that the zero follows, rad.
+        thermometer, warmth: what it reads, and the hinge, which lags, less the mean, °C.
+        settled: part of the base's tilting that has happened, from −½ to ½.
+        sweep: direction of the sweep, turning round gradually.
+        mounted: what each mounting adds to the zero, arcsec.
+    """
+
+    def __init__(self, plan: Campaign, random: Mapping[str, np.random.Generator]) -> None:
+        self.plan = plan
+        rows, clock = [], 0.0
+        for device in range(plan.devices):
+            prefix = f"{device + 1}" if plan.devices > 1 else ""
+            for labels, columns in (_verification if plan.grid else _zero_test)(plan, prefix):
+                count = len(columns[0])
+                # Both axes of a verification are read at one time.
+                step = np.arange(count) % (count // 2 if plan.grid else count)
+                time = clock + plan.interval * step
+                clock = float(time.max()) + plan.pause
+                rows.append(([str(device + 1)] * count, *labels, *columns, time))
+        self.device, self.axis, self.run, self.placement_set, self.tilt, *rest = map(
+            np.concatenate, zip(*rows, strict=True)
+        )
+        self.forward, turned, self.time = rest
+        phase = 2 * np.pi * self.time / plan.period + PHASES[0]
+        turn = 2 * np.pi * plan.lag_time / plan.period  # of a body of first order, in its swing
+        noise = 0.01 * random["thermometer"].standard_normal(self.time.size)
+        self.thermometer = MEAN_TEMPERATURE + plan.swing * np.sin(phase) + noise
+        self.warmth = plan.swing * np.sin(phase - np.arctan(turn)) / np.hypot(1.0, turn)
+        settled = 1 - np.exp(-(self.time - self.time.min()) / plan.settling_time)
+        self.settled = settled / max(float(settled.max()), 1e-300) - 0.5
+        limit = ARCSEC * plan.dividing
+        error = random["table"].uniform(-limit, limit, self.time.size)
+        self.placement = self.cross = self.placement_set + error
+        if plan.grid and plan.exact:
+            self.placement = exact_placement(self.tilt, self.cross, np)
+        self.sweep = self.forward * (1 - 2 * np.exp(-turned / plan.reversal))
+        self.accelerometer = self._accelerometers(random["device"])
+        self.share = self.accelerometer.share
+        _, codes = np.unique(self.run, return_inverse=True)
+        drawn = random["run"].standard_normal(codes.max() + 1)
+        self.mounted = plan.repeatability * drawn[codes]
+
+    def _accelerometers(self, random: np.random.Generator) -> Accelerometer:
+        known = dict(self.plan.axes)
+        own = [known[axis] for axis in self.axis]
+        made = {
+            f: np.array([getattr(one, f) for one in own])
+            for f in Accelerometer.__dataclass_fields__
+        }
+        for device in np.unique(self.device)[1:]:
+            for axis in known:
+                shift, slope = random.standard_normal(2)
+                chosen = (self.device == device) & (self.axis == axis)
+                made["constant"][chosen] += self.plan.device_spread * shift
+                made["slope"][chosen] += self.plan.device_slope * slope
+        return Accelerometer(**made)  # pyright: ignore[reportArgumentType]
+
+
+def _zero_test(plan: Campaign, prefix: str):
+    """Of each mounting: labels (axis, run), and columns (placement, tilt, forward, angle since it turned, deg)."""
+    sweep = np.asarray(plan.angles, dtype=float)
+    angles, forward, turned = sweep, np.ones(sweep.size), np.full(sweep.size, np.inf)
+    if plan.backward:
+        angles = np.concatenate([sweep, sweep[::-1]])
+        forward = np.concatenate([forward, -forward])
+        turned = np.concatenate([turned, np.abs(sweep[::-1] - sweep[-1])])
+    zero = np.zeros(angles.size)
+    for (axis, _), run in product(plan.axes, range(1, plan.runs + 1)):
+        labels = [axis] * angles.size, [f"{prefix}{axis}{run}"] * angles.size
+        yield labels, (np.deg2rad(angles), zero, forward, turned)
+
+
+def _verification(plan: Campaign, prefix: str):
+    points = plan.pairs()
+    one, ever = np.ones(2 * len(points)), np.full(2 * len(points), np.inf)
+    for run in range(1, plan.runs + 1):
+        axis = ["x"] * len(points) + ["y"] * len(points)
+        labels = axis, [f"{prefix}{a}{run}" for a in axis]
+        own, cross = points.T.ravel(), points[:, ::-1].T.ravel()
+        yield labels, (cross, own, one, ever)
 
 
 class _Sum(NamedTuple):
@@ -44,21 +123,21 @@ class _Sum(NamedTuple):
     rig: Any = 0.0
 
 
-def _zero(law: Callable[[_World], Any]) -> Callable[[_World, float], _Sum]:
+def _zero(law: Callable[[World], Any]) -> Callable[[World, float], _Sum]:
     return lambda w, size: _Sum(zero=w.share * size * law(w))
 
 
-def _electrical(w: _World, size: float) -> _Sum:
+def _electrical(w: World, size: float) -> _Sum:
     """As much of the zero as `size` is electrical: it does not tilt with the axis."""
     return _Sum(zero=-w.share * size, electrical=w.share * size)
 
 
-def _wobble(w: _World) -> np.ndarray:
+def _wobble(w: World) -> np.ndarray:
     """The spindle's axis goes round a cone, once and twice a turn; every sine and cosine of size 1."""
     return np.sqrt(2.0) * (np.cos(w.cross - np.pi / 4) + np.cos(2 * w.cross - np.pi / 4))
 
 
-_LAWS: dict[str, Callable[[_World, float], _Sum]] = {
+_LAWS: dict[str, Callable[[World, float], _Sum]] = {
     "zero.placement_quadratic": _zero(lambda w: np.rad2deg(w.placement) ** 2),
     "zero.projection": _zero(lambda w: np.cos(w.placement) + np.sin(w.placement)),
     "zero.temperature": _zero(lambda w: w.warmth),
@@ -97,85 +176,31 @@ def simulated_columns(
     campaign, effects = campaign or Campaign(), dict(effects or {})
     simulated.refuse_effects(effects, _LAWS, "a test of the inclinometer")
     random = simulated.generators(("noise", "run", "table", "thermometer", "device"), seed)
-    laid = plan(campaign)
-    temperature, world = _world(campaign, laid, random)
-    output = _reading(campaign, laid, world, effects, _repeated(campaign, laid, random["run"]))
-    output = output + campaign.noise * random["noise"].standard_normal(output.size)
-    columns: dict[str, Any] = {
-        "axis": laid.axis,
-        "run": laid.run,
-        "placement_angle": laid.placement,
-        "time": laid.time,
-        "temperature": temperature,
+    world = World(campaign, random)
+    output = _reading(world, effects) + campaign.noise * random["noise"].standard_normal(
+        world.time.size
+    )
+    columns: dict[str, Any] = {"device": world.device} if campaign.devices > 1 else {}
+    columns |= {
+        "axis": world.axis,
+        "run": world.run,
+        "placement_angle": world.placement_set,
+        "time": world.time,
+        "temperature": world.thermometer,
         "output": output,
     }
-    if campaign.devices > 1:
-        columns = {"device": laid.device, **columns}
-    if laid.verification:
-        columns["true_angle"] = laid.tilt
+    if campaign.grid:
+        columns["true_angle"] = world.tilt
     else:
-        columns["direction"] = np.where(laid.forward > 0, "forward", "backward")
+        columns["direction"] = np.where(world.forward > 0, "forward", "backward")
     return columns
 
 
-def _world(
-    campaign: Campaign, laid: Plan, random: Mapping[str, np.random.Generator]
-) -> tuple[np.ndarray, _World]:
-    """The thermometer's column, °C, and what is true."""
-    phase = 2 * np.pi * laid.time / campaign.period + PHASES[0]
-    turn = 2 * np.pi * campaign.lag_time / campaign.period  # of a body of first order, in its swing
-    thermometer = campaign.swing * np.sin(phase)
-    warmth = campaign.swing * np.sin(phase - np.arctan(turn)) / np.hypot(1.0, turn)
-    noise = 0.01 * random["thermometer"].standard_normal(laid.time.size)
-    settled = 1 - np.exp(-(laid.time - laid.time.min()) / campaign.settling_time)
-    settled = settled / max(float(settled.max()), 1e-300) - 0.5
-    limit = ARCSEC * campaign.dividing
-    error = random["table"].uniform(-limit, limit, laid.time.size)
-    cross = laid.placement + error
-    placement = cross
-    if laid.verification and campaign.exact:
-        placement = exact_placement(laid.tilt, cross, np)
-    turning = 1 - 2 * np.exp(-laid.turned / campaign.reversal)
-    own, share = _accelerometers(campaign, laid, random["device"])
-    world = _World(
-        *(own, share, laid.tilt, cross, placement),
-        warmth=warmth,
-        settled=settled,
-        sweep=laid.forward * turning,
-    )
-    return MEAN_TEMPERATURE + thermometer + noise, world
-
-
-def _accelerometers(
-    campaign: Campaign, laid: Plan, random: np.random.Generator
-) -> tuple[Accelerometer, np.ndarray]:
-    """Each reading's accelerometer, as one of arrays, and its share of hidden effects."""
-    known = dict(campaign.axes)
-    own = [known[axis] for axis in laid.axis]
-    made = {
-        f: np.array([getattr(one, f) for one in own]) for f in Accelerometer.__dataclass_fields__
-    }
-    for device in np.unique(laid.device)[1:]:
-        for axis in known:
-            shift, slope = random.standard_normal(2)
-            chosen = (laid.device == device) & (laid.axis == axis)
-            made["constant"][chosen] += campaign.device_spread * shift
-            made["slope"][chosen] += campaign.device_slope * slope
-    return Accelerometer(**made), made["share"]  # pyright: ignore[reportArgumentType]
-
-
-def _repeated(campaign: Campaign, laid: Plan, random: np.random.Generator) -> np.ndarray:
-    """What each mounting adds, arcsec."""
-    _, codes = np.unique(laid.run, return_inverse=True)
-    return campaign.repeatability * random.standard_normal(codes.max() + 1)[codes]
-
-
-def _reading(
-    campaign: Campaign, laid: Plan, world: _World, effects: Mapping[str, float], mounted: np.ndarray
-) -> np.ndarray:
+def _reading(world: World, effects: Mapping[str, float]) -> np.ndarray:
     """Readings without noise, arcsec."""
     one = world.accelerometer
-    total = _Sum(one.mechanical(world.placement) + mounted, one.electrical, one.scale)
+    mechanical = one.mechanical(world.placement) + world.mounted
+    total = _Sum(mechanical, one.electrical, one.scale)
     for name, size in effects.items():
         parts = zip(total, _LAWS[name](world, size), strict=True)
         total = _Sum(*(whole + part for whole, part in parts))
