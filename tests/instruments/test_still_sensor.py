@@ -15,8 +15,8 @@ from bayescal._cli.request import open_request
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable as can_test
 from bayescal_models import still_sensor
-from bayescal_models.still_sensor.campaign import LAG_TIME, SLOW_TIME
-from bayescal_models.still_sensor.simulator import NOISE_LAWS, WARM_UP_TIME
+from bayescal_models.still_sensor.campaign import LAG_TIME, SLOW_TIME, WARM_UP_TIME
+from bayescal_models.still_sensor.simulator import NOISE_LAWS
 
 UNITS = [
     ("m/s^2", "ug", 1e6 / 9.80665),

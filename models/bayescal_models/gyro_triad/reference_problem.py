@@ -1,9 +1,4 @@
-"""The reference problem: small, with proper priors; intervals must cover on it, and methods agree.
-
-    model, readings = reference_problem.model(), reference_problem.readings()
-
-`reference_posterior.json` holds its posterior for `readings(seed=0)`, by long NUTS.
-"""
+"""The reference problem of rates about three axes; what one is for stands in `bayescal_models`."""
 
 from __future__ import annotations
 
@@ -15,10 +10,8 @@ from bayescal_models.gyro_triad.model import INSTRUMENT, simulate
 
 CAMPAIGN = Campaign(mountings=("x", "y", "z"))
 
-
-def model() -> bc.Model:
-    """The baseline: bias, scale factors, six misalignments, and the mountings' errors."""
-    return INSTRUMENT.baseline()
+model = INSTRUMENT.baseline
+"""The baseline: bias, scale factors, six misalignments, and the mountings' errors."""
 
 
 def readings(seed: int = 0) -> bc.Measurements:
@@ -27,10 +20,5 @@ def readings(seed: int = 0) -> bc.Measurements:
 
 
 def hidden(effects: Mapping[str, float], seed: int) -> bc.Measurements:
-    """Two sessions over temperature with effects hidden in them.
-
-    Args:
-        effects: canonical name → true size, in the unit of the effect's coefficients.
-        seed: of every random number.
-    """
+    """Two sessions over temperature with effects hidden in them."""
     return simulate(effects, seed=seed, campaign=Campaign(temperatures=(-20.0, 25.0, 70.0), runs=2))

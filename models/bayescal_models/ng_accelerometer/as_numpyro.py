@@ -94,20 +94,9 @@ def model(temperature, time, tilt, angle, cell, cells, T0, output=None) -> None:
 def data(readings: bc.Measurements) -> dict[str, Any]:
     """The readings as arguments of `model`."""
     cells, cell = readings.groups("cell")
-    taken = {
-        "temperature": "temperature",
-        "time": "time",
-        "tilt": "tilt",
-        "angle": "position_angle",
-        "output": "output",
-    }
-    arrays = {name: readings[column] for name, column in taken.items()}
-    return {
-        **arrays,
-        "cell": cell,
-        "cells": len(cells),
-        "T0": np.round(arrays["temperature"].mean()),
-    }
+    taken = {n: readings[n] for n in ("temperature", "time", "tilt", "output")}
+    taken |= {"angle": readings["position_angle"], "cell": cell, "cells": len(cells)}
+    return taken | {"T0": np.round(readings["temperature"].mean())}
 
 
 def equal() -> bc.Model:

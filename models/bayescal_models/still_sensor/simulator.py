@@ -1,6 +1,6 @@
 """Columns of simulated records of a sensor at rest on temperature ramps, with effects hidden in them.
 
-The world (`campaign.py`) is made second by second and logged every ten; effects are laws of the true temperature and
+The world is made second by second and logged every ten; effects are laws of the true temperature and
 its true rate (the catalogue's rate is an estimate from the readings before).
 """
 
@@ -11,28 +11,77 @@ from typing import Any
 
 import numpy as np
 
-from bayescal_models.simulated import correlated, refuse_effects
-from bayescal_models.still_sensor.campaign import PAUSE, World, make_world
+from bayescal_models.simulated import correlated, first_order_body, refuse_effects
+from bayescal_models.still_sensor.campaign import (
+    CHAMBER_TIME,
+    LAG_TIME,
+    PAUSE,
+    RAMPS,
+    REVERSAL_TIME,
+    SLOW_TIME,
+    WANDER_TIME,
+    WARM_UP_TIME,
+)
 
 NOISE_LAWS = ("white", "ornstein_uhlenbeck")
 BASELINE = {"bias.constant": 2000.0, "bias.temperature": 40.0}
 NOISE = 20.0  # standard deviation of white noise, and of the wander beside it, output unit
-WARM_UP_TIME, WANDER_TIME = 600.0, 300.0  # s
+
+
+class World:
+    """The true temperature second by second, of a chamber whose air follows its ramps with a lag.
+
+    Attributes:
+        second: within a run, s, (m,).
+        ambient: T, °C, (m,): every run is gone through alike.
+        departure: T − T0, °C, T0 the mean of all rounded to 1 °C.
+        start: of each run, s, (runs, 1).
+        turn_on: one standard normal number for each run, (runs, 1).
+    """
+
+    def __init__(self, turn_on: np.ndarray) -> None:
+        minutes, goals = np.array(RAMPS).T
+        self.second = np.arange(60.0 * minutes[-1] + 1)
+        self.ambient = self.body(np.interp(self.second, 60 * minutes, goals), CHAMBER_TIME)
+        self.departure = self.ambient - round(float(self.ambient.mean()))
+        self.start = np.arange(len(turn_on))[:, None] * (self.second[-1] + PAUSE)
+        self.turn_on = turn_on[:, None]
+
+    def body(self, drive: np.ndarray, time_constant: float) -> np.ndarray:
+        return first_order_body(drive, time_constant, 1.0)
+
+    @property
+    def rate(self) -> np.ndarray:
+        """dT/dt, °C/min."""
+        return 60 * np.gradient(self.ambient)
+
+    @property
+    def behind(self) -> np.ndarray:
+        """T̃ − T of a body of first order, °C."""
+        return self.body(self.ambient, LAG_TIME) - self.ambient
+
+    @property
+    def progress(self) -> np.ndarray:
+        """(t − t̄)/(tmax − tmin) over all runs, (runs, m)."""
+        elapsed = self.start + self.second
+        return (elapsed - elapsed.mean()) / np.ptp(elapsed)
+
 
 _LAWS: dict[str, Callable[[World], np.ndarray]] = {
-    "bias.constant": lambda w: np.ones_like(w.time),
+    "bias.constant": lambda w: np.ones_like(w.second),
     "bias.temperature": lambda w: w.departure,
     "bias.temperature_quadratic": lambda w: w.departure**2,
     "bias.temperature_cubic": lambda w: w.departure**3,
     "bias.temperature_quartic": lambda w: w.departure**4,
     "bias.rate": lambda w: w.rate,
     "bias.thermal_lag": lambda w: w.behind,
-    "bias.thermal_lag_slow": lambda w: w.far_behind,
+    "bias.thermal_lag_slow": lambda w: w.body(w.ambient, SLOW_TIME) - w.ambient,
     "bias.temperature_x_lag": lambda w: w.departure * w.behind,
-    "bias.hysteresis": lambda w: w.direction,
-    "bias.warm_up": lambda w: np.exp(-w.time / WARM_UP_TIME),
+    # the sign of the rate, which takes its time to turn
+    "bias.hysteresis": lambda w: w.body(np.sign(w.rate), REVERSAL_TIME),
+    "bias.warm_up": lambda w: np.exp(-w.second / WARM_UP_TIME),
     "bias.drift": lambda w: w.progress,
-    "bias.run": lambda w: w.turn_on + np.zeros_like(w.time),
+    "bias.run": lambda w: w.turn_on,
 }
 
 
@@ -56,18 +105,18 @@ def simulated_columns(
     if runs < 1 or interval < 1:
         raise ValueError(f"runs={runs} and interval={interval} s must be at least 1")
     rng = np.random.default_rng(seed)
-    temperature, world = make_world(runs, rng.standard_normal(runs))
+    world = World(rng.standard_normal(runs))
+    shape = (runs, world.second.size)
     parts = (size * _LAWS[name](world) for name, size in sizes.items())
-    true = sum(parts, start=np.zeros_like(world.time))
-    scatter = NOISE * rng.standard_normal(true.shape)
+    true = sum(parts, start=np.zeros(shape))
+    scatter = NOISE * rng.standard_normal(shape)
     if noise_law == "ornstein_uhlenbeck":
-        scatter += NOISE * correlated(rng, true.shape, WANDER_TIME, 1.0)
+        scatter += NOISE * correlated(rng, shape, WANDER_TIME, 1.0)
     logged = slice(0, None, interval)
-    start = np.arange(runs)[:, None] * (world.time[0, -1] + PAUSE)
-    labels = np.repeat(np.arange(1, runs + 1), world.time[0, logged].size).astype(str)
+    taken = world.second[logged].size
     return {
-        "run": labels,
-        "time": (start + world.time)[:, logged].ravel(),
-        "temperature": temperature[:, logged].ravel(),
+        "run": np.repeat(np.arange(1, runs + 1), taken).astype(str),
+        "time": (world.start + world.second)[:, logged].ravel(),
+        "temperature": np.tile(world.ambient[logged], runs),
         f"output [{unit}]": (true + scatter)[:, logged].ravel(),
     }
