@@ -67,6 +67,11 @@ def test_the_data_sheet_names_no_effect_that_is_not_there(case: Case) -> None:
     assert named <= known, f"on the data sheet, not in the model: {sorted(named - known)}"
 
 
+def test_every_folder_has_the_same_plan(case: Case) -> None:
+    files = ("model", "as_numpyro", "campaign", "simulator", "reference_problem", "example")
+    assert {f"{name}.py" for name in files} <= {file.name for file in case.folder.iterdir()}
+
+
 def test_data_name_their_source(case: Case) -> None:
     folder = case.folder / "data"
     files = {f.name for f in folder.iterdir()} - {"PROVENANCE.md"} if folder.is_dir() else set()

@@ -19,8 +19,9 @@ from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
 from bayescal_models.gyro_triad import MovesByHand, simulate_log
 from bayescal_models.gyro_triad.log_simulator import MOUNTED
-from bayescal_models.gyro_triad.simulator import BASELINE, OFF_DIAGONAL
+from bayescal_models.gyro_triad.simulator import BASELINE
 from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
+from bayescal_models.triad.simulator import OFF_DIAGONAL
 from tests.support.command_line import needs_installation, run
 from tests.support.export_check import COMPILER, run_c
 from tests.support.triad_truth import TRUE

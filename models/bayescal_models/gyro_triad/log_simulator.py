@@ -14,9 +14,9 @@ import numpy as np
 
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
 from bayescal_models.gyro_triad.campaign import MovesByHand
-from bayescal_models.gyro_triad.simulator import BASELINE, COUNTS, OFF_DIAGONAL
+from bayescal_models.gyro_triad.simulator import BASELINE, COUNTS
 from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
-from bayescal_models.triad.simulator import members_of
+from bayescal_models.triad.simulator import matrix_of, members_of
 
 EARTH = 15.041 / 3600  # °/s
 MOUNTED = (0.03, -0.05, 0.04)  # by how much the magnetometers are turned against the body, rad
@@ -53,14 +53,11 @@ def simulate_log(
         level = [np.cos(phi) * np.cos(heading), np.cos(phi) * np.sin(heading), np.sin(phi)]
         around = EARTH * np.array(level)
     rate = rate + np.einsum("nij,i->nj", up, around)
-    matrix = np.eye(3) + 1e-6 * np.diag(sizes["scale.constant"])
-    for angle, at in zip(sizes["misalignment.constant"], OFF_DIAGONAL, strict=True):
-        matrix[at] += 1e-3 * angle
+    matrix = matrix_of(1e-6 * sizes["scale.constant"], 1e-3 * sizes["misalignment.constant"])
     sensitivity = sizes["bias.g_sensitivity"].reshape(3, 3)
     gyro = rate @ matrix.T + sizes["bias.constant"] + force @ sensitivity.T
     gyro = gyro + 1e-6 * sizes["square.constant"] * rate**2
-    own = np.eye(3) + 1e-6 * np.diag(ACCELEROMETERS["scale.constant"])
-    own[0, 1], own[0, 2], own[1, 2] = 1e-3 * np.array(ACCELEROMETERS["misalignment.constant"])
+    own = _matrix(ACCELEROMETERS)
     accel = force @ own.T + 1e-3 * np.array(ACCELEROMETERS["bias.constant"])
     each = math.sqrt(plan.rate)
     gyro = gyro + plan.gyro_noise * each * rng.standard_normal(gyro.shape)
@@ -78,14 +75,16 @@ def _magnetometers(plan: MovesByHand, attitude: np.ndarray, rng: np.random.Gener
     heading, dip = rng.uniform(0, 2 * np.pi), np.deg2rad(plan.dip)
     level = [np.cos(dip) * np.cos(heading), np.cos(dip) * np.sin(heading), -np.sin(dip)]
     field = np.einsum("nij,i->nj", attitude, 50.0 * np.array(level))
-    matrix = np.eye(3) + 1e-6 * np.diag(MAGNETOMETERS["scale.constant"])
-    matrix[0, 1], matrix[0, 2], matrix[1, 2] = 1e-3 * np.array(
-        MAGNETOMETERS["misalignment.constant"]
-    )
+    matrix = _matrix(MAGNETOMETERS)
     own = field @ _rotation(np.array(MOUNTED)).T
     each = plan.field_noise * math.sqrt(plan.rate)
     bias = np.array(MAGNETOMETERS["bias.constant"])
     return own @ matrix.T + bias + each * rng.standard_normal(own.shape)
+
+
+def _matrix(of: Mapping[str, Any]) -> np.ndarray:
+    scale, angles = np.array(of["scale.constant"]), np.array(of["misalignment.constant"])
+    return matrix_of(1e-6 * scale, 1e-3 * angles)
 
 
 def _path(plan: MovesByHand, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bayescal_models.gyro_triad.campaign import Campaign
-from bayescal_models.triad.simulator import REFERENCE, members_of
+from bayescal_models.triad.simulator import REFERENCE, matrix_of, members_of
 
 # The unit that is there unless effects say otherwise: bias °/s, scale ppm, misalignment mrad.
 BASELINE = {
@@ -21,7 +21,6 @@ BASELINE = {
     "scale.constant": (4000.0, -3000.0, 6000.0),
     "misalignment.constant": (3.0, -5.0, 2.0, 4.0, -2.0, 6.0),
 }
-OFF_DIAGONAL = ((0, 1), (0, 2), (1, 2), (1, 0), (2, 0), (2, 1))
 COUNTS = {
     "bias.constant": 3,
     "bias.temperature": 3,
@@ -78,11 +77,9 @@ def simulated_columns(
     output = np.empty((len(rows), 3))
     for i, row in enumerate(rows):
         warm, omega = row["temperature"] - REFERENCE, row["rate"] * row["true"]
-        matrix = np.eye(3)
-        matrix += 1e-6 * np.diag(sizes["scale.constant"] + sizes["scale.temperature"] * warm)
+        scale = 1e-6 * (sizes["scale.constant"] + sizes["scale.temperature"] * warm)
         angles = sizes["misalignment.constant"] + sizes["misalignment.temperature"] * warm
-        for angle, (a, b) in zip(angles, OFF_DIAGONAL, strict=True):
-            matrix[a, b] += 1e-3 * angle
+        matrix = matrix_of(scale, 1e-3 * angles)
         bias = sizes["bias.constant"] + sizes["bias.temperature"] * warm
         bias = bias + sizes["bias.temperature_quadratic"] * warm**2
         bias = bias + sizes["bias.g_sensitivity"].reshape(3, 3) @ row["true"]

@@ -19,6 +19,7 @@ REFERENCE = 25.0  # °C, where bias, scale and misalignment are those
 # A hidden effect of size c comes at these multiples of it on the members of its family.
 SHARES = np.array([1.0, -0.6, 0.8, -1.0, 0.5, 0.9, -0.7, 1.0, -0.4])
 PAIRS = ((0, 1), (0, 2), (1, 2))
+OFF_DIAGONAL = (*PAIRS, (1, 0), (2, 0), (2, 1))
 # Laws, and how many coefficients each has.
 COUNTS = {
     "bias.constant": 3,
@@ -65,6 +66,14 @@ def members_of(
             raise ValueError(f"{name}: its size {size!r} is no number")
         sizes[name] = size * SHARES[: counts[name]] if np.ndim(size) == 0 else np.asarray(size)
     return sizes
+
+
+def matrix_of(scale: Any, angles: Sequence[float]) -> np.ndarray:
+    """What the axes feel of what acts: deviations of the scale factors, and three or six angles, rad."""
+    made = np.eye(3) + np.diag(scale)
+    for at, angle in zip(OFF_DIAGONAL, angles, strict=False):
+        made[at] = angle
+    return made
 
 
 def simulator_of(
@@ -128,9 +137,7 @@ def _poses(
     lower = 1e-3 * sizes["misalignment.frame"]
     output = np.empty((count, 3))
     for i in range(count):
-        matrix = np.eye(3) + np.diag(scale[i])
-        matrix[0, 1], matrix[0, 2], matrix[1, 2] = upper[i]
-        matrix[1, 0], matrix[2, 0], matrix[2, 1] = lower
+        matrix = matrix_of(scale[i], (*upper[i], *lower))
         products = np.array([force[i, a] * force[i, b] for a, b in PAIRS])
         second = sizes["square.constant"] * force[i] ** 2
         second = second + sizes["cross.constant"].reshape(3, 3) @ products

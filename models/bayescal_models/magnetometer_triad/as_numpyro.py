@@ -1,0 +1,53 @@
+"""Three magnetometers turned in a constant field of unknown direction: hard and soft iron, whole, in NumPyro.
+
+What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
+
+    MCMC(NUTS(model, dense_mass=True), num_warmup=1000, num_samples=1000).run(key, **data(readings))
+
+In each reading the field of magnitude F points along a latent unit vector u of which nothing is known; m = F·u:
+
+    y = b + (1 + κ)·m + [γ_xy·m_y + γ_xz·m_z,  γ_yz·m_z,  0] + e,     e ~ N(0, σ²) in each axis,  all in µT
+
+The z axis of the body is that of the sensor z, its y axis in the plane of the sensors y and z.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+from numpyro.distributions import HalfCauchy, Normal
+
+import bayescal as bc
+from bayescal_models.magnetometer_triad.model import INSTRUMENT
+
+
+def model(magnitude, output=None) -> None:
+    """F of each reading µT (n,); output µT (n, 3), or None to simulate."""
+
+    def each(name: str, parts: tuple[str, ...], size: float) -> Any:
+        return jnp.stack([numpyro.sample(f"{name}[{part}]", Normal(0.0, size)) for part in parts])
+
+    bias = each("bias.constant", ("x", "y", "z"), 50.0)  # µT
+    kappa = 1e-6 * each("scale.constant", ("x", "y", "z"), 300_000.0)  # from ppm
+    xy, xz, yz = 1e-3 * each("misalignment.constant", ("xy", "xz", "yz"), 100.0)  # from mrad
+    with numpyro.plate("readings", len(magnitude)):
+        arrow = numpyro.sample("arrow", Normal(jnp.zeros(3), 1.0).to_event(1))
+    m = magnitude[:, None] * arrow / jnp.linalg.norm(arrow, axis=1, keepdims=True)
+    y, z = m[:, 1], m[:, 2]
+    turned = jnp.stack([xy * y + xz * z, yz * z, 0.0 * z], axis=1)
+    noise = numpyro.sample("noise.white", HalfCauchy(0.3))  # µT
+    numpyro.sample("output", Normal(bias + (1 + kappa) * m + turned, noise).to_event(1), obs=output)
+
+
+def data(readings: bc.Measurements) -> dict[str, Any]:
+    """The readings as arguments of `model`."""
+    output = np.stack([readings[name] for name in INSTRUMENT.vector.outputs], axis=1)
+    return {"magnitude": readings["magnitude"], "output": output}
+
+
+def equal() -> bc.Model:
+    """The same model as a sum of named effects."""
+    return INSTRUMENT.baseline()
