@@ -60,7 +60,8 @@ SURE_SD = 6.0
 STIRRED_DEGREES = 0.2
 
 Terms = tuple[str, ...]  # names of those of a sum, beside white noise
-LONG = 16_384  # readings, above which means of blocks are taken: the filter then takes a tenth of a second
+# Readings above which means of blocks are taken: the filter then takes a tenth of a second.
+BLOCK_MEANS_READINGS = 16_384
 STRETCHES = 8  # of single readings beside the means, as many readings as there are means at most
 ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, then in pairs
 TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
@@ -75,7 +76,7 @@ SMOOTH = 0.02  # relative, of a spectrum without lines over as many places: it b
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
 SETTLED = 0.1  # standard deviations that a climb's last step moves by: within a hundredth of a nat of the maximum
 DRAWS = 1024  # proposals of each round
-FEWEST = 0.25  # of them, for a sum of little probability or a bound
+FEWEST_SHARE = 0.25  # of them, for a sum of little probability or a bound
 KEPT = 2048  # draws by their weights, over all sums together
 ROUNDS = 4  # of proposals at most, until their weights are sound
 
@@ -232,8 +233,8 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
         further = _sorted((*walk.terms, "walk"))
         if further not in sampled:
             fit = fits.get(further) or _fit(channel, further)
-            sampled[further] = _sampled(channel, further, fit, seed, FEWEST)
-        walk = _drawn(channel, further, sampled[further], seed, FEWEST)
+            sampled[further] = _sampled(channel, further, fit, seed, FEWEST_SHARE)
+        walk = _drawn(channel, further, sampled[further], seed, FEWEST_SHARE)
     return WeighedNoise(tuple(drawn), walk, probabilities, tuple(notes), runs)
 
 
@@ -327,11 +328,11 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
             f"a polynomial of degree {DEGREE} over temperature was taken out beside the noise"
         )
     total = sum(len(r) for r in rows)
-    count = 2 ** max(0, math.ceil(math.log2(total / LONG)))
+    count = 2 ** max(0, math.ceil(math.log2(total / BLOCK_MEANS_READINGS)))
     blocks: list[np.ndarray] = []
     if count > 1:
         blocks = [r[: len(r) // count * count].reshape(-1, count) for r in rows if len(r) >= count]
-        rows = _stretches(rows, LONG // STRETCHES)
+        rows = _stretches(rows, BLOCK_MEANS_READINGS // STRETCHES)
         notes.append(
             f"of {total} readings the filter took {sum(map(len, blocks))} means of {count} by their exact law, and "
             f"{len(rows)} stretches of {len(rows[0])} single readings"
@@ -435,7 +436,7 @@ def _sampled(channel: _AtRest, terms: Terms, mode: Mode, seed: int, share: float
     Args:
         share: of all draws; a sum of little probability has few of those that are kept.
     """
-    assembly, share, found = channel.assembly(terms), max(share, FEWEST), None
+    assembly, share, found = channel.assembly(terms), max(share, FEWEST_SHARE), None
     for _ in range(ROUNDS):
         found = weighted_draws(
             assembly, mode, seed, math.ceil(DRAWS * share), ROUNDS, earlier=found

@@ -37,10 +37,11 @@ REACH = 0.1  # λ·h, below which a small difference of exponentials is summed a
 MOVING = ("noise.tone.slope", "noise.tone.bend")  # of a tone's frequency along a column
 WINDOW = 32  # readings of a spectrum, in which a line that moves stays in its place
 FINE = 2  # places of a spectrum to each that its readings tell apart
-FEWEST_WINDOWS = 8
+FEWEST_WINDOWS = 8  # whose mean spectrum is even enough for a line to stand out
 GRID = 16  # slopes of a frequency, from none to twice the Nyquist frequency over half the column's range
 LOUDEST = 20.0  # times the usual, as much as a window counts: a spike is no line
-SHORT = 1e-5  # correlation times, below which correlated noise is a random walk to as many digits
+# Of the correlation time, below which correlated noise is a random walk to as many digits.
+SHORT_TIMES = 1e-5
 FLAT = 2 * math.log(2) / math.pi  # Allan variance of flicker noise over B²
 
 
@@ -502,7 +503,7 @@ def allan_of_exponential(m: Float[np.ndarray, "k"], a: Any) -> Any:
     """
     rho, fall, gap = np.exp(-a), -np.expm1(-m * a), -np.expm1(-a)
     stationary = ((1 + rho) / gap - rho * fall * (2 + fall) / (m * gap**2)) / m
-    return np.where(np.abs(m * a) < SHORT, a * (2 * m**2 + 1) / (3 * m), stationary)
+    return np.where(np.abs(m * a) < SHORT_TIMES, a * (2 * m**2 + 1) / (3 * m), stationary)
 
 
 def _exponential_complex(m: Float[np.ndarray, "k"], a: Any) -> Any:

@@ -34,7 +34,7 @@ LEVELS = (
     0.0,
     1.0,
 )  # coordinates of a law's further parameters, at which a maximum is looked for first
-STILL = 0.1  # standard deviations that a climb's last step moves by: within a hundredth of a nat of the maximum
+STILL_SD = 0.1  # that a climb's last step moves by: within a hundredth of a nat of the maximum
 
 
 def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
@@ -108,7 +108,7 @@ def on_residuals(
     there = total_log_density(law, record, left[None], hyper)
     there += sum(np.asarray(p.log_density(starts[:, i])) for i, p in enumerate(priors.values()))
     alone = Assembly(Layout(Model(CHANNEL, (), law), ()), record.of_noise(left))
-    top = find_mode(alone, [starts[int(np.argmax(there))]], still=STILL, curved=False)
+    top = find_mode(alone, [starts[int(np.argmax(there))]], still=STILL_SD, curved=False)
     mode = at_mode(Density(alone, top.point, top.flat), top.v, top.change, quick=True)
     return OnResiduals(float(mode.log_evidence), dict(zip(priors, mode.v.tolist(), strict=True)))
 

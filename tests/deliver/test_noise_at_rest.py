@@ -124,7 +124,7 @@ def test_a_walk_that_is_not_there_has_a_bound() -> None:
 
 @pytest.mark.slow
 def test_means_of_blocks_say_what_single_readings_say(walking, monkeypatch) -> None:
-    monkeypatch.setattr(noise_at_rest, "LONG", 1024)
+    monkeypatch.setattr(noise_at_rest, "BLOCK_MEANS_READINGS", 1024)
     found = bc.noise(still(5))
     assert any("means of 8" in note for note in found.notes)
     for name, wider in (("N", 3.0), ("K", 1.5)):
@@ -139,7 +139,7 @@ def test_means_and_stretches_weigh_a_random_walk_as_single_readings_do(monkeypat
     data = still(4, n=16_384)
     profiles = []
     for longest in (1024, 20_000):
-        monkeypatch.setattr(noise_at_rest, "LONG", longest)
+        monkeypatch.setattr(noise_at_rest, "BLOCK_MEANS_READINGS", longest)
         channel, _ = noise_at_rest._channel(data, even_runs(data))
         assembly = channel.assembly(("walk",))
         white = N / math.sqrt(STEP)

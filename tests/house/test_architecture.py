@@ -120,6 +120,47 @@ def test_names_are_unique() -> None:
     assert not twice, f"these names stand for two things: {sorted(twice)}"
 
 
+def constants() -> Iterator[tuple[str, list[str], str]]:
+    """Numbers at the top of modules: the module, their names, and their lines with a comment above."""
+    for name, file in MODULES.items():
+        lines = file.read_text("utf-8").splitlines()
+        for node in parsed(file).body:
+            if not isinstance(node, ast.Assign):
+                continue
+            targets = [t for one in node.targets for t in getattr(one, "elts", [one])]
+            names = [t.id for t in targets if isinstance(t, ast.Name) and t.id.isupper()]
+            try:
+                value = ast.literal_eval(node.value)
+            except ValueError:
+                continue
+            values = value if isinstance(value, tuple) and value else (value,)
+            if names and all(isinstance(v, int | float) for v in values):
+                assert node.end_lineno is not None
+                above = [
+                    line
+                    for line in lines[node.lineno - 2 : node.lineno - 1]
+                    if line.startswith("#")
+                ]
+                yield name, names, "\n".join([*above, *lines[node.lineno - 1 : node.end_lineno]])
+
+
+def test_every_number_has_its_reason_beside_it() -> None:
+    bare = [(module, *names) for module, names, text in constants() if "#" not in text]
+    assert not bare, "say in a comment why it is this number, or what it is of"
+
+
+VAGUE = """
+    ALL CLOSE CLOSER ENOUGH EXACT FAR FEW FEWEST FIRST GOOD LARGE LARGER LARGEST LEAST LONG LONGEST MANY MOST NEAR SHORT
+    SHORTEST SHOWN SMALL STILL TOGETHER USUAL WIDE WIDER
+"""
+
+
+def test_constants_are_named_by_their_quantity() -> None:
+    """How much of what, and not *most* or *few*, which were eight things."""
+    vague = VAGUE.split()
+    assert not [(module, n) for module, names, _ in constants() for n in names if n in vague]
+
+
 def test_every_module_says_what_it_holds() -> None:
     silent = [n for n, f in MODULES.items() if not ast.get_docstring(parsed(f))]
     assert not silent
