@@ -37,11 +37,11 @@ from ._data.allan_deviation import AllanDeviation as AllanDeviation
 # what leaves: the compensation, its budget, pictures, the report for sign-off
 from ._use.compensator import compensator as compensator
 from ._use.compensator import load_compensator as load_compensator
-from ._use.vector_correction import vector_correction as vector_correction
+from ._use.vector_series import vector_correction as vector_correction
 from ._use.moves import moves as moves
-from ._use.vector_correction import in_frame_of as in_frame_of
-from ._use.vector_export import export_vector as export_vector
-from ._use.vector_export import load_vector_correction as load_vector_correction
+from ._use.body_frame import in_frame_of as in_frame_of
+from ._use.correction_files import export_vector as export_vector
+from ._use.correction_files import load_vector_correction as load_vector_correction
 from ._use.budget import budget as budget
 from ._use.decide import decide as decide
 from ._use.firmware_parameters import firmware_parameters as firmware_parameters

@@ -109,8 +109,7 @@ def triad(
 ) -> None:
     """Calibrate three axes by poses at rest or known rates; corrections as C99, Python, JSON and YAML."""
     from bayescal._cli.request import open_request
-    from bayescal._use.code_writer import sensor_name
-    from bayescal._use.vector_export import data
+    from bayescal._use.correction_files import sensor_name
 
     sensor_name(asked.name, "")  # refused before anything takes time
     chosen, model, readings = open_request(ReadRequest(instrument, files, columns, ModelOptions()))
@@ -136,7 +135,7 @@ def triad(
             with whole_folder(folder) as hidden:
                 _write(hidden, trail, correction, readings, asked.name)
         if asked.json_:
-            print_result(data(correction))
+            print_result(correction.data())
         made = folder is None or _draw({"": trail}, folder)
         if folder is not None and not asked.json_:
             print(_written(folder))
@@ -156,8 +155,7 @@ def imu(
     """Calibrate accelerometers by poses, gyroscopes by moves between them, magnetometers: one log, one frame."""
     from bayescal._cli.request import instrument_named
     from bayescal._tables.raw_table import Problems
-    from bayescal._use.code_writer import sensor_name
-    from bayescal._use.vector_export import data, names_in_unit
+    from bayescal._use.correction_files import names_in_unit, sensor_name
 
     sensor_name(asked.name, "")
     how, field = columns.for_read(), columns.local_field
@@ -211,7 +209,7 @@ def imu(
                     bc.export_vector(first, hidden / file, others=each[1:], name=asked.name)
                 bc.export_vector(first, hidden / "imu.yaml", others=each[1:2])
         if asked.json_:
-            print_result({name: data(correction) for name, (_, correction, _) in found.items()})
+            print_result({name: correction.data() for name, (_, correction, _) in found.items()})
         trails = {name: trail for name, (trail, _, _) in found.items()}
         made = folder is None or _draw(trails, folder)
         if folder is not None and not asked.json_:
@@ -288,7 +286,7 @@ def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str
     """All that there is of three axes but what is drawn, to a folder that is not seen yet."""
     from bayescal._report.save_search import write_search
     from bayescal._report.whole_folder import list_files
-    from bayescal._use.vector_export import left_out
+    from bayescal._use.vector_parameters import left_out
 
     write_search(trail, folder)
     for name in FILES:
@@ -430,9 +428,9 @@ def export(
         return
     ((_, chosen),) = loaded
     if out is None:
-        from bayescal._use import code_writer
+        from bayescal._use.correction_files import as_text
 
-        print(code_writer.as_text(chosen.program, str(format_), **how), end="")
+        print(as_text(chosen.program, str(format_), **how), end="")
     else:
         print(f"written: {chosen.export(out, format_, **how)}")
     exit_unless_reliable({"": chosen})
@@ -442,7 +440,8 @@ def _export_triads(
     triads: Sequence[bc.VectorCorrection], format: str | None, out: Path | None, **how: Any
 ) -> None:
     """Write what corrects three axes, or those of a unit, to a file or on standard output."""
-    from bayescal._use.vector_export import as_text, format_of, left_out
+    from bayescal._use.correction_files import as_text, format_of
+    from bayescal._use.vector_parameters import left_out
 
     how["others"] = triads[1:]
     format = format_of(out, format)

@@ -10,7 +10,6 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fit import load
 from bayescal._cli.options import DecisionRule, InUse, OwnParts, UsedParts, named_values
 from bayescal._core.errors import InputError
-from bayescal._core.json_shape import read_json
 from bayescal._fleet.batch_result import load_batch, load_fleet
 from bayescal._fleet.population import Population
 from bayescal._model.instrument import Instrument
@@ -24,20 +23,20 @@ from bayescal._report.whole_folder import (
     refuse_mixed,
 )
 from bayescal._search.own_files import instrument_named, user_effects
-from bayescal._use.code_writer import FORMATS
-from bayescal._use.compensator import Compensator, compensator, load_compensator
+from bayescal._use.autopilot import AUTOPILOTS
+from bayescal._use.compensator import Compensator, compensator
+from bayescal._use.correction_files import OF_ONE_OUTPUT, load_correction
 from bayescal._use.decide import decide
 from bayescal._use.firmware_parameters import (
-    AUTOPILOTS,
     FirmwareParameters,
     axis_of,
     firmware_parameters,
 )
-from bayescal._use.vector_correction import VectorCorrection, vector_correction
-from bayescal._use.vector_export import load_vector_correction
+from bayescal._use.vector_correction import VectorCorrection
+from bayescal._use.vector_series import vector_correction
 
 PARAMETERS, DCC = tuple(AUTOPILOTS), "dcc"
-KNOWN = (*FORMATS.values(), "yaml", *PARAMETERS, DCC)  # formats of an export
+KNOWN = (*OF_ONE_OUTPUT, "yaml", *PARAMETERS, DCC)  # formats of an export
 
 
 def load_saved(path: Path, own: OwnParts) -> Calibration:
@@ -91,20 +90,12 @@ def correction_from(path: Path, own: InUse) -> Compensator | VectorCorrection:
             raise InputError(
                 f"{path.name} is an export, made for its members: give the calibration"
             )
-        return load_vector_correction(path) if _is_of_triad(path) else load_compensator(path)
+        found = load_correction(path)
+        return found if isinstance(found, VectorCorrection) else Compensator(None, loaded=found)
     calibration = load_saved(path, own)
     if calibration.model.instrument.vector is not None:
         return vector_correction(calibration)
     return compensator(calibration, members=own.members)
-
-
-def _is_of_triad(path: Path) -> bool:
-    """Whether a JSON file says that it is a correction of three axes."""
-    try:
-        found = read_json(path)
-    except (OSError, ValueError):
-        return False
-    return isinstance(found, dict) and "terms" in found
 
 
 def population_of(given: list[str] | None) -> Population | list[str] | None:

@@ -36,6 +36,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayescal._core.inverse import stepped
 from bayescal._data.pose_rows import ACROSS, DIRECTION, ellipsoid, magnitude
 from bayescal._model.frame import Frame
 from bayescal._model.static import static
@@ -142,11 +143,13 @@ def inverted(
     outputs: Outputs, y: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
     """f̂ = h⁻¹(y) and H⁻¹ there. The last step of Newton alone is differentiated: that is the derivative of h⁻¹."""
-    force = y
-    for step in range(INVERSIONS + 1):
-        force = jax.lax.stop_gradient(force) if step == INVERSIONS else force
+
+    def equation(force: Array) -> tuple[Array, Callable[[Array], Array]]:
         there, inverse = _with_inverse(outputs, force)
-        force = force - jnp.sum(inverse * (there - y)[:, None, :], axis=2)
+        return there, lambda miss: jnp.sum(inverse * miss[:, None, :], axis=2)
+
+    near = jax.lax.stop_gradient(stepped(equation, y, y, INVERSIONS))
+    force = stepped(equation, y, near, 1)
     return force, _with_inverse(outputs, force)[1]
 
 

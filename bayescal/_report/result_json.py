@@ -34,8 +34,7 @@ from bayescal._search.discover import Discovery
 from bayescal._search.next_experiment import NextExperiment
 from bayescal._search.posterior import ShownStructure
 from bayescal._search.search_path import SearchPath, Step
-from bayescal._use.vector_correction import vector_correction
-from bayescal._use.vector_export import data
+from bayescal._use.vector_series import vector_correction
 
 SCHEMA = "bayescal.result/2"
 # A step's key of the noise → the unknown of a law, where it has it.
@@ -130,7 +129,7 @@ def vector_data(
         correction = vector_correction(calibration)
     except ModelError as error:
         return {"unavailable": str(error), "averaged": averaged}
-    whole = {k: v for k, v in data(correction).items() if k != "made_by"}
+    whole = {k: v for k, v in correction.data().items() if k != "made_by"}
     return {**whole, "uncertainty": correction.uncertainty.tolist(), "averaged": averaged}
 
 

@@ -306,7 +306,7 @@ def _by_coefficient(
 
 def _slopes(chosen: Compensator, point: Mapping[str, float]) -> tuple[AtPoint, np.ndarray]:
     """The equation at a point, and ∂value/∂θ there."""
-    found = chosen._inverse.at_point(chosen._moments.mean, point)
+    found = chosen._equation.at_point(chosen._moments.mean, point)
     return found, 0.0 - found.gradient / found.slope
 
 

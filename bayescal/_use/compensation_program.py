@@ -29,16 +29,17 @@ from bayescal._calibration.mixture import inclusion
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
+from bayescal._core.inverse import stepped
 from bayescal._core.json_shape import OneOf, required
 from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame
+from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse
 from bayescal._use.expression_graph import Graph, NotExportable, trace
 from bayescal._use.operating_equation import (
     Folded,
-    Inverse,
     OperatingEquation,
     PosteriorMoments,
     Scalars,
@@ -256,9 +257,6 @@ def _calibrated(low: float, high: float, unit: str) -> str:
     return f" (calibrated: {low:.6g} to {high:.6g} {unit})"
 
 
-NOT_RELIABLE = "RESULT NOT RELIABLE: "
-
-
 @dataclass(frozen=True)
 class Provenance:
     """Where an export comes from and what may be done with it.
@@ -287,17 +285,6 @@ class Provenance:
     notes: tuple[str, ...]
     made_by: str
     calibration: str = ""
-
-    @property
-    def why_not(self) -> str:
-        """Why the result is not to be used, in words; empty where it may be."""
-        told = (n for n in self.notes if n.startswith(NOT_RELIABLE))
-        return next(told, "").removeprefix(NOT_RELIABLE)
-
-    @property
-    def notes_on_use(self) -> tuple[str, ...]:
-        """The notes but what stands against using it."""
-        return tuple(n for n in self.notes if not n.startswith(NOT_RELIABLE))
 
 
 def provenance_of(
@@ -447,7 +434,7 @@ class Unknown:
 
 
 @dataclass(frozen=True, eq=False)
-class CompensationProgram:
+class CompensationProgram(CorrectionInUse):
     """A compensation by mean and covariance, to first order.
 
     Attributes:
@@ -472,6 +459,9 @@ class CompensationProgram:
     expected: int
     slope: int
     gradient: tuple[int, ...]
+
+    def about_it(self) -> tuple[str, tuple[str, ...]]:
+        return self.about.instrument, self.about.notes
 
     @property
     def stimulus_limits(self) -> tuple[float, float] | None:
@@ -503,11 +493,13 @@ class CompensationProgram:
         def at(s: np.ndarray, *outputs: int) -> list[Any]:
             return self.graph.evaluate(outputs, {**given, STIMULUS: s}, kind)
 
-        s = np.zeros_like(target)
-        for _ in range(1 if self.affine else STEPS):
+        def equation(s: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
             found, slope = at(s, self.expected, self.slope)
-            with np.errstate(all="ignore"):
-                s = s - (found - target) / slope
+            return found, lambda miss: miss / slope
+
+        with np.errstate(all="ignore"):
+            steps = 1 if self.affine else STEPS
+            s = stepped(equation, target, np.zeros_like(target), steps)
         if not self.affine:
             (found,) = at(s, self.expected)
             near = 1e4 * np.finfo(kind).eps * (np.abs(target) + np.abs(found))
@@ -545,15 +537,11 @@ class CompensationProgram:
 
 
 def from_data(data: Any, file: str) -> CompensationProgram:
-    """A program from JSON. Nothing in it is evaluated as code.
+    """A program from JSON of its schema. Nothing in it is evaluated as code.
 
     Raises:
-        InputError: it is none, of another version, or damaged.
+        InputError: it is of another version, or damaged.
     """
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
-        raise InputError(
-            f"{file} is no compensator: export one by `bayescal export CALIBRATION --format json`"
-        )
     if data.get("version") not in READ:
         raise InputError(
             f"{file} is a compensator of version {data.get('version')!r}, this bayescal reads "
@@ -561,11 +549,8 @@ def from_data(data: Any, file: str) -> CompensationProgram:
             "export it again"
         )
     required(data, SHAPE, file, AGAIN)
-    about, equation = dict(data["about"]), data["equation"]
-    for name in ("effects", "sources"):
-        about[name] = tuple(tuple(row) for row in about[name])
-    about["notes"] = tuple(about["notes"])
-    about["raw"] = tuple(about["raw"]) if about["raw"] else None
+    equation = data["equation"]
+    about = {name: _with_tuples(value) for name, value in data["about"].items()}
     try:
         span, graph = data["stimulus_range"], Graph.from_data(equation["operations"])
         program = CompensationProgram(
@@ -587,6 +572,10 @@ def from_data(data: Any, file: str) -> CompensationProgram:
     except (InputError, ValueError) as error:
         raise InputError(f"{file} is damaged: {error}. {AGAIN}") from None
     return program
+
+
+def _with_tuples(value: Any) -> Any:
+    return tuple(map(_with_tuples, value)) if isinstance(value, list) else value
 
 
 def _refuse_torn(program: CompensationProgram) -> None:
@@ -614,7 +603,7 @@ def _place(value: Any, graph: Graph) -> int:
 
 
 def program_of(
-    inverse: Inverse,
+    equation: OperatingEquation,
     moments: PosteriorMoments,
     inputs: Sequence[Input],
     *,
@@ -627,16 +616,16 @@ def program_of(
     Raises:
         ModelError: an effect is made of operations that firmware has no form of; named.
     """
-    graph, unknowns = Graph(), inverse.equation.unknowns()
+    graph, unknowns = Graph(), equation.unknowns()
     theta = {u.key: jnp.asarray(m) for u, m in zip(unknowns, moments.mean, strict=True)}
-    names = sorted(inverse.inputs)
+    names = sorted(equation.inputs)
     ones = {n: jnp.ones(()) for n in names}
     places = [graph.input(STIMULUS), *(graph.input(n) for n in names)]
-    derivatives = _with_derivatives(inverse, theta)
+    derivatives = _with_derivatives(equation, theta)
     try:
         expected, slope, *gradient = trace(graph, derivatives, (jnp.ones(()), ones), places)
     except NotExportable as error:
-        raise ModelError(_blame(inverse, theta, str(error))) from None
+        raise ModelError(_blame(equation, theta, str(error))) from None
     acting = [i for i, node in enumerate(gradient) if graph.value(node) != 0]
     small, moved = graph.part([expected, slope, *(gradient[i] for i in acting)])
     needed = {n.value for n in small.nodes if n.op == "input"}
@@ -657,11 +646,11 @@ def program_of(
     )
 
 
-def _with_derivatives(inverse: Inverse, theta: Scalars) -> Callable[..., Any]:
+def _with_derivatives(equation: OperatingEquation, theta: Scalars) -> Callable[..., Any]:
     """A function of stimulus and inputs: expected output, its slope, its gradient by each unknown."""
 
     def at(s, given, theta):
-        return inverse.equation.point(theta, s, given, inverse.reference)
+        return equation.point(theta, s, given)
 
     def expected_slope_gradient(s, given):
         # Forward, because the reverse of a slice is a padding, for which there is no scalar operation.
@@ -676,14 +665,13 @@ def _with_derivatives(inverse: Inverse, theta: Scalars) -> Callable[..., Any]:
     return expected_slope_gradient
 
 
-def _blame(inverse: Inverse, theta: Scalars, reason: str) -> str:
+def _blame(equation: OperatingEquation, theta: Scalars, reason: str) -> str:
     """Which effect cannot be exported, and what to do."""
-    equation = inverse.equation
-    ones = {n: jnp.ones(()) for n in inverse.names}
+    ones = {n: jnp.ones(()) for n in equation.names}
     for effect in dict.fromkeys(b.effect for b in equation.blocks):
 
         def basis(s, given, effect=effect):
-            frame = equation.one_reading(s, given, inverse.reference)
+            frame = equation.one_reading(s, given)
             shapes = {x.name: theta.get(effect.shape_name(x), jnp.ones(())) for x in effect.shapes}
             return [effect.evaluate(frame, shapes)[0, i] for i in range(len(effect.coefficients))]
 

@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import usual_columns
+from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
 from bayescal._data.measurements import Measurements
-from bayescal._use import code_writer, operating_equation
+from bayescal._use import operating_equation
 from bayescal._use.compensation_program import (
     PAST,
     CompensationProgram,
@@ -35,12 +36,12 @@ from bayescal._use.compensation_program import (
     provenance_of,
     warn_outside,
 )
+from bayescal._use.correction_files import as_text, format_of, load_correction
 from bayescal._use.operating_equation import (
     OperatingEquation,
     PosteriorMoments,
     equation_in_use,
     folded,
-    input_names,
     posterior_moments,
 )
 
@@ -122,7 +123,7 @@ class Compensator:
             variance, inclination = own**2, inclination**2
         else:
             value, variance, inclination = operating_equation.solved(
-                self._inverse, self._moments, given, record, by_draws=method == "draws"
+                self._equation, self._moments, given, record, by_draws=method == "draws"
             )
         if noise:
             spread = self.noise**2 + given.get(UNCERTAINTY, np.zeros(1)) ** 2
@@ -146,13 +147,13 @@ class Compensator:
     def notes(self) -> tuple[str, ...]:
         """What to know before a reading is compensated, each a sentence."""
         if self.loaded:
-            return self.loaded.about.notes_on_use
+            return self.loaded.notes_on_use
         return notes_on_use(self._calibration, self._equation, self.stimulus_range)
 
     @property
     def why_not(self) -> str:
         """Why the result is not to be used, in words; empty where it may be. A fit that nobody checked is checked."""
-        return self.loaded.about.why_not if self.loaded else why_not(self._calibration)
+        return self.loaded.why_not if self.loaded else why_not(self._calibration)
 
     @property
     def output_unit(self) -> str:
@@ -175,7 +176,7 @@ class Compensator:
         values = self._inputs_at_fit
         return tuple(
             input_of(self._calibration, self._equation, name, values[name])
-            for name in self._inverse.inputs
+            for name in self._equation.inputs
             if name in values
         )
 
@@ -224,7 +225,7 @@ class Compensator:
         if self.loaded:
             return self.loaded
         return program_of(
-            self._inverse,
+            self._equation,
             self._moments,
             self.inputs,
             stimulus_range=self.stimulus_range,
@@ -252,7 +253,8 @@ class Compensator:
             ModelError: an effect cannot be exported.
             InputError: another format, a name that is none in C, or a place that cannot be written to.
         """
-        return code_writer.export(self.program, path, format, name=name, uncertainty=uncertainty)
+        chosen = format_of(path, format)
+        return write_text(as_text(self.program, chosen, name=name, uncertainty=uncertainty), path)
 
     @property
     def _calibration(self) -> Calibration:
@@ -263,12 +265,6 @@ class Compensator:
     def _equation(self) -> OperatingEquation:
         assert self.equation is not None
         return self.equation
-
-    @cached_property
-    def _inverse(self) -> operating_equation.Inverse:
-        frame = self._calibration.frame
-        names = input_names(self._equation, frame)
-        return operating_equation.Inverse(self._equation, frame.reference, tuple(names))
 
     @cached_property
     def _moments(self) -> PosteriorMoments:
@@ -340,4 +336,9 @@ def load_compensator(path: str | Path) -> Compensator:
     Raises:
         InputError: there is no such file, it is no compensator, of another version, or damaged.
     """
-    return Compensator(None, loaded=code_writer.load_program(Path(path)))
+    found = load_correction(path)
+    if not isinstance(found, CompensationProgram):
+        raise InputError(
+            f"{Path(path).name} is of three axes: bayescal.load_vector_correction loads it"
+        )
+    return Compensator(None, loaded=found)

@@ -487,12 +487,12 @@ class QuantityInUse(LimitedQuantity):
     def _acting(self) -> set[str]:
         """Inputs, and the stimulus, that it depends on."""
         if self.is_error:
-            return set(self.chosen._inverse.inputs)
-        equation, reference = self.chosen._equation, self.chosen._inverse.reference
-        theta, inputs = self.chosen._inverse.ones()
+            return set(self.chosen._equation.inputs)
+        equation = self.chosen._equation
+        theta, inputs = equation.ones()
 
         def value(s, inputs):
-            return equation.slot(self.limit.quantity, theta, s, inputs, reference)
+            return equation.slot(self.limit.quantity, theta, s, inputs)
 
         live = operating_equation.live(value, jnp.ones(()), inputs)
         names = (self.chosen.stimulus, *sorted(inputs))
@@ -546,20 +546,19 @@ class QuantityInUse(LimitedQuantity):
     ) -> tuple[Float[np.ndarray, "d g"], float]:
         """Values for θ at the places, and by how much single readings scatter."""
         chosen = self.chosen
-        inverse, moments = chosen._inverse, chosen._moments
+        equation, moments = chosen._equation, chosen._moments
         zero = np.zeros(self._size)
-        inputs = {n: jnp.asarray(self.places.get(n, zero)) for n in inverse.names}
+        inputs = {n: jnp.asarray(self.places.get(n, zero)) for n in equation.names}
         if "time" in inputs:
             inputs["time"] = inputs["time"] + later
         stimulus, draws = jnp.asarray(self.places[chosen.stimulus]), jnp.asarray(theta)
-        start = inverse.equation, inverse.reference
         if not self.is_error:
             name = self.limit.quantity
-            found = operating_equation.slots_over_draws(*start, name, draws, stimulus, inputs)
+            found = operating_equation.slots_over_draws(equation, name, draws, stimulus, inputs)
             return np.asarray(found), 0.0
         mean = jnp.asarray(moments.mean)
         found, inclination = operating_equation.errors_over_draws(
-            *start, draws, mean, stimulus, inputs
+            equation, draws, mean, stimulus, inputs
         )
         noise = chosen.noise * float(np.max(inclination)) if self.limit.quantity == READING else 0.0
         return np.asarray(found), noise

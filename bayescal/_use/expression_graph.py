@@ -14,15 +14,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal._core import templates
 from bayescal._core.errors import InputError, ModelError
-from bayescal._core.quoting import c_comment, number_text, python_words
+from bayescal._core.quoting import c_comment, python_words
 
 
 @dataclass(frozen=True)
@@ -315,17 +315,13 @@ def _nodes(graph: Graph, value: Any) -> np.ndarray:
     array = np.asarray(value)
     if array.dtype.kind not in "biuf":
         raise NotExportable(f"values of type {array.dtype} have no place in an export")
-    flat = [
-        graph.constant(v if array.dtype.kind == "b" else float(v))
-        for v in array.reshape(-1).tolist()
-    ]
-    return _object(flat, array.shape)
+    return _elementwise(graph.constant, array.astype(object))
 
 
-def _object(flat: Sequence[int], shape: tuple[int, ...]) -> np.ndarray:
-    made = np.empty(len(flat), dtype=object)
-    made[:] = flat
-    return made.reshape(shape)
+def _elementwise(function: Callable[..., int], *arguments: Any) -> np.ndarray:
+    """A function of nodes on arrays of them, of one shape once they are broadcast."""
+    found = np.frompyfunc(function, len(arguments), 1)(*arguments)
+    return np.array(found, dtype=object) if np.ndim(found) == 0 else found
 
 
 def _run(
@@ -366,17 +362,11 @@ def _apply(graph: Graph, equation: Any, arguments: list[np.ndarray]) -> list[np.
     if name in MOVES:
         return _moved(equation, arguments, constants)
     if name in SAME:
-        return [_elementwise(lambda *a: graph.apply(SAME[name], *a), arguments)]
+        return [_elementwise(partial(graph.apply, SAME[name]), *arguments)]
     made = _others(graph, name, parameters, arguments, equation)
     if made is None:
         raise NotExportable(f"the operation {name!r} has no form in C or plain Python here")
     return [made]
-
-
-def _elementwise(function: Callable[..., int], arguments: list[np.ndarray]) -> np.ndarray:
-    spread = np.broadcast_arrays(*arguments)
-    flat = [function(*row) for row in zip(*(a.reshape(-1) for a in spread), strict=True)]
-    return _object(flat, spread[0].shape)
 
 
 def _numbers(graph: Graph, array: np.ndarray, aval: Any) -> np.ndarray | None:
@@ -409,7 +399,7 @@ def _moved(
         parameters["fill_value"] = None if parameters["fill_value"] is None else 0
     found = equation.primitive.bind(*placed, **parameters)
     return [
-        _object([pool[i] for i in np.asarray(index).reshape(-1)], np.shape(index))
+        _elementwise(pool.__getitem__, np.asarray(index).astype(object))
         for index in (found if equation.primitive.multiple_results else [found])
     ]
 
@@ -429,17 +419,15 @@ def _others(graph: Graph, name: str, parameters: Any, arguments: list[np.ndarray
         "reduce_precision": lambda x: x,
     }
     if name in each:
-        return _elementwise(each[name], [first])
+        return _elementwise(each[name], first)
     if name == "convert_element_type":
         return _converted(graph, first, np.dtype(parameters["new_dtype"]))
     if name == "select_n":
         predicate, *cases = arguments
         if len(cases) == 2:
-            chosen = np.broadcast_to(predicate, cases[0].shape)
-            return _elementwise(lambda p, no, yes: apply("select", p, yes, no), [chosen, *cases])
+            return _elementwise(lambda p, no, yes: apply("select", p, yes, no), predicate, *cases)
     if name == "clamp":
-        low, x, high = arguments
-        return _elementwise(lambda a, x, b: apply("min", apply("max", x, a), b), [low, x, high])
+        return _elementwise(lambda a, x, b: apply("min", apply("max", x, a), b), *arguments)
     reductions = {
         "reduce_sum": "add",
         "reduce_max": "max",
@@ -468,25 +456,18 @@ def _power(graph: Graph, x: int, exponent: int) -> int:
 
 def _converted(graph: Graph, array: np.ndarray, kind: np.dtype) -> np.ndarray:
     if kind.kind == "f":
-        return _elementwise(lambda x: graph.apply("real", x) if graph.boolean(x) else x, [array])
+        return _elementwise(lambda x: graph.apply("real", x) if graph.boolean(x) else x, array)
     if kind.kind == "b":
         zero = graph.constant(0.0)
-        return _elementwise(
-            lambda x: x if graph.boolean(x) else graph.apply("ne", x, zero), [array]
-        )
+        return _elementwise(lambda x: x if graph.boolean(x) else graph.apply("ne", x, zero), array)
     raise NotExportable("a covariate turned into a whole number has no form in an export")
 
 
 def _reduced(graph: Graph, op: str, array: np.ndarray, axes: Sequence[int]) -> np.ndarray:
     kept = [i for i in range(array.ndim) if i not in axes]
     rows = np.transpose(array, [*kept, *axes]).reshape(*(array.shape[i] for i in kept), -1)
-    flat = []
-    for row in rows.reshape(-1, rows.shape[-1]):
-        total = row[0]
-        for x in row[1:]:
-            total = graph.apply(op, total, x)
-        flat.append(total)
-    return _object(flat, tuple(array.shape[i] for i in kept))
+    found = np.frompyfunc(partial(graph.apply, op), 2, 1).reduce(rows, axis=-1)
+    return np.array(found, dtype=object)
 
 
 def _dot(graph: Graph, arguments: list[np.ndarray], numbers: Any) -> np.ndarray:
@@ -494,19 +475,17 @@ def _dot(graph: Graph, arguments: list[np.ndarray], numbers: Any) -> np.ndarray:
     (left, right), (batch, _) = numbers
     if batch:
         raise NotExportable("products with batch dimensions have no form in an export")
-    a, b = arguments
-    rest = [i for i in range(a.ndim) if i not in left], [i for i in range(b.ndim) if i not in right]
-    shapes = tuple(a.shape[i] for i in rest[0]), tuple(b.shape[i] for i in rest[1])
-    rows = np.transpose(a, [*rest[0], *left]).reshape(int(np.prod(shapes[0])), -1)
-    columns = np.transpose(b, [*rest[1], *right]).reshape(int(np.prod(shapes[1])), -1)
-    flat = []
-    for row in rows:
-        for column in columns:
-            total = graph.constant(0.0)
-            for x, y in zip(row, column, strict=True):
-                total = graph.apply("add", total, graph.apply("mul", x, y))
-            flat.append(total)
-    return _object(flat, shapes[0] + shapes[1])
+    a, b = (
+        np.moveaxis(one, axes, range(-len(axes), 0))
+        for one, axes in zip(arguments, (left, right), strict=True)
+    )
+    a = a.reshape(
+        *a.shape[: a.ndim - len(left)],
+        *(1,) * (b.ndim - len(right)),
+        *a.shape[a.ndim - len(left) :],
+    )
+    products = _elementwise(partial(graph.apply, "mul"), a, b)
+    return _reduced(graph, "add", products, range(products.ndim - len(left), products.ndim))
 
 
 @dataclass(frozen=True)
@@ -586,10 +565,3 @@ def statements(
             text[place] = f"t{len(written)}"
             written.append(form.format(text[place], made))
     return written, [text[o] for o in outputs]
-
-
-def template(file: str, filters: Mapping[str, Callable[..., Any]], autoescape: bool = False):
-    """A template beside this file, in which `number` writes a number with all its digits."""
-    filters = {"number": number_text, **filters}
-    how = {"autoescape": autoescape, "keep_trailing_newline": True}
-    return templates.template("bayescal._use", file, filters, **how)

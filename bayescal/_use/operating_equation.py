@@ -8,14 +8,13 @@ named) device is a new one, whose deviation is drawn from its spread. What is le
 θ the coefficients and shapes that act, `inputs` the covariates of that reading; the past of a record enters as
 inputs too (`temperature_rate`, `temperature_lag`, `elapsed`).
 
-It is solved for the stimulus of each reading, for draws of θ or to first order: a straight line in the stimulus in
-closed form, anything else by optimistix' Newton, reading by reading.
+It is solved for the stimulus of each reading, for draws of θ or to first order.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -23,12 +22,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.mixture import has_effect
 from bayescal._core.errors import InputError, ModelError
+from bayescal._core.inverse import settled
 from bayescal._core.jit import compiled
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model import forward
@@ -75,6 +74,14 @@ class OneReading(Frame):
         return self.lags[place] if place < len(self.lags) else jnp.zeros(self.size)
 
 
+class AtPoint(NamedTuple):
+    """The equation at one operating point: expected output, its slope by the stimulus, its gradient by θ."""
+
+    expected: float
+    slope: float
+    gradient: np.ndarray
+
+
 class UnknownInUse(NamedTuple):
     """One unknown that acts in use.
 
@@ -115,20 +122,24 @@ class Folded(NamedTuple):
 
 
 class OperatingEquation(eqx.Module):
-    """The measurement equation of a bound model for one reading in use. It has no arrays.
+    """The measurement equation of a bound model for one reading in use, and its inverse.
 
     Attributes:
+        reference: constants of the bases.
         layout: the model, with one member of every group: that which is in use.
         members: (group, member) chosen by name, such as ("device", "A17"); others are new.
-        known: numeric columns and rates of the readings of the fit.
+        known: numeric columns of the readings of the fit.
+        rated: temperatures whose rates could be inputs.
         lags: what the equation asks of the past.
         asked: which of them, in the order in which bases ask; one may be asked for by several.
         folded: effects that it does not hold; None where it holds all.
     """
 
+    reference: Scalars
     layout: Layout
     members: tuple[tuple[str, str], ...] = eqx.field(static=True)
     known: tuple[str, ...] = eqx.field(static=True)
+    rated: tuple[str, ...] = eqx.field(static=True)
     lags: tuple[Lag, ...] = eqx.field(static=True, default=())
     asked: tuple[int, ...] = eqx.field(static=True, default=())
     folded: Folded | None = eqx.field(static=True, default=None)
@@ -169,18 +180,48 @@ class OperatingEquation(eqx.Module):
             found += [UnknownInUse(name, name, unit, "folded") for name, unit in names]
         return tuple(found)
 
-    def point(
-        self, theta: Scalars, stimulus: Float[Array, ""], inputs: Scalars, reference: Scalars
-    ):
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Every input that there could be."""
+        return (
+            *self.known,
+            *(f"{n}_rate" for n in self.rated),
+            *(lag.name for lag in self.lags),
+            *(lag.slope for lag in self.lags if lag.slope),
+        )
+
+    @cached_property
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs that the output depends on."""
+        theta, inputs = self.ones()
+        keep = live(lambda inputs: self.point(theta, jnp.ones(()), inputs), inputs)
+        return tuple(n for n, k in zip(sorted(inputs), keep, strict=True) if k)
+
+    @cached_property
+    def affine(self) -> bool:
+        """Whether the output is a straight line in the stimulus, by its traced derivative."""
+        theta, inputs = self.ones()
+        slope = jax.grad(lambda s: self.point(theta, s, inputs))
+        return not live(slope, jnp.ones(()))[0]
+
+    def ones(self) -> tuple[Scalars, Scalars]:
+        """θ by key, and the inputs by name, to trace the equation with."""
+        theta = {u.key: jnp.ones(()) for u in self.unknowns()}
+        return theta, {n: jnp.ones(()) for n in self.names}
+
+    def named(self, theta: Float[Array, "p"]) -> Scalars:
+        """θ by key."""
+        return {u.key: theta[i] for i, u in enumerate(self.unknowns())}
+
+    def point(self, theta: Scalars, stimulus: Float[Array, ""], inputs: Scalars):
         """Expected output of one reading, output unit.
 
         Args:
             theta: unknowns by their key, in reported units.
             stimulus: in its unit.
             inputs: by name, in fixed units.
-            reference: constants of the bases.
         """
-        frame = self.one_reading(stimulus, self._with_moved_lags(theta, inputs), reference)
+        frame = self.one_reading(stimulus, self._with_moved_lags(theta, inputs))
         slots, corrected = self._composed(theta, frame)
         if self.use.equation is None:
             found = self.layout.model.instrument.response(slots, corrected)
@@ -189,16 +230,27 @@ class OperatingEquation(eqx.Module):
         return jnp.reshape(found, ())
 
     def slot(
-        self,
-        name: str,
-        theta: Scalars,
-        stimulus: Float[Array, ""],
-        inputs: Scalars,
-        reference: Scalars,
+        self, name: str, theta: Scalars, stimulus: Float[Array, ""], inputs: Scalars
     ) -> Float[Array, ""]:
         """What one slot comes to in one reading, in the slot's unit; the other arguments are those of `point`."""
-        frame = self.one_reading(stimulus, self._with_moved_lags(theta, inputs), reference)
+        frame = self.one_reading(stimulus, self._with_moved_lags(theta, inputs))
         return jnp.reshape(self._composed(theta, frame)[0][name], ())
+
+    def at_point(self, mean: np.ndarray, point: Mapping[str, float]) -> AtPoint:
+        """The equation with its derivatives at θ = `mean` and one operating point: stimulus and inputs by name.
+
+        Inputs that are not in `point` are zero, since the equation makes no use of them.
+        """
+        inputs = {n: jnp.asarray(float(point.get(n, 0.0))) for n in self.names}
+        at = jnp.asarray(mean), jnp.asarray(float(point[self.use.stimulus]))
+        value, (gradient, slope) = jax.value_and_grad(
+            lambda theta, s: self.point(self.named(theta), s, inputs), argnums=(0, 1)
+        )(*at)
+        return AtPoint(float(value), float(slope), np.asarray(gradient))
+
+    def inverted(self, theta: Scalars, output: Float[Array, ""], inputs: Scalars):
+        """The stimulus of a reading, and the slope of the output by it; NaN where there is none."""
+        return settled(lambda s: self.point(theta, s, inputs), output, self.affine)
 
     def _with_moved_lags(self, theta: Scalars, inputs: Scalars) -> Scalars:
         """The inputs with each lag, given at the mean of its τ, at the τ of θ, to first order."""
@@ -209,9 +261,7 @@ class OperatingEquation(eqx.Module):
                 moved[lag.name] = inputs[lag.name] + inputs[lag.slope] * away
         return moved
 
-    def one_reading(
-        self, stimulus: Float[Array, ""], inputs: Scalars, reference: Scalars
-    ) -> OneReading:
+    def one_reading(self, stimulus: Float[Array, ""], inputs: Scalars) -> OneReading:
         """One reading as bases see it; arguments as of `point`."""
         one = {name: jnp.reshape(value, (1,)) for name, value in inputs.items()}
         columns = {n: one[n] for n in self.known if n in one}
@@ -226,7 +276,7 @@ class OperatingEquation(eqx.Module):
             labels={f"{group}={member}": jnp.ones(1) for group, member in self.members},
             rates=rates,
             codes={group: jnp.zeros(1, int) for group, _ in self.layout.counts},
-            reference=reference,
+            reference=self.reference,
             order=jnp.zeros(1, int),
             step=-jnp.ones(1),
             record=dict(columns),
@@ -236,21 +286,16 @@ class OperatingEquation(eqx.Module):
 
     def slope_calibrated(self, calibration: Calibration) -> bool:
         """Whether an unknown acts on how the output follows the stimulus."""
-        names = input_names(self, calibration.frame)
-        inputs = {n: jnp.ones(()) for n in names}
+        inputs = {n: jnp.ones(()) for n in self.names}
         slope = jax.grad(self.point, argnums=1)
-        found = jax.grad(slope)(
-            _theta(self, calibration), jnp.ones(()), inputs, calibration.frame.reference
-        )
+        found = jax.grad(slope)(_theta(self, calibration), jnp.ones(()), inputs)
         return any(bool(value != 0) for value in found.values())
 
-    def asked_of_the_past(
-        self, theta: Scalars, inputs: Scalars, reference: Scalars
-    ) -> list[tuple[str, Any]]:
+    def asked_of_the_past(self, theta: Scalars) -> list[tuple[str, float]]:
         """The (column, time constant) of every lag that a basis asks for, in order."""
-        frame = self.one_reading(jnp.zeros(()), inputs, reference)
+        frame = self.one_reading(jnp.zeros(()), {n: jnp.ones(()) for n in self.names})
         self._composed(theta, frame)
-        return frame.asked
+        return [(column, float(tau)) for column, tau in frame.asked]
 
     def _composed(self, theta: Scalars, frame: OneReading) -> tuple[forward.Values, Frame]:
         """Slots and corrected readings; corrections of columns that do not exist in use are left out."""
@@ -294,9 +339,11 @@ def equation_in_use(
     known = tuple(sorted(n for n in frame.columns if n not in not_inputs))
     one_each = tuple((group, 1) for group, _ in calibration.layout.counts)
     found = OperatingEquation(
+        reference=frame.reference,
         layout=replace(calibration.layout, counts=one_each, origin=()),
         members=tuple(sorted(members.items())),
         known=known,
+        rated=tuple(frame.rates),
     )
     return _with_lags_of(found, calibration)
 
@@ -328,16 +375,10 @@ def folded(
 def _with_lags_of(found: OperatingEquation, calibration: Calibration) -> OperatingEquation:
     """Ask the equation, at the posterior mean, which lags it needs: one state for each column and time."""
     theta = _theta(found, calibration)
-    inputs = {n: jnp.ones(()) for n in input_names(found, calibration.frame)}
-
-    def asked(theta: dict[str, Array]) -> list[tuple[str, float]]:
-        past = found.asked_of_the_past(theta, inputs, calibration.frame.reference)
-        return [(column, float(tau)) for column, tau in past]
-
-    lags, order = dict[tuple[str, float], Lag](), asked(theta)
+    lags, order = dict[tuple[str, float], Lag](), found.asked_of_the_past(theta)
     # Which unknown a time is a multiple of is told by moving it: times are proportional to the shapes they hang on.
     moved = {
-        u.key: asked({**theta, u.key: 2.0 * theta[u.key]})
+        u.key: found.asked_of_the_past({**theta, u.key: 2.0 * theta[u.key]})
         for u in found.unknowns()
         if order and u.kind == "shape"
     }
@@ -351,16 +392,6 @@ def _with_lags_of(found: OperatingEquation, calibration: Calibration) -> Operati
         lags[column, tau] = Lag(column, tau, shape, name, multiple)
     places = [*lags]
     return replace(found, lags=(*lags.values(),), asked=tuple(places.index(one) for one in order))
-
-
-def input_names(equation: OperatingEquation, frame: Frame) -> list[str]:
-    """Every input that there could be."""
-    return [
-        *equation.known,
-        *(f"{n}_rate" for n in frame.rates),
-        *(lag.name for lag in equation.lags),
-        *(lag.slope for lag in equation.lags if lag.slope),
-    ]
 
 
 def samples_in_use(
@@ -450,13 +481,11 @@ def _of_folded(
     """Draws of what the folded effects come to at their place, (d,), by the key of their unknown."""
     whole, *both = _with_and_without(equation, left, calibration, ALL_DRAWS, seed)
     at, found = left.values, dict[str, np.ndarray]()
-    names = input_names(whole, calibration.frame)
-    inputs = {name: jnp.full(1, at.get(name, 0.0)) for name in names}
+    inputs = {name: jnp.full(1, at.get(name, 0.0)) for name in whole.names}
     stimulus = jnp.full(1, at[equation.use.stimulus])
     for slot, _ in left.slots:
         with_them, without = (
-            slots_over_draws(whole, calibration.frame.reference, slot, theta, stimulus, inputs)
-            for theta in both
+            slots_over_draws(whole, slot, theta, stimulus, inputs) for theta in both
         )
         found[left.name(slot)] = np.asarray(with_them - without)[:, 0]
     return found
@@ -487,8 +516,7 @@ def left_out(
     added = []
     for one in (inputs, there):
         at = jnp.asarray(acting[rows]), {n: jnp.asarray(v[rows]) for n, v in one.items()}
-        reference = calibration.frame.reference
-        with_them, without = (points_over_draws(whole, reference, t, *at) for t in both)
+        with_them, without = (points_over_draws(whole, t, *at) for t in both)
         added.append(np.asarray(with_them - without))
     return float(np.sqrt(np.mean((added[0] - added[1]) ** 2)))
 
@@ -545,7 +573,6 @@ def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np
     return calibration.samples(block.group_sd_name)
 
 
-NEWTON_TOLERANCE = 1e-13  # of Newton's last step, relative
 NOISE_READINGS = 1000  # over which a noise that follows a column is averaged; the mean is known far better than it
 
 
@@ -559,75 +586,13 @@ def live(function, *arguments: Any) -> list[bool]:
     return [id(v) in wanted for v in jaxpr.invars]
 
 
-class AtPoint(NamedTuple):
-    """The equation at one operating point: expected output, its slope by the stimulus, its gradient by θ."""
-
-    expected: float
-    slope: float
-    gradient: np.ndarray
-
-
-@dataclass(frozen=True)
-class Inverse:
-    """The inverse of an equation in use.
-
-    Attributes:
-        equation: in use.
-        reference: constants of the bases.
-        names: all inputs that there could be.
-    """
-
-    equation: OperatingEquation
-    reference: Scalars
-    names: tuple[str, ...]
-
-    @cached_property
-    def inputs(self) -> tuple[str, ...]:
-        """Inputs that the output depends on."""
-        theta, inputs = self.ones()
-        keep = live(
-            lambda inputs: self.equation.point(theta, jnp.ones(()), inputs, self.reference), inputs
-        )
-        return tuple(n for n, k in zip(sorted(inputs), keep, strict=True) if k)
-
-    @cached_property
-    def affine(self) -> bool:
-        """Whether the output is a straight line in the stimulus, by its traced derivative."""
-        theta, inputs = self.ones()
-        return not live(lambda s: jax.grad(self._at(theta, inputs))(s), jnp.ones(()))[0]
-
-    def ones(self) -> tuple[Scalars, Scalars]:
-        """θ by key, and the inputs by name, to trace the equation with."""
-        theta = {u.key: jnp.ones(()) for u in self.equation.unknowns()}
-        return theta, {n: jnp.ones(()) for n in self.names}
-
-    def at_point(self, mean: np.ndarray, point: Mapping[str, float]) -> AtPoint:
-        """The equation with its derivatives at θ = `mean` and one operating point: stimulus and inputs by name.
-
-        Inputs that are not in `point` are zero, since the equation makes no use of them.
-        """
-        stimulus, zeros = self.equation.use.stimulus, dict.fromkeys(self.names, jnp.zeros(()))
-        inputs = zeros | {n: jnp.asarray(v) for n, v in point.items() if n != stimulus}
-
-        def expected(theta, s):
-            return self._at(_named(self.equation, theta), inputs)(s)
-
-        at = jnp.asarray(mean), jnp.asarray(float(point[stimulus]))
-        value, (gradient, slope) = jax.value_and_grad(expected, argnums=(0, 1))(*at)
-        return AtPoint(float(value), float(slope), np.asarray(gradient))
-
-    def _at(self, theta: Scalars, inputs: Scalars):
-        return lambda s: self.equation.point(theta, s, inputs, self.reference)
-
-
 @compiled
-def over_draws(equation: OperatingEquation, reference, affine: bool, theta, output, inputs, record):
+def over_draws(equation: OperatingEquation, theta, output, inputs, record):
     """Mean and variance of the stimulus over draws of θ, and the mean square of its slope, (n,) each."""
 
     def add(state, one):
         count, mean, square, slope = state
-        own = _with_lags(equation, one, inputs, record)
-        found, inclination = _invert(equation, reference, affine, one, output, own)
+        found, inclination = _inverted(equation, one, output, inputs, record)
         count = count + 1
         step = found - mean
         mean = mean + step / count
@@ -639,77 +604,59 @@ def over_draws(equation: OperatingEquation, reference, affine: bool, theta, outp
 
 
 @compiled
-def first_order(
-    equation: OperatingEquation, reference, affine: bool, theta, covariance, output, inputs, record
-):
+def first_order(equation: OperatingEquation, theta, covariance, output, inputs, record):
     """Stimulus at θ, its variance by first-order propagation, and its squared slope by the output, (n,) each."""
-    own = _with_lags(equation, theta, inputs, record)
-    found, inclination = _invert(equation, reference, affine, theta, output, own)
+    found, inclination = _inverted(equation, theta, output, inputs, record)
 
     def expected(theta):
-        own = _with_lags(equation, theta, inputs, record)
-        return jax.vmap(lambda s, i: equation.point(_named(equation, theta), s, i, reference))(
-            found, own
-        )
+        return _points(equation, theta, found, _with_lags(equation, theta, inputs, record))
 
     gradient = -jax.jacfwd(expected)(theta) / inclination[:, None]
     return found, jnp.einsum("ni,ij,nj->n", gradient, covariance, gradient), inclination**-2
 
 
 @compiled
-def errors_over_draws(equation: OperatingEquation, reference, theta, mean, stimulus, inputs):
+def errors_over_draws(equation: OperatingEquation, theta, mean, stimulus, inputs):
     """Corrected reading minus stimulus where θ is what a draw says and the correction is made with its mean, (d, n).
 
-    With them 1/|slope| of the output by the stimulus, (n,). A reading has no noise here. Two of Newton's steps from the
-    stimulus itself: exact where the output is a straight line in it, else to the fourth order in the error.
+    With them 1/|slope| of the output by the stimulus, (n,). A reading has no noise here.
     """
-    middle = _named(equation, mean)
 
     def error(one):
-        named = _named(equation, one)
+        output = _points(equation, one, stimulus, inputs)
+        return _inverted(equation, mean, output, inputs, None)[0] - stimulus
 
-        def at(s, inputs):
-            target = equation.point(named, s, inputs, reference)
-            found = s
-            for _ in range(2):
-                value, slope = jax.value_and_grad(equation.point, argnums=1)(
-                    middle, found, inputs, reference
-                )
-                found = found - (value - target) / slope
-            return found - s
-
-        return jax.vmap(at)(stimulus, inputs)
-
-    slope = jax.vmap(jax.grad(lambda s, i: equation.point(middle, s, i, reference)))(
-        stimulus, inputs
-    )
+    middle = equation.named(mean)
+    slope = jax.vmap(jax.grad(lambda s, i: equation.point(middle, s, i)))(stimulus, inputs)
     return jax.vmap(error)(theta), 1 / jnp.abs(slope)
 
 
 @compiled
-def slots_over_draws(equation: OperatingEquation, reference, name: str, theta, stimulus, inputs):
+def slots_over_draws(equation: OperatingEquation, name: str, theta, stimulus, inputs):
     """What a slot comes to at each place, for draws of θ, (d, n)."""
 
     def values(one):
-        named = _named(equation, one)
-        return jax.vmap(lambda s, i: equation.slot(name, named, s, i, reference))(stimulus, inputs)
+        named = equation.named(one)
+        return jax.vmap(lambda s, i: equation.slot(name, named, s, i))(stimulus, inputs)
 
     return jax.vmap(values)(theta)
 
 
 @compiled
-def points_over_draws(equation: OperatingEquation, reference, theta, stimulus, inputs):
+def points_over_draws(equation: OperatingEquation, theta, stimulus, inputs):
     """The expected output at each place, for draws of θ, (d, n)."""
-
-    def values(one):
-        named = _named(equation, one)
-        return jax.vmap(lambda s, i: equation.point(named, s, i, reference))(stimulus, inputs)
-
-    return jax.vmap(values)(theta)
+    return jax.vmap(lambda one: _points(equation, one, stimulus, inputs))(theta)
 
 
-def _named(equation: OperatingEquation, theta: Float[Array, "p"]) -> Scalars:
-    return {u.key: theta[i] for i, u in enumerate(equation.unknowns())}
+def _points(equation: OperatingEquation, theta, stimulus, inputs):
+    named = equation.named(theta)
+    return jax.vmap(lambda s, i: equation.point(named, s, i))(stimulus, inputs)
+
+
+def _inverted(equation: OperatingEquation, theta, output, inputs: Scalars, record: Frame | None):
+    """Stimulus and the slope of the output by it, reading by reading; lags of the record for the times in θ."""
+    named, own = equation.named(theta), _with_lags(equation, theta, inputs, record)
+    return jax.vmap(lambda y, i: equation.inverted(named, y, i))(output, own)
 
 
 def _with_lags(
@@ -718,7 +665,7 @@ def _with_lags(
     """The inputs with the lags of a record, for the time constants in θ."""
     if record is None:
         return inputs
-    named, found = _named(equation, theta), dict(inputs)
+    named, found = equation.named(theta), dict(inputs)
     for lag in equation.lags:
         if lag.name not in found:
             tau = lag.multiple * named[lag.shape] if lag.shape else jnp.asarray(lag.tau)
@@ -728,29 +675,8 @@ def _with_lags(
     return found
 
 
-def _invert(equation: OperatingEquation, reference, affine: bool, theta, output, inputs):
-    """Stimulus and the slope of the output by it, reading by reading; NaN where Newton finds none."""
-    named = _named(equation, theta)
-
-    def one(target, inputs):
-        def miss(s, _):
-            return equation.point(named, s, inputs, reference) - target
-
-        at_zero, slope = jax.value_and_grad(miss)(0.0, None)
-        first = -at_zero / slope
-        if affine:
-            return first, slope
-        solver = optx.Newton(rtol=NEWTON_TOLERANCE, atol=1e-300)
-        found = optx.root_find(miss, solver, first, max_steps=40, throw=False)
-        _, slope = jax.value_and_grad(miss)(found.value, None)
-        settled = jnp.abs(miss(found.value, None)) <= 1e-9 * (jnp.abs(target) + jnp.abs(at_zero))
-        return jnp.where(settled, found.value, jnp.nan), slope
-
-    return jax.vmap(one)(output, inputs)
-
-
 def solved(
-    inverse: Inverse,
+    equation: OperatingEquation,
     moments: PosteriorMoments,
     given: Mapping[str, np.ndarray],
     record: Frame | None,
@@ -760,26 +686,24 @@ def solved(
     """Stimulus, its variance from the calibration, and its squared slope by the output, (n,) each.
 
     Args:
-        inverse, moments: the equation, and what the posterior says of θ.
+        equation, moments: in use, and what the posterior says of θ.
         given: output and inputs by name, (n,) each.
         record: that lags follow from; None where they are given.
         by_draws: over draws of θ; else to first order.
     """
-    equation = inverse.equation
     lags = [] if record is None else [lag.name for lag in equation.lags]
     output = jnp.asarray(given["output"])
     unused = jnp.zeros(len(given["output"]))
     inputs = {
-        name: jnp.asarray(given[name]) if name in inverse.inputs else unused
-        for name in inverse.names
+        name: jnp.asarray(given[name]) if name in equation.inputs else unused
+        for name in equation.names
         if name not in lags
     }
-    start = equation, inverse.reference, inverse.affine
     if by_draws:
-        found = over_draws(*start, jnp.asarray(moments.draws), output, inputs, record)
+        found = over_draws(equation, jnp.asarray(moments.draws), output, inputs, record)
     else:
         mean, covariance = jnp.asarray(moments.mean), jnp.asarray(moments.covariance)
-        found = first_order(*start, mean, covariance, output, inputs, record)
+        found = first_order(equation, mean, covariance, output, inputs, record)
     value, variance, inclination = (np.asarray(f) for f in found)
     return value, variance, inclination
 

@@ -49,11 +49,12 @@ from bayescal._search.preview import Preview, Previews
 from bayescal._search.search_path import SearchPath, Step
 from bayescal._search.structures import Structure
 from bayescal._search.walk import path
-from bayescal._use import code_writer
+from bayescal._use import correction_files
+from bayescal._use.autopilot import AUTOPILOTS
 from bayescal._use.budget import Budget, budget
 from bayescal._use.compensator import compensator
 from bayescal._use.decide import Decisions, decide
-from bayescal._use.firmware_parameters import AUTOPILOTS, axis_of, firmware_parameters
+from bayescal._use.firmware_parameters import axis_of, firmware_parameters
 from bayescal._workbench import kept
 from bayescal._workbench.kept import Origin, SearchOptions, State, path_to, script
 
@@ -118,7 +119,11 @@ def changed(
     return Change(model.resize(name, value), in_words=f"{name} of plausible size {size}")
 
 
-SUFFIXES = {format: suffix for suffix, format in code_writer.FORMATS.items()}
+SUFFIXES = {
+    format: suffix
+    for suffix, format in correction_files.FORMATS.items()
+    if format in correction_files.OF_ONE_OUTPUT
+}
 FORMATS = (*SUFFIXES, *AUTOPILOTS)
 
 

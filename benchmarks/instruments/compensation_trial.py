@@ -162,12 +162,11 @@ class Trial:
             per = blocks[entry.key].coefficient.per if entry.kind != "shape" else None
             place = levels[per].index(chosen[per]) if per and entry.kind != "new" else 0
             theta.append(0.0 if entry.kind == "new" else float(value[place]))
-        own, size = compensate._inverse, len(verification)
+        own, size = compensate.equation, len(verification)
         inputs = {n: jnp.zeros(size) for n in own.names}
         inputs |= {n: jnp.asarray(verification[n]) for n in own.inputs}
         value, _, _ = first_order(
-            *(compensate.equation, own.reference, own.affine),
-            *(jnp.asarray(theta), jnp.zeros((len(theta), len(theta)))),
+            *(own, jnp.asarray(theta), jnp.zeros((len(theta), len(theta)))),
             *(jnp.asarray(verification["output"]), inputs, None),
         )
         return np.asarray(value)

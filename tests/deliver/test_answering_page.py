@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._use.code_writer import as_text, effects_of
 from bayescal._use.compensation_program import STIMULUS
+from bayescal._use.correction_files import as_text
 from bayescal._use.expression_graph import JAVASCRIPT, OPERATIONS, Graph, statements
+from bayescal._use.program_text import effects_of
 from tests.support.browser import chromium
 from tests.support.export_check import COMPILER, run_header
 from tests.support.made_up import bent_sensor

@@ -145,15 +145,15 @@ def test_an_output_that_bends_is_inverted_as_the_export_inverts_it() -> None:
     fit = bent_sensor.calibration()
     chosen = bc.compensator(fit, draws=10**9)
     assert chosen.equation is not None
-    inverse, moments = chosen._inverse, chosen._moments
+    equation, moments = chosen.equation, chosen._moments
     point = {i.name: 0.5 * (i.low + i.high) for i in chosen.inputs if i.kind != "lag slope"}
     acceleration, some = 8e5, moments.draws[::160]
-    zero = dict.fromkeys(inverse.names, np.zeros(1))
+    zero = dict.fromkeys(equation.names, np.zeros(1))
     inputs = {**zero, **{n: np.array([v]) for n, v in point.items()}}
     found, inclination = errors_over_draws(
-        *(chosen.equation, inverse.reference, some, moments.mean, np.array([acceleration]), inputs)
+        *(equation, some, moments.mean, np.array([acceleration]), inputs)
     )
-    readings = [inverse.at_point(draw, {**point, "acceleration": acceleration}) for draw in some]
+    readings = [equation.at_point(draw, {**point, "acceleration": acceleration}) for draw in some]
     output = np.array([r.expected for r in readings])
     columns: dict[str, Any] = {**point}
     by_export = chosen(output=output, method="first order", noise=False, **columns)

@@ -12,8 +12,8 @@ import pytest
 
 import bayescal as bc
 from bayescal._core.quoting import identifier
-from bayescal._use.code_writer import as_text
 from bayescal._use.compensate_file import compensate_file
+from bayescal._use.correction_files import as_text
 from bayescal_models import (
     inclinometer,
     mems_gyro,

@@ -11,10 +11,10 @@ import pytest
 
 import bayescal as bc
 from bayescal._core.quoting import ascii_text
-from bayescal._use.code_writer import as_text
 from bayescal._use.compensation_program import program_of
+from bayescal._use.correction_files import as_text
 from bayescal._use.expression_graph import Graph
-from bayescal._use.operating_equation import Inverse, posterior_moments
+from bayescal._use.operating_equation import posterior_moments
 from tests.support.export_check import needs_compiler, run_header, tilted
 from tests.support.made_up import bent_sensor, split_search
 
@@ -175,13 +175,11 @@ def test_an_effect_that_firmware_cannot_compute_is_named() -> None:
     equation = replace(compensator.equation, layout=layout)
     mean = np.zeros(len(equation.unknowns()))
     made = posterior_moments(compensator.equation, compensator.calibration, 10)._replace(mean=mean)
-    frame = compensator.calibration.frame
-    inverse = Inverse(equation, frame.reference, tuple(equation.known))
     about = compensator.program.about
     with pytest.raises(
         bc.ModelError, match=r"effect 'bias.sorted' cannot be exported: the operation 'sort'"
     ):
-        program_of(inverse, made, compensator.inputs, stimulus_range=None, noise=0.1, about=about)
+        program_of(equation, made, compensator.inputs, stimulus_range=None, noise=0.1, about=about)
 
 
 def test_a_graph_writes_nothing_that_comes_to_nothing() -> None:

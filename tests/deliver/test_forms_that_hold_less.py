@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._use.correction_files import as_text
 from bayescal._use.plain_correction import plain_correction
-from bayescal._use.vector_export import as_text, autopilot_parameters, left_out
+from bayescal._use.vector_parameters import autopilot_parameters, left_out
 from tests.deliver.test_one_program import AT, GRAVITY, triad
 
 yaml = pytest.importorskip("yaml")

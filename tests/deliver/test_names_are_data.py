@@ -32,8 +32,8 @@ from bayescal._core.quoting import (
     xml_text,
 )
 from bayescal._core.result_table import as_html, plain_table
-from bayescal._use.code_writer import as_text, load_program
 from bayescal._use.compensation_program import from_data
+from bayescal._use.correction_files import as_text, load_correction
 from bayescal_models import mems_gyro
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler
 
@@ -359,7 +359,7 @@ CHANGES: dict[str, Callable[[dict[str, Any]], object]] = {
     "needs 'humidity'": lambda d: d["equation"]["operations"].append(["input", "humidity"]),
     "more is not known": lambda d: d.update(more=1),
     "noise is missing": lambda d: d.pop("noise"),
-    "is no compensator": lambda d: d.update(schema="other"),
+    "is no correction": lambda d: d.update(schema="other"),
     "of version 3, this bayescal reads 1 and 2": lambda d: d.update(version=3),
     "is not known here: ['system', 0]": lambda d: d["equation"]["operations"].append(["system", 0]),
     "is no operation of it": lambda d: d["equation"].update(slope=10**6),
@@ -373,7 +373,7 @@ def test_a_hostile_export_is_refused_before_it_is_used(said, tmp_path) -> None:
     CHANGES[said](data)
     path.write_text(json.dumps(data), "utf-8")
     with pytest.raises(bc.InputError, match=r"made\.json is (damaged: |a |no )") as error:
-        load_program(path)
+        load_correction(path)
     assert said in str(error.value)
 
 
@@ -392,7 +392,7 @@ def test_a_number_that_no_float_holds_is_refused_wherever_it_stands(tmp_path) ->
         change()
         path.write_text(json.dumps(data), "utf-8")
         with pytest.raises(bc.InputError, match="whole number of more than 64 bits"):
-            load_program(path)
+            load_correction(path)
         data = program_data(str)
 
 
@@ -400,8 +400,8 @@ def test_a_number_that_no_float_holds_is_refused_wherever_it_stands(tmp_path) ->
 def test_what_is_nested_or_no_json_is_refused(text, tmp_path) -> None:
     path: Path = tmp_path / "made.json"
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
-    with pytest.raises(bc.InputError, match=r"made.json is (not JSON|no compensator)"):
-        load_program(path)
+    with pytest.raises(bc.InputError, match=r"made.json is (not JSON|no correction)"):
+        load_correction(path)
 
 
 def hostile_file(name: str, folder: Path) -> Path:

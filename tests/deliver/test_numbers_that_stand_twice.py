@@ -16,8 +16,7 @@ import bayescal as bc
 from bayescal._cli.output import coefficients_text
 from bayescal._core.formatting import with_error
 from bayescal._report.result_json import result
-from bayescal._use.code_writer import as_text
-from bayescal._use.vector_export import as_text as vector_text
+from bayescal._use.correction_files import as_text
 from bayescal_models import (
     accelerometer_triad,
     differential_pair,
@@ -139,7 +138,7 @@ def test_of_three_axes(made: Trail, tmp_path: Path) -> None:
     data = data["averaged"] or data
     assert data["terms"] == correct.terms.tolist()
     assert np.allclose(data["uncertainty"], correct.uncertainty, rtol=1e-12)
-    c, python, json_ = (vector_text(correct, f) for f in ("c", "python", "json"))
+    c, python, json_ = (as_text(correct, f) for f in ("c", "python", "json"))
     assert json.loads(json_)["terms"] == data["terms"]
     assert json.loads(json_)["covariance"] == data["covariance"]
     for row in correct.rows:
@@ -157,5 +156,5 @@ def test_of_three_axes(made: Trail, tmp_path: Path) -> None:
     assert found.vector == pytest.approx(0.0, abs=1e-12)
     spread = correct.matrix @ found.covariance[0] @ correct.matrix.T
     assert np.sqrt(np.diag(spread)) == pytest.approx(correct.uncertainty[0, :3], rel=1e-6)
-    plain = yaml.safe_load(vector_text(correct, "yaml"))["imu0"]
+    plain = yaml.safe_load(as_text(correct, "yaml"))["imu0"]
     assert np.array(next(iter(plain.values()))["matrix"]).shape == (3, 3)

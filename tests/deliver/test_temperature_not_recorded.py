@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._use.vector_export import as_text
+from bayescal._use.correction_files import as_text
 from bayescal_models import accelerometer_triad
 from tests.support.export_check import VECTOR_DRIVER, needs_compiler, run_c
 

@@ -75,11 +75,11 @@ def test_the_instrument_comes_back() -> None:
 def test_the_format_holds_the_covariance() -> None:
     program = bc.compensator(references.calibration("mems_gyro")).program
     quoting: Any = import_module("bayescal._core.quoting")
-    space = put_in("bayescal/_use/code_writer.py", csv_line=quoting.csv_line)
+    space = put_in("bayescal/_use/correction_files.py", csv_line=quoting.csv_line)
     try:
         rows = list(csv.reader(space["as_text"](program, "csv").splitlines()))
     finally:
-        del space["FORMATS"][".csv"], space["TEXTS"]["csv"]
+        del space["FORMATS"][".csv"], space["OF_ONE_OUTPUT"]["csv"]
     assert rows[0][3:] == [row[0] for row in rows[1:]]
     covariance = np.array([row[3:] for row in rows[1:]], dtype=float)
     np.testing.assert_array_equal(covariance, program.covariance)

@@ -14,8 +14,7 @@ READS = (*READS, "index", "find", "search", "match", "fullmatch", "findall", "co
 
 # Where words are read still; a list that may only become shorter.
 STILL = {
-    "_use/compensation_program.py": "why a result is not to be used, which exports hold among their notes",
-    "_use/vector_correction.py": "the same; and what was said of directions, taken out where they are known",
+    "_use/correction.py": "why a result is not to be used, which exports hold among their notes",
     "_use/conformity.py": "notes on a compensation outside its range, which a limit says in its own words",
     "_cli/deliverables.py": "the flag of dropped rows, which the command says itself",
     "_report/report_text.py": "columns that were ignored, of which a calibration keeps the flags alone",

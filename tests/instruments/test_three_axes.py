@@ -16,6 +16,7 @@ from bayescal._data.still_stretches import still_stretches
 from bayescal._model.vector import excess, inverted
 from bayescal_models import accelerometer_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE
+from tests.support.compilations import compiled
 from tests.support.export_check import check_vector_exports
 from tests.support.references import shared
 from tests.support.tiers import slow_but
@@ -376,6 +377,16 @@ def test_the_result_holds_the_average_that_exports_hold() -> None:
     assert found["averaged"]["averaged"] is None
 
 
+def test_a_second_correction_of_the_same_kind_compiles_nothing() -> None:
+    def fit(seed: int) -> bc.Calibration:
+        readings = accelerometer_triad.simulate(seed=seed)
+        return bc.fit(MODEL, readings, bc.LeastSquares(draws=400), seed=seed)
+
+    first, second = fit(1), fit(2)
+    bc.vector_correction(first)
+    assert not compiled(lambda: bc.vector_correction(second))
+
+
 def test_third_order_is_measured_and_taken_out() -> None:
     draws = np.stack([bent().samples(f"cube.constant[{a}]") for a in "xyz"])
     true = 3.0 * np.array([1.0, -0.6, 0.8])
@@ -418,7 +429,8 @@ def test_exports_compute_the_same(made: Any, order: int, tmp_path: Path) -> None
 def test_kalibrs_matrix_and_ours_give_one_magnitude() -> None:
     correct = bc.vector_correction(thermal())
     yaml = pytest.importorskip("yaml")
-    from bayescal._use.vector_export import as_text, autopilot_parameters
+    from bayescal._use.correction_files import as_text
+    from bayescal._use.vector_parameters import autopilot_parameters
 
     found = yaml.safe_load(as_text(correct, "yaml"))["imu0"]
     m, turn = (np.array(found["accelerometers"][n]) for n in ("M", "R"))
@@ -433,7 +445,7 @@ def test_kalibrs_matrix_and_ours_give_one_magnitude() -> None:
 
 
 def test_a_compass_of_an_autopilot_is_symmetric_and_keeps_the_magnitude() -> None:
-    from bayescal._use.vector_export import autopilot_parameters
+    from bayescal._use.vector_parameters import autopilot_parameters
 
     readings = magnetometer_triad.simulate(seed=5)
     correct = bc.vector_correction(bc.fit(magnetometer_triad.INSTRUMENT.baseline(), readings))

@@ -1,8 +1,4 @@
-"""A compensation program as a file: JSON, which is read back; by templates C99, Python, or a page with JavaScript.
-
-Everything in a C header carries the name of its sensor, so that those of several go into one program. Two of one name
-are refused by the compiler, as the include guard of each holds a checksum: else the second would be passed over without
-a word, and its sensor be corrected by the first.
+"""A compensation program as text, by templates: C99, Python, or a page with JavaScript.
 
 The page answers: sliders, the corrected reading with its band, each effect's share. It is one HTML file without server
 or network (its content policy forbids both). Its arithmetic is JavaScript written from the same graph of operations as
@@ -13,18 +9,13 @@ number.
 from __future__ import annotations
 
 import re
-import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
-from bayescal._core.as_json import json_text
-from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
-from bayescal._core.json_shape import read_json
 from bayescal._core.quoting import html_text, identifier, number_text, one_line, python_string
 from bayescal._data.time_in_runs import RATE_WINDOW, SILENCE_WINDOWS
 from bayescal._data.unit_conversion import unit_label
@@ -34,9 +25,9 @@ from bayescal._use.compensation_program import (
     STIMULUS,
     CompensationProgram,
     Input,
-    from_data,
 )
-from bayescal._use.expression_graph import JAVASCRIPT, LANGUAGES, Language, statements, template
+from bayescal._use.export_template import include_guard, template
+from bayescal._use.expression_graph import JAVASCRIPT, Language, statements
 
 TICKS = 500  # steps of a slider: a step is less than a pixel of a wide one
 BAND = 1.959964  # standard uncertainties on either side that hold 95 % of a normal distribution
@@ -60,8 +51,8 @@ def page(program: CompensationProgram) -> str:
     return template("page.html.jinja", FILTERS, autoescape=True).render(
         p=program,
         about=program.about,
-        why_not=program.about.why_not,
-        notes=program.about.notes_on_use,
+        why_not=program.why_not,
+        notes=program.notes_on_use,
         sliders=[(places[i.name], i, i.middle) for i in shown],
         start=[i.middle for i in program.inputs],
         ranges=[(i.low, i.high) for i in program.inputs],
@@ -121,130 +112,12 @@ def _meaning(i: Input) -> str:
 FILTERS = {"text": _text, "unit": _unit, "meaning": _meaning}
 
 
-FORMATS = {".json": "json", ".h": "c", ".py": "python", ".html": "html"}
-# Of a program by itself; C and Python (`LANGUAGES`) take the name of the sensor, and may go without uncertainty.
-TEXTS: dict[str, Callable[[CompensationProgram], str]] = {
-    "json": lambda program: json_text(program.data(), indent=1),
-    "html": page,
-}
-
-
-def sensor_name(given: str | None, instrument: str) -> str:
-    """What a sensor is called in C and Python: as the user says, else as its instrument.
-
-    Raises:
-        InputError: what the user says is no name there.
-    """
-    if given is None:
-        return identifier(instrument)
-    if identifier(given.lower()) != given.lower():
-        raise InputError(
-            f"{given!r} is no name in C and Python: letters, digits and _, a letter first, and no word of theirs, such "
-            "as gyro_x"
-        )
-    return given
-
-
-def refuse_without_uncertainty(format: str) -> None:
-    """Refuse formats whose form holds the uncertainty in any case, and are asked for without.
-
-    Raises:
-        InputError: the format is one of these.
-    """
-    if format not in LANGUAGES:
-        raise InputError(
-            f"{format} holds its uncertainty: only C and Python are written without uncertainty"
-        )
-
-
-def include_guard(name: str, *computed: Any) -> str:
-    """The first lines of a header: it is taken once, and not at all where another of its name was.
-
-    Args:
-        name: of the sensor.
-        computed: what the header computes, whose checksum is the guard's value.
-    """
-    stamp = f"0x{zlib.crc32(repr(computed).encode()):08x}UL"
-    guard = f"BAYESCAL_{name.upper()}_H"
-    return (
-        f"#if defined({guard}) && {guard} != {stamp}\n"
-        f"#error two sensors are called {name}: export one of them with another name\n"
-        f"#endif\n#ifndef {guard}\n#define {guard} {stamp}"
-    )
-
-
-def export(
-    program: CompensationProgram,
-    path: str | Path,
-    format: str | None = None,
-    *,
-    name: str | None = None,
-    uncertainty: bool = True,
-) -> Path:
-    """Write as .h (C99), .py (Python), .html (a page) or .json; beside and then renamed.
-
-    Args:
-        program: to write.
-        path: of the file.
-        format: "c", "python", "html" or "json", whatever the suffix.
-        name: of the sensor in C; that of the instrument if not given.
-        uncertainty: with the covariance of the coefficients; False for C and Python that give the value alone.
-
-    Raises:
-        InputError: another suffix or format, a name that is none in C, or a place that cannot be written to.
-    """
-    path = Path(path)
-    format = format or FORMATS.get(path.suffix.lower(), path.name)
-    return write_text(as_text(program, format, name=name, uncertainty=uncertainty), path)
-
-
-def load_program(path: Path) -> CompensationProgram:
-    """A program from a JSON export.
-
-    Raises:
-        InputError: there is no such file, or what `from_data` refuses.
-    """
-    if not path.is_file():
-        raise InputError(f"there is no file {path}: give a compensator exported as JSON")
-    try:
-        data = read_json(path)
-    except ValueError as error:
-        raise InputError(f"{path.name} is not JSON ({error}): is it a compensator?") from None
-    return from_data(data, path.name)
-
-
-def as_text(
-    program: CompensationProgram,
-    format: str,
-    *,
-    name: str | None = None,
-    uncertainty: bool = True,
-) -> str:
-    """The program as a C99 header ("c"), a Python module ("python"), a page ("html") or "json".
-
-    Raises:
-        InputError: another format, a name that is none in C, or a page or JSON without uncertainty.
-    """
-    if format not in FORMATS.values():
-        *others, last = FORMATS.values()
-        raise InputError(
-            f"a compensator cannot be written as {format!r}: choose {', '.join(others)} or {last} "
-            f"({', '.join(FORMATS)})"
-        )
-    name = sensor_name(name, program.about.instrument)
-    if not uncertainty:
-        refuse_without_uncertainty(format)
-    if format in TEXTS:
-        return TEXTS[format](program)
-    return _from_template(program, LANGUAGES[format], name, uncertainty)
-
-
 # Names that the templates give themselves.
 _WORDS = "reading stimulus inputs expected slope gradient square total values outside math j dt self state now"
 _OWN_WORDS = frozenset(_WORDS.split())
 
 
-def _from_template(
+def program_text(
     program: CompensationProgram, language: Language, name: str, uncertainty: bool
 ) -> str:
     """The C99 header or the Python module, from its template."""

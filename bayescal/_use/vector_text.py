@@ -1,0 +1,108 @@
+"""A correction of three axes as JSON, which is read back, and by templates as C99 and Python: these hold all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bayescal._core.errors import InputError
+from bayescal._core.json_shape import OneOf, required
+from bayescal._core.quoting import c_comment, python_words
+from bayescal._use.compensation_program import AGAIN
+from bayescal._use.export_template import include_guard, template
+from bayescal._use.vector_correction import NEWTON_STEPS, SIZES, VectorCorrection
+
+SHAPE = {
+    "made_by": str,
+    "calibration": str,
+    "instrument": str,
+    "outputs": (str, str, str),
+    "unit": str,
+    "equation": str,
+    "order_of_terms": str,
+    "beside?": [str],
+    "reference_degC": float,
+    "temperatures_degC": OneOf(None, (float, float)),
+    "reach": float,
+    "terms": [[float]],
+    "covariance": [[float]],
+    "noise": float,
+    "notes": [str],
+    "axes_of?": str,
+    "covariance_with_axes_of?": [[float]],
+}
+
+
+def vector_from_data(found: Any, file: str) -> VectorCorrection:
+    """A correction of three axes from JSON.
+
+    Raises:
+        InputError: it is none, or damaged.
+    """
+    required(found, SHAPE, file, AGAIN)
+    beside, shared = tuple(found.get("beside", ())), found.get("covariance_with_axes_of")
+    try:
+        terms, covariance = (np.array(found[name], dtype=float) for name in ("terms", "covariance"))
+        shared = None if shared is None else np.array(shared, dtype=float)
+        fits = terms.ndim == 2 and terms.shape[1] - 9 * bool(beside) in SIZES
+        if not fits or covariance.shape != 2 * (terms.size,):
+            shapes = f"{terms.shape} with a covariance of shape {covariance.shape}"
+            raise ValueError(f"terms of shape {shapes}")
+    except ValueError as error:
+        raise InputError(f"{file} is damaged: {error}. {AGAIN}") from None
+    low, high = found["temperatures_degC"] or (None, None)
+    return VectorCorrection(
+        outputs=tuple(found["outputs"]),
+        unit=found["unit"],
+        reference=found["reference_degC"],
+        low=low,
+        high=high,
+        terms=terms,
+        covariance=covariance,
+        noise=found["noise"],
+        notes=tuple(found["notes"]),
+        source=found["calibration"],
+        beside=beside,
+        instrument=found["instrument"],
+        reach=found["reach"],
+        axes_of=found.get("axes_of", ""),
+        shared=shared,
+    )
+
+
+def headers(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
+    """Corrections as C99, one after the other."""
+    return "\n".join(_header(name, c, uncertainty) for name, c in named.items())
+
+
+def _header(name: str, c: VectorCorrection, uncertainty: bool) -> str:
+    return template("vector.h.jinja", {"comment": c_comment}).render(
+        c=c,
+        name=name,
+        guard=include_guard(
+            name, c.terms.tolist(), c.covariance.tolist(), c.reference, c.low, c.high, uncertainty
+        ),
+        uncertainty=uncertainty,
+        recorded=c.low is not None,
+        thermal=len(c.terms) > 1,
+        # Twelve numbers, and no equation to solve.
+        plain=not uncertainty and c.terms.shape == (1, 12),
+        inverse=np.linalg.inv(c.matrix).tolist(),
+        newton=1 if c.order == 1 else NEWTON_STEPS,
+    )
+
+
+def module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
+    """Corrections as one Python module."""
+    held = {n: c.data() for n, c in named.items()}
+    for one in () if uncertainty else held.values():
+        del one["covariance"]
+        one.pop("covariance_with_axes_of", None)
+    return template("vector.py.jinja", {"comment": python_words}).render(
+        named=named,
+        data={n: repr(one) for n, one in held.items()},
+        uncertainty=uncertainty,
+        newton=NEWTON_STEPS,
+    )
