@@ -31,7 +31,7 @@ from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUn
 from bayescal._model.unknown_effect import FORMS, covariate_in
 from bayescal._report.section import Chapter
 from bayescal._search.discover import is_quiet
-from bayescal._search.search_path import rises, steps_parts
+from bayescal._search.search_path import rises, steps_table
 from bayescal._use.decide import Decisions
 from bayescal._use.vector_correction import term_rows, terms_table
 
@@ -179,7 +179,7 @@ def steps(chapter: Chapter) -> ResultTable:
         }
         for i, step in enumerate(of)
     ]
-    return next(part for part in steps_parts(rows) if isinstance(part, ResultTable))
+    return steps_table(rows)
 
 
 def convergence(chapter: Chapter) -> ResultTable:

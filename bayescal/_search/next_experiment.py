@@ -20,7 +20,7 @@ from bayescal._calibration.fit import fit
 from bayescal._core.errors import ModelError
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
-from bayescal._core.result_table import ResultTable, TableColumn
+from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._inference.joint import expected, expected_with_slopes
 from bayescal._inference.least_squares import LeastSquares
@@ -63,8 +63,8 @@ class Experiment:
         return min(self.expected, key=lambda pair: self.expected[pair])
 
 
-@dataclass(frozen=True)
-class NextExperiment:
+@dataclass(frozen=True, repr=False)
+class NextExperiment(Printed):
     """Feasible campaigns, the most telling first.
 
     Attributes:
@@ -75,23 +75,26 @@ class NextExperiment:
     members: tuple[str, ...]
     experiments: tuple[Experiment, ...]
 
-    def __str__(self) -> str:
+    def _brief(self) -> str:
+        return f"to tell apart {', '.join(self.members)}: {self.experiments[0].name}"
+
+    def _parts(self) -> list[str | ResultTable]:
         """Feasible experiments, the most telling first."""
         columns = (
             TableColumn("experiment", lambda e: e.name),
             TableColumn("log Bayes factor", lambda e: e.worst, "{:.1f}".format),
             TableColumn("least expected for", lambda e: " against ".join(e.hardest)),
         )
-        lines = [
+        lines: list[str | ResultTable] = [
             f"to tell apart: {', '.join(self.members)}",
-            str(ResultTable(columns, self.experiments, fold=25)),
+            ResultTable(columns, self.experiments, fold=25),
         ]
         if self.experiments[0].worst < VERY_STRONG_NATS:
             lines.append(
                 "None of these is expected to tell them apart (a log Bayes factor of "
                 f"{VERY_STRONG_NATS:g} would)."
             )
-        return "\n".join(lines)
+        return lines
 
 
 def next_experiment(

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from bayescal._calibration.prior_influence import not_measured
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
 from bayescal._core.progress import stage
-from bayescal._core.result_table import plain_table
+from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
@@ -66,8 +67,8 @@ class PickedReading:
     u: float
 
 
-@dataclass(frozen=True)
-class ReadingPlan:
+@dataclass(frozen=True, repr=False)
+class ReadingPlan(Printed):
     """What to measure next.
 
     Attributes:
@@ -100,7 +101,19 @@ class ReadingPlan:
         """Whether no campaign is worth it."""
         return self.gain < WORTH_SHARE
 
-    def __str__(self) -> str:
+    def _brief(self) -> str:
+        best = self.campaigns[0]
+        return f"{self.limit.text}: {best.name}, u {number(self.u)} → {number(best.u)} {unit_label(self.unit)}"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each campaign."""
+        return {
+            "campaign": [c.name for c in self.campaigns],
+            "readings": [len(c.readings) for c in self.campaigns],
+            "u": [c.u for c in self.campaigns],
+        }
+
+    def _parts(self) -> list[str | ResultTable]:
         """Campaigns by what they leave, the readings of the best one, and whether any is worth it."""
         unit = unit_label(self.unit)
         rows = [
@@ -108,16 +121,16 @@ class ReadingPlan:
             for c in self.campaigns
         ]
         head = ["campaign", "readings", _with_unit("u after it", unit), "less by"]
-        lines = [f"{self.limit.text}\nstandard uncertainty now: {number(self.u)} {unit}".rstrip()]
+        now = f"{self.limit.text}\nstandard uncertainty now: {number(self.u)} {unit}".rstrip()
         if np.isfinite(self.tolerance):
-            lines[0] += f", {self.u / self.tolerance:.2g} of the tolerance"
-        lines += [f"Note: {note}." for note in self.notes]
-        lines.append(str(plain_table(head, rows, fold=30)))
+            now += f", {self.u / self.tolerance:.2g} of the tolerance"
+        lines: list[str | ResultTable] = [now, *(f"Note: {note}." for note in self.notes)]
+        lines.append(plain_table(head, rows, fold=30))
         if self.enough:
             lines.append(
                 f"Enough: none of these is expected to take off {100 * WORTH_SHARE:.0f} %."
             )
-            return "\n".join(lines)
+            return lines
         best = self.campaigns[0]
         if self.picked:
             names = list(self.picked[0].at)
@@ -131,8 +144,8 @@ class ReadingPlan:
                 f"{len(self.picked)} of the {len(best.readings)} readings of {best.name!r} give "
                 f"{100 * share:.0f} % of that:"
             )
-            lines.append(str(plain_table([*head, _with_unit("u with it", unit)], rows)))
-        return "\n".join(lines)
+            lines.append(plain_table([*head, _with_unit("u with it", unit)], rows))
+        return lines
 
     def data(self) -> dict[str, object]:
         """Everything as plain data, for JSON."""

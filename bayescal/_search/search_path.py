@@ -249,6 +249,12 @@ def rises(now: float | None, then: float | None) -> bool:
 
 def steps_parts(rows: Sequence[Mapping[str, Any]]) -> list[str | ResultTable]:
     """Errors of steps, and what a mark beside one means; of `Step.row` or the steps of a result.json."""
+    note = f"{RISES.strip()} held-out error more than a twentieth above that of the step before"
+    return [steps_table(rows), *[note] * any(r["rises"] for r in rows)]
+
+
+def steps_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
+    """The errors of steps, one below the other."""
     unit = unit_label(rows[-1]["unit"])
     group = next((r["leave_one_group_out"]["group"] for r in rows if r["leave_one_group_out"]), "")
 
@@ -278,8 +284,7 @@ def steps_parts(rows: Sequence[Mapping[str, Any]]) -> list[str | ResultTable]:
         ),
         TableColumn("P(complete)", "nothing_missing", probability, name="nothing missing"),
     )
-    note = f"{RISES.strip()} held-out error more than a twentieth above that of the step before"
-    return [ResultTable(columns, rows), *[note] * any(r["rises"] for r in rows)]
+    return ResultTable(columns, rows)
 
 
 def _nearest(best: Candidate, added: int) -> str:

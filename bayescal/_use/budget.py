@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from bayescal._calibration.prior_influence import (
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number, with_error
-from bayescal._core.result_table import ResultTable, TableColumn
+from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.unit_conversion import (
     coefficient_factor,
     convert,
@@ -88,8 +88,8 @@ class SourceShare:
     share: float
 
 
-@dataclass(frozen=True)
-class Budget:
+@dataclass(frozen=True, repr=False)
+class Budget(Printed):
     """An uncertainty budget.
 
     Attributes:
@@ -162,8 +162,18 @@ class Budget:
         more = {"expanded": self.expanded, "expanded_reading": self.expanded_reading}
         return {**as_json(self), **more}
 
-    def __str__(self) -> str:
-        return budget_text(self.shown())
+    def _parts(self) -> list[str | ResultTable]:
+        return budget_parts(self.shown())
+
+    def _brief(self) -> str:
+        shown = self.shown()
+        unit = unit_label(shown.unit)
+        return f"{self.stimulus} at {shown.place}: U = {number(shown.expanded)} {unit} (k = {self.k:g})"
+
+    def _columns(self) -> dict[str, list[Any]]:
+        """A row for each coefficient, in fixed units."""
+        names = [f.name for f in fields(Contribution)]
+        return {name: [getattr(c, name) for c in self.coefficients] for name in names}
 
     @property
     def place(self) -> str:
@@ -199,7 +209,7 @@ class Budget:
         return ResultTable(by_coefficient, self.coefficients), ResultTable(by_source, self.sources)
 
 
-def budget_text(found: Budget) -> str:
+def budget_parts(found: Budget) -> list[str | ResultTable]:
     """Both tables of an uncertainty budget; k and the kind of each interval said."""
     unit = unit_label(found.unit)
     by_coefficient, by_source = found.tables()
@@ -208,17 +218,17 @@ def budget_text(found: Budget) -> str:
     hidden = f" {left} coefficients below {LEAST_VARIANCE_SHARE:.2%} are not shown." if left else ""
     parts = [
         f"Uncertainty budget of {found.stimulus} at {found.place}",
-        str(replace(by_coefficient, rows=seen)),
+        replace(by_coefficient, rows=seen),
         "Shares count correlations and add up to 100 %; a negative share reduces the variance."
         + hidden,
-        str(by_source),
+        by_source,
         f"Combined standard uncertainty {number(found.uncertainty)} {unit}; with the noise of one reading "
         f"({number(found.noise)} {unit}): {number(found.expanded_reading / found.k)} {unit}.",
         f"Expanded uncertainty (k = {found.k:g}): {number(found.expanded)} {unit}; with the noise of one reading: "
         f"{number(found.expanded_reading)} {unit}.",
         textwrap.fill(" ".join(found.notes), WIDTH),
     ]
-    return "\n\n".join(parts)
+    return [line for part in parts for line in (part, "")][:-1]
 
 
 def budget(

@@ -39,6 +39,11 @@ def results() -> dict[str, object]:
         "comparison": bc.compare({SCRIPT: first, "with it": last}),
         "trail": trail,
         "channels": bc.calibrate_channels(models, unit, method=QUICK, max_effects=1),
+        "budget": bc.budget(last),
+        "plan": bc.plan_readings(last, "corrected reading: ±0.1 °/s", count=2),
+        "next experiment": bc.next_experiment(
+            first, ["bias.thermal_lag", "bias.temperature_quadratic"]
+        ),
     }
 
 
@@ -51,6 +56,9 @@ NAMES = [
     "comparison",
     "trail",
     "channels",
+    "budget",
+    "plan",
+    "next experiment",
 ]
 
 

@@ -25,7 +25,6 @@ from bokeh.models import ColumnDataSource, Legend, LegendItem, NumeralTickFormat
 
 from bayescal._calibration.noise_in_time import AllanCheck
 from bayescal._core.errors import InputError
-from bayescal._core.formatting import number, probability
 from bayescal._data.header_matching import MISSING_READINGS, expected_columns
 from bayescal._data.measurements import Measurements
 from bayescal._data.read import read
@@ -33,7 +32,7 @@ from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
 from bayescal._report.plot_colours import GREEN, ORANGE, RED
 from bayescal._search.next_experiment import next_experiment
 from bayescal._search.plan_readings import ReadingPlan
-from bayescal._search.search_path import RISES
+from bayescal._search.search_path import steps_table
 from bayescal._tables.cells import ORDERS
 from bayescal._tables.mapping_file import save_mapping
 from bayescal._tables.open_table import TEXT, open_table
@@ -147,11 +146,7 @@ class ErrorPane(Pane):
         self._floor.location = floor
         for item in self._legend.items:
             item.visible = item.label.value != "held out" or kept_apart
-        further = ["held out"] if kept_apart else []
-        self.rows.head = [
-            *("step", f"as fitted [{unit}]", "new run", *further, "floor", "complete", "")
-        ]
-        self.rows.rows = step_rows(states, current, kept_apart)
+        self.rows.head, self.rows.rows = step_rows(states, current)
         self.undo.disabled = self.session.before is None
 
     def _show_branches(self, states: Mapping[int, Any], path: list[int]) -> tuple[int, float]:
@@ -201,28 +196,37 @@ def in_order(states: Mapping[int, Any]) -> list[tuple[int, str]]:
     return found
 
 
-def step_rows(states: Mapping[int, Any], current: int, kept_apart: bool) -> list[dict[str, Any]]:
-    """A row a state: its errors, and the way back to it."""
-    rows = []
+SHOWN = ("step", "as fitted", "new run", "held-out", "floor", "P(complete)")
+TITLES = {"P(complete)": "probability that the model is complete"}
+
+
+def step_rows(states: Mapping[int, Any], current: int) -> tuple[list[str], list[dict[str, Any]]]:
+    """The head, and a row a state: its errors as `SearchPath` prints them, and the way back to it."""
+    told = []
     for n, lines in in_order(states):
         state, before = states[n], states.get(states[n].parent)
-        e, found = state.step.errors(), state.discovery
-        told = [{"text": number(e["rmse_fitted"])}, {"text": number(e["rmse"])}]
-        if kept_apart:
-            worse = before is not None and state.step.raises_holdout(before.step)
-            said = "more than a twentieth above the step before" if worse else ""
-            told.append({"text": f"{number(e['holdout_rmse'])}{RISES * worse}", "title": said})
-        complete = probability(None if found is None else found.nothing_missing)
-        told.append({"text": number(e["noise_floor"])})
-        told.append({"text": complete, "title": "probability that the model is complete"})
+        row = state.step.row(before and before.step)
+        complete = state.discovery and state.discovery.nothing_missing
+        title = {"number": f"{lines}{n} ", "title": state.title}
+        told.append({**row, **title, "nothing_missing": complete, "state": n})
+    table = steps_table(told)
+    table = table.only(*(c.head for c in table.shown if c.head in SHOWN))
+    heads, rows = [c.head for c in table.columns], []
+    rises = {"held-out": "more than a twentieth above the step before"}
+    for row, (step, *cells) in zip(told, table.cells, strict=True):
+        titles = TITLES | (rises if row["rises"] else {})
+        numbers = [
+            {"text": text, "kind": "number", "title": titles.get(head, "")}
+            for head, text in zip(heads[1:], cells, strict=True)
+        ]
         here = [
             {"id": "compare", "label": "Compare", "title": "with the step that is shown"},
             {"id": "go", "label": "Go back", "title": "what is done next branches off here"},
         ]
-        title = {"text": f"{lines}{n}  {state.title}"}
-        row = {"id": str(n), "cells": [title, *({**one, "kind": "number"} for one in told)]}
-        rows.append({**row, "actions": [] if n == current else here, "current": n == current})
-    return rows
+        now = row["state"] == current
+        shown = {"cells": [{"text": step}, *numbers], "actions": [] if now else here}
+        rows.append({"id": str(row["state"]), **shown, "current": now})
+    return [*table.head, ""], rows
 
 
 NONE = (
