@@ -13,269 +13,201 @@ from typing import Any, NamedTuple
 from bayescal._core.formatting import number
 from bayescal._data.unit_conversion import unit_label
 
-STOP, DOUBT, NOTE = "stop", "doubt", "note"
+# Code (severity), what it says, and behind → what to do; of several cures the claim says which, by the [name].
+# A "stop" and a "doubt" shut the gate, a "note" does not.
+CATALOGUE = """\
+kept (doubt)
+    {words}
+
+# What a fit may not be (guards.py)
+prior.contradicted (stop)
+    {of[0]} stands {away:.0f} times its plausible size from its prior's mean ({where} against {mean} ± {size}
+    {unit:unit}; its log probability falls by {fall:.0f}):
+  → [zero and scale] check the nominal zero (--nominal-zero '1.21 V') and scale (--nominal-scale '250 V/g'), give it
+    a wider prior, or accept it (calibrate --accept-conflict {of[0]}).
+  → [scale] check the nominal scale (--nominal-scale '250 V/g'), give it a wider prior, or accept it (calibrate
+    --accept-conflict {of[0]}).
+  → [units] check the units of the columns and the nominal scale (--nominal-scale '250 V/g'), give it a wider prior,
+    or accept it (calibrate --accept-conflict {of[0]}).
+prior.widened (stop)
+    {of[0]} is known worse than before the readings (contraction {contraction:.1f}): the fit did not converge.
+size.beyond_output (stop)
+    {of[0]} is larger than the output's whole range ({mean} against {reach} {unit:unit}): the readings lie far from
+    what the model can be.
+  → Check the nominal zero and scale.
+time.beyond_record (stop)
+    {of[0]} is longer than {records:.0f} records ({mean} s): it cannot be told.
+curve.beyond_known (stop)
+    {of[0]} changes the output by {here} {unit:unit} rms, where all effects known of the instrument, as large as is
+    plausible, would change it by {known} {unit:unit}:
+  → check the sign, the unit and the nominal scale (--nominal-scale '250 V/g') of the output and of the inputs.
+group.too_different (doubt)
+    {member} stands {away:.0f} times its plausible size from the mean of such ({where} against {mean} ± {size}
+    {unit:unit}):
+  → check the sign, the units and the device of each {group}, give it a wider prior, or accept it (calibrate
+    --accept-conflict {of[0]}).
+group.follows_column (doubt)
+    The coefficient {term} is not measured: {of[0]} follows {along} from one {group} to the next (correlation
+    {r:.2f} over {members}, p = {p:.1g}), and within each the readings deny it.
+  → Look at the column {along}: late, held, smoothed or noisy? Or accept it (calibrate --accept-conflict {of[0]}).
+mode.indefinite (doubt)
+    The curvature at the mode is not positive definite: the fit ended on a ridge or a saddle. Log evidence and
+    standard uncertainties are not reliable.
+  → Take an effect out that these readings do not determine.
+mode.two (doubt)
+    Two modes explain the readings nearly as well (log Bayes factor {behind:.1f}): {values:list}. The fit describes
+    one of them.
+effect.off_scale (note)
+    {of[0]} contributes at most {contribution} {unit:unit} at its plausible size, where the noise is {noise}
+    {unit:unit}:
+  → check the unit of its basis, which gets columns in the units that the instrument declares and others in base
+    units (45 % is 0.45), and its prior, in {own}.
+
+# What a fit's own readings say against it (judgement.py)
+output.rounded (stop)
+    The output is rounded in steps of {grid:.3g} {unit:unit}, which is more than its noise: nothing finer than a
+    step can be known, and standard uncertainties are too small.
+  → Record it with more digits.
+group.surprising (doubt)
+    {group} {member} is not like the others: predicted from these, its errors are {times:.1f} times what they should
+    be ({scheme}). Its thermometer or a setting was different, or the sensor changed:
+  → look at its columns, or leave it out.
+column.odd (doubt)
+    Column {of[0]!r} {said}: what depends on it is not measured.
+fit.not_converged (stop)
+    The fit did not converge: {reasons}
+fixed.wrong (stop)
+    The fixed coefficients leave residuals of {rms:.3g} {unit} rms, {times:.1f} times the noise of the same model
+    with free coefficients.
+evidence.not_finite (doubt)
+    The log evidence is not finite: the readings have too few digits, or a prior is improper.
+noise.correlated (doubt)
+    Noise model inadequate: neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), so the
+    probabilities of missing effects are too confident. Either the noise is correlated in time or something is
+    missing that no candidate describes.
+noise.scatter (doubt)
+    Noise model inadequate: the scatter changes with {of}, so standard uncertainties hold for no part of the record.
+  → Give the readings their own uncertainties (column output_uncertainty).
+noise.one_sided (doubt)
+    Noise model inadequate: the readings far from the model stand on one side (p = {p:.1g}), outliers that draw it
+    there.
+  → Find what makes them, and leave them out.
+noise.tails (doubt)
+    Noise model inadequate: readings do not scatter about the model as normal noise does (leave-one-out
+    probabilities uniform: p = {p:.1g}{outside}).
+  → Look at the readings; a model with noise bc.StudentT() bears outliers on both sides.
+readings.too_few (doubt)
+    {count} readings are too few for {free} unknowns: the noise cannot be told, and uncertainties hang on the
+    priors.
+residuals.depend (doubt)
+    The residuals still depend on {of} (log Bayes factor {factor:.0f}):
+  → [search] something is missing from the model. Look for it: bayescal discover, or calibrate.
+  → [lead] {named} may be what is missing. Add it (--add {lead}), or take the readings of the next experiment.
+  → [nothing] something is missing that no candidate describes, or readings of two devices or conditions are mixed.
+runs.apart (doubt)
+    Runs stand {apart:.3g} {unit:unit} apart ({of[0]} steps where none goes on): they are of two devices or
+    conditions, or the sensor was restarted, and which of them a new run will be like is not known.
+
+# What a search says against its last model (gate.py)
+value.freed (doubt)
+    {of:list}: the readings are explained with a value other than the stated one, and by no missing effect alone.
+term.replaced (doubt)
+    The coefficient {of[0]} is not measured: {column} no longer explains the output, {by} stands for it, and these
+    readings cannot tell which it is ({of[0]} is {kept:.2g} times what it was, {moved:.0f} of its standard
+    uncertainties away).
+  → Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than a
+    run? Vary {column} otherwise in another run.
+term.replaceable (doubt)
+    The coefficient {of[0]} is not measured: {by} can stand for it, as the profiles are, and these readings cannot
+    tell which it is ({of[0]} is {kept:.2g} times what it was, {moved:.0f} of its standard uncertainties away).
+  → Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than a
+    run? Vary {column} otherwise in another run.
+complete.undecided (doubt)
+    The model is complete with probability {complete:.2g} only, and the readings do not tell what is missing; the
+    most probable are {named:list}.
+step.raises_error (doubt)
+    Step {step!r} raises the error as fitted, {then:.3g} → {now:.3g} {unit:unit}: do not use it.
+step.predicts_worse (doubt)
+    The last model predicts {what} worse than step {step!r}, {then:.3g} → {now:.3g} {unit:unit}: what was changed
+    since holds for these readings alone.
+holdout.contradicts (doubt)
+    The hold-out data contradict the last model: its error there, {error} {unit:unit}, would be {other} with other
+    coefficients{before}, and a right model is so far off with probability {p:.2g}. They are of another device or
+    condition, or the model is wrong.
+holdout.scatters (doubt)
+    The last model predicts the hold-out data worse than it claims: they scatter {scatter:.1f} times as much as
+    expected. They are of another device or condition, or the model is wrong.
+
+# What does not stand against it, and is to be known
+direction.none_exactly (note)
+    {of[0]}: these readings say nothing of it; its interval is the prior's (exactly)
+direction.other_exactly (note)
+    {combination}: this combination is not identifiable; only other combinations of these coefficients are measured,
+    this one keeps the prior's width (exactly)
+direction.none (note)
+    {of[0]}: these readings say nothing of it; its interval is the prior's
+direction.other (note)
+    {of}: only another combination of them is measured; this one keeps the prior's width
+direction.members (note)
+    {count} combination(s) of the single coefficients of {of:list}: these readings do not tell them apart; they keep
+    the width of their prior
+direction.confounded (note)
+    {of} apart from {column}: these readings tell {told:.1g} of its squares from the model. Standard uncertainties
+    hold what it may have done in their place; the sum of both is measured.
+  → Vary {vary} otherwise in another run, or leave it out if it is no cause (--ignore {vary})
+term.confounded (note)
+    {of[0]} and {by} are confounded in these readings, which tell {left:.1%} of it apart: their standard
+    uncertainties hold both.
+  → Vary {column} otherwise in another run.
+profile.one (note)
+    All runs have one profile of {column}: what repeats with the time within a run ({of}) is told from the
+    temperature by its form alone. {another}
+thermometer.or_sensor (note)
+    Not decidable from these readings: whether {of} is of the sensor, or the thermometer ({columns:list}) or the
+    output is late, slow or drifting. Predictions hold with this thermometer and this logger;
+  → compare the thermometer once with one at the sensor.
+level.which (note)
+    Not decidable from these readings: which of two levels, {apart} {unit:unit} apart, is that in use: the output
+    steps at {at} s ({of[0]}), and the coefficients are of their mean.
+  → Look at what happened there; readings of another state belong in a file of their own.
+input.one_order (note)
+    Not decidable from these readings: whether {of[0]} is of the sensor, or the output is late or smoothed: {column}
+    goes through its values in one order.
+  → Take them in another order in one run.
+"""
 
 
 class Words(NamedTuple):
-    """What a code means for the result, what it says, and what to do; the latter may say which of several."""
+    """What a code means for the result, what it says, and what to do: by name, "" where there is one cure."""
 
     severity: str
     says: str
-    cure: str | Mapping[str, str] = ""
+    cures: dict[str, str]
 
 
-_SCALE = "(--nominal-scale '250 V/g')"
-_LOOK_AT = {
-    "zero and scale": f"check the nominal zero (--nominal-zero '1.21 V') and scale {_SCALE}",
-    "scale": f"check the nominal scale {_SCALE}",
-    "units": f"check the units of the columns and the nominal scale {_SCALE}",
-}
-_ACCEPT = ", give it a wider prior, or accept it (calibrate --accept-conflict {of[0]})."
-_ELSEWHERE = "They are of another device or condition, or the model is wrong."
-_UNTOLD = "Not decidable from these readings: "
-_WHICH = (
-    ", and these readings cannot tell which it is ({of[0]} is {kept:.2g} times what it was, {moved:.0f} of its "
-    "standard uncertainties away)."
-)
-_LOOK_AT_COLUMN = (
-    "Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than a "
-    "run? Vary {column} otherwise in another run."
-)
-_LAW = "Noise model inadequate: "
+def _read(catalogue: str) -> dict[str, Words]:
+    """Code → words, of the text above."""
+    found: dict[str, Words] = {}
+    code, cure = "", None
+    for line in (one for one in catalogue.splitlines() if one and not one.startswith("#")):
+        told = line.strip()
+        if not line.startswith(" "):
+            code, _, severity = told.removesuffix(")").partition(" (")
+            found[code], cure = Words(severity, "", {}), None
+        elif told.startswith("→"):
+            name, _, told = (
+                told.removeprefix("→ [").partition("] ") if "→ [" in told else ("", "", told[2:])
+            )
+            cure = name
+            found[code].cures[name] = told
+        elif cure is None:
+            found[code] = found[code]._replace(says=f"{found[code].says} {told}".lstrip())
+        else:
+            found[code].cures[cure] += f" {told}"
+    return found
 
-WORDS: dict[str, Words] = {
-    "kept": Words(DOUBT, "{words}"),
-    # What a fit may not be (guards.py)
-    "prior.contradicted": Words(
-        STOP,
-        "{of[0]} stands {away:.0f} times its plausible size from its prior's mean ({where} against {mean} ± {size} "
-        "{unit:unit}; its log probability falls by {fall:.0f}):",
-        {key: cure + _ACCEPT for key, cure in _LOOK_AT.items()},
-    ),
-    "prior.widened": Words(
-        STOP,
-        "{of[0]} is known worse than before the readings (contraction {contraction:.1f}): the fit did not converge.",
-    ),
-    "size.beyond_output": Words(
-        STOP,
-        "{of[0]} is larger than the output's whole range ({mean} against {reach} {unit:unit}): the readings lie far "
-        "from what the model can be.",
-        "Check the nominal zero and scale.",
-    ),
-    "time.beyond_record": Words(
-        STOP, "{of[0]} is longer than {records:.0f} records ({mean} s): it cannot be told."
-    ),
-    "curve.beyond_known": Words(
-        STOP,
-        "{of[0]} changes the output by {here} {unit:unit} rms, where all effects known of the instrument, as large "
-        "as is plausible, would change it by {known} {unit:unit}:",
-        f"check the sign, the unit and the nominal scale {_SCALE} of the output and of the inputs.",
-    ),
-    "group.too_different": Words(
-        DOUBT,
-        "{member} stands {away:.0f} times its plausible size from the mean of such ({where} against {mean} ± {size} "
-        "{unit:unit}):",
-        "check the sign, the units and the device of each {group}" + _ACCEPT,
-    ),
-    "group.follows_column": Words(
-        DOUBT,
-        "The coefficient {term} is not measured: {of[0]} follows {along} from one {group} to the next (correlation "
-        "{r:.2f} over {members}, p = {p:.1g}), and within each the readings deny it.",
-        "Look at the column {along}: late, held, smoothed or noisy? Or accept it (calibrate --accept-conflict "
-        "{of[0]}).",
-    ),
-    "mode.indefinite": Words(
-        DOUBT,
-        "The curvature at the mode is not positive definite: the fit ended on a ridge or a saddle. Log evidence and "
-        "standard uncertainties are not reliable.",
-        "Take an effect out that these readings do not determine.",
-    ),
-    "mode.two": Words(
-        DOUBT,
-        "Two modes explain the readings nearly as well (log Bayes factor {behind:.1f}): {values:list}. The fit "
-        "describes one of them.",
-    ),
-    "effect.off_scale": Words(
-        NOTE,
-        "{of[0]} contributes at most {contribution} {unit:unit} at its plausible size, where the noise is {noise} "
-        "{unit:unit}:",
-        "check the unit of its basis, which gets columns in the units that the instrument declares and others in base "
-        "units (45 % is 0.45), and its prior, in {own}.",
-    ),
-    # What a fit's own readings say against it (judgement.py)
-    "output.rounded": Words(
-        STOP,
-        "The output is rounded in steps of {grid:.3g} {unit:unit}, which is more than its noise: nothing finer than a "
-        "step can be known, and standard uncertainties are too small.",
-        "Record it with more digits.",
-    ),
-    "group.surprising": Words(
-        DOUBT,
-        "{group} {member} is not like the others: predicted from these, its errors are {times:.1f} times what they "
-        "should be ({scheme}). Its thermometer or a setting was different, or the sensor changed:",
-        "look at its columns, or leave it out.",
-    ),
-    "column.odd": Words(DOUBT, "Column {of[0]!r} {said}: what depends on it is not measured."),
-    "fit.not_converged": Words(STOP, "The fit did not converge: {reasons}"),
-    "fixed.wrong": Words(
-        STOP,
-        "The fixed coefficients leave residuals of {rms:.3g} {unit} rms, {times:.1f} times the noise of the same "
-        "model with free coefficients.",
-    ),
-    "evidence.not_finite": Words(
-        DOUBT,
-        "The log evidence is not finite: the readings have too few digits, or a prior is improper.",
-    ),
-    "noise.correlated": Words(
-        DOUBT,
-        _LAW
-        + "neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), so the probabilities of "
-        "missing effects are too confident. Either the noise is correlated in time or something is missing that no "
-        "candidate describes.",
-    ),
-    "noise.scatter": Words(
-        DOUBT,
-        _LAW
-        + "the scatter changes with {of}, so standard uncertainties hold for no part of the record.",
-        "Give the readings their own uncertainties (column output_uncertainty).",
-    ),
-    "noise.one_sided": Words(
-        DOUBT,
-        _LAW
-        + "the readings far from the model stand on one side (p = {p:.1g}), outliers that draw it there.",
-        "Find what makes them, and leave them out.",
-    ),
-    "noise.tails": Words(
-        DOUBT,
-        _LAW
-        + "readings do not scatter about the model as normal noise does (leave-one-out probabilities uniform: "
-        "p = {p:.1g}{outside}).",
-        "Look at the readings; a model with noise bc.StudentT() bears outliers on both sides.",
-    ),
-    "readings.too_few": Words(
-        DOUBT,
-        "{count} readings are too few for {free} unknowns: the noise cannot be told, and uncertainties hang on the "
-        "priors.",
-    ),
-    "residuals.depend": Words(
-        DOUBT,
-        "The residuals still depend on {of} (log Bayes factor {factor:.0f}):",
-        {
-            "search": "something is missing from the model. Look for it: bayescal discover, or calibrate.",
-            "lead": "{named} may be what is missing. Add it (--add {lead}), or take the readings of the next "
-            "experiment.",
-            "nothing": "something is missing that no candidate describes, or readings of two devices or conditions "
-            "are mixed.",
-        },
-    ),
-    "runs.apart": Words(
-        DOUBT,
-        "Runs stand {apart:.3g} {unit:unit} apart ({of[0]} steps where none goes on): they are of two devices or "
-        "conditions, or the sensor was restarted, and which of them a new run will be like is not known.",
-    ),
-    # What a search says against its last model (gate.py)
-    "value.freed": Words(
-        DOUBT,
-        "{of:list}: the readings are explained with a value other than the stated one, and by no missing effect "
-        "alone.",
-    ),
-    "term.replaced": Words(
-        DOUBT,
-        "The coefficient {of[0]} is not measured: {column} no longer explains the output, {by} stands for it"
-        + _WHICH,
-        _LOOK_AT_COLUMN,
-    ),
-    "term.replaceable": Words(
-        DOUBT,
-        "The coefficient {of[0]} is not measured: {by} can stand for it, as the profiles are"
-        + _WHICH,
-        _LOOK_AT_COLUMN,
-    ),
-    "complete.undecided": Words(
-        DOUBT,
-        "The model is complete with probability {complete:.2g} only, and the readings do not tell what is missing; "
-        "the most probable are {named:list}.",
-    ),
-    "step.raises_error": Words(
-        DOUBT,
-        "Step {step!r} raises the error as fitted, {then:.3g} → {now:.3g} {unit:unit}: do not use it.",
-    ),
-    "step.predicts_worse": Words(
-        DOUBT,
-        "The last model predicts {what} worse than step {step!r}, {then:.3g} → {now:.3g} {unit:unit}: what was "
-        "changed since holds for these readings alone.",
-    ),
-    "holdout.contradicts": Words(
-        DOUBT,
-        "The hold-out data contradict the last model: its error there, {error} {unit:unit}, would be {other} with "
-        "other coefficients{before}, and a right model is so far off with probability {p:.2g}. "
-        + _ELSEWHERE,
-    ),
-    "holdout.scatters": Words(
-        DOUBT,
-        "The last model predicts the hold-out data worse than it claims: they scatter {scatter:.1f} times as much as "
-        "expected. " + _ELSEWHERE,
-    ),
-    # What does not stand against it, and is to be known
-    "direction.none_exactly": Words(
-        NOTE, "{of[0]}: these readings say nothing of it; its interval is the prior's (exactly)"
-    ),
-    "direction.other_exactly": Words(
-        NOTE,
-        "{combination}: this combination is not identifiable; only other combinations of these coefficients are "
-        "measured, this one keeps the prior's width (exactly)",
-    ),
-    "direction.none": Words(
-        NOTE, "{of[0]}: these readings say nothing of it; its interval is the prior's"
-    ),
-    "direction.other": Words(
-        NOTE,
-        "{of}: only another combination of them is measured; this one keeps the prior's width",
-    ),
-    "direction.members": Words(
-        NOTE,
-        "{count} combination(s) of the single coefficients of {of:list}: these readings do not tell them apart; they "
-        "keep the width of their prior",
-    ),
-    "direction.confounded": Words(
-        NOTE,
-        "{of} apart from {column}: these readings tell {told:.1g} of its squares from the model. Standard "
-        "uncertainties hold what it may have done in their place; the sum of both is measured.",
-        "Vary {vary} otherwise in another run, or leave it out if it is no cause (--ignore {vary})",
-    ),
-    "term.confounded": Words(
-        NOTE,
-        "{of[0]} and {by} are confounded in these readings, which tell {left:.1%} of it apart: their standard "
-        "uncertainties hold both.",
-        "Vary {column} otherwise in another run.",
-    ),
-    "profile.one": Words(
-        NOTE,
-        "All runs have one profile of {column}: what repeats with the time within a run ({of}) is told from the "
-        "temperature by its form alone. {another}",
-    ),
-    "thermometer.or_sensor": Words(
-        NOTE,
-        _UNTOLD
-        + "whether {of} is of the sensor, or the thermometer ({columns:list}) or the output is late, slow or "
-        "drifting. Predictions hold with this thermometer and this logger;",
-        "compare the thermometer once with one at the sensor.",
-    ),
-    "level.which": Words(
-        NOTE,
-        _UNTOLD
-        + "which of two levels, {apart} {unit:unit} apart, is that in use: the output steps at {at} s "
-        "({of[0]}), and the coefficients are of their mean.",
-        "Look at what happened there; readings of another state belong in a file of their own.",
-    ),
-    "input.one_order": Words(
-        NOTE,
-        _UNTOLD
-        + "whether {of[0]} is of the sensor, or the output is late or smoothed: {column} goes through its "
-        "values in one order.",
-        "Take them in another order in one run.",
-    ),
-}
+
+WORDS = _read(CATALOGUE)
 
 
 class _Filled(string.Formatter):
@@ -299,5 +231,5 @@ def worded(code: str, holds: Mapping[str, Any]) -> str:
         holds: what it is of, and its numbers; `cure` says which of several cures is meant.
     """
     words = WORDS[code]
-    cure = words.cure if isinstance(words.cure, str) else words.cure[holds["cure"]]
+    cure = words.cures.get(holds.get("cure", ""), "")
     return _Filled().vformat(f"{words.says} {cure}".rstrip(), (), holds)

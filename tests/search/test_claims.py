@@ -20,7 +20,7 @@ TEXTS = (*TEXTS, "group", "member", "step", "term", "lead")
 def filled(code: str, cure: str = "") -> Claim:
     """A claim with something for everything that its words hold."""
     words = WORDS[code]
-    text = f"{words.says} {words.cure[cure] if isinstance(words.cure, dict) else words.cure}"
+    text = f"{words.says} {words.cures.get(cure, '')}"
     held = {n for _, n, _, _ in string.Formatter().parse(text) if n and not n.startswith("of")}
     numbers: dict[str, object] = dict.fromkeys(held, 12.34567)
     numbers |= dict.fromkeys(held & {"unit", "own"}, "deg/s")
@@ -31,8 +31,7 @@ def filled(code: str, cure: str = "") -> Claim:
 
 
 def every() -> list[Claim]:
-    cures = {c: w.cure if isinstance(w.cure, dict) else {"": w.cure} for c, w in WORDS.items()}
-    return [filled(code, cure) for code, known in cures.items() for cure in known]
+    return [filled(code, cure) for code, words in WORDS.items() for cure in words.cures or [""]]
 
 
 def test_the_words_of_every_claim() -> None:
