@@ -138,21 +138,6 @@ def first_text(trail: SearchPath, verbose: bool = False) -> str:
     return "\n".join(["WHERE THE FIRST MODEL FAILS", "", *map(str, parts)])
 
 
-def progress_text(trail: SearchPath) -> str:
-    """How far a search is: time, structures weighed, the best so far; empty before the first is weighed."""
-    search, unit = trail.search, unit_label(trail.final.calibration.unit)
-    if search is None or not search.structures:
-        return ""
-    if len(trail.steps) > 1:
-        error = number(trail.final.rmse_fitted)
-        return f"{search.seconds:.0f} s, fitted: {trail.final.title}, {error} {unit} rms as fitted"
-    best = search.structures[0]
-    return (
-        f"{search.seconds:.0f} s, {search.weighed} structures weighed; best so far: {best}, "
-        f"{number(best.rms)} {unit} rms as fitted, probability {probability(best.probability)}"
-    )
-
-
 class ConsoleReporter:
     """Follows a search: the first table at once, a line for each step, result.json where there is a folder.
 
@@ -168,7 +153,7 @@ class ConsoleReporter:
         if not self.begun:
             print(first_text(trail, self.verbose), flush=True)
             self.begun = True
-        if line := progress_text(trail):
+        if line := trail.progress:
             tell(line)
         if self.keep is not None:
             self.keep(trail)

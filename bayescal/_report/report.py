@@ -35,7 +35,7 @@ from bayescal._report import plots, report_text
 from bayescal._report.certificate import Certificate, read_certificate
 from bayescal._report.result_json import RESULT
 from bayescal._report.section import Chapter, chapters
-from bayescal._search.discover import candidates_table
+from bayescal._search.discover import candidates_table, confounded, not_tested
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
 from bayescal._use.compensation_program import averaged_over
@@ -406,12 +406,6 @@ def _discovery(found: dict[str, Any], data: dict[str, Any], pictures: Pictures) 
     title = data["steps"][found["step"]]["title"]
     tested = [c for c in found["candidates"] if c["kind"] != "not testable"]
     shown = candidates_table(found["candidates"])
-    alike = {
-        frozenset((c["effect"], *c["indistinguishable_from"]))
-        for c in tested
-        if c["indistinguishable_from"]
-    }
-    groups = [g for g in alike if not any(g < other for other in alike)]
     return {
         "step": found["step"],
         "title": title,
@@ -420,8 +414,8 @@ def _discovery(found: dict[str, Any], data: dict[str, Any], pictures: Pictures) 
         "sets": found["sets"],
         "leads": [c["effect"] for c in tested if c["kind"] == "lead"],
         "table": replace(shown, rows=shown.rows[:MOST_ROWS]),
-        "alike": sorted(", ".join(sorted(g)) for g in groups),
-        "not_testable": report_text.not_tested(found["candidates"]),
+        "alike": [", ".join(group) for group in confounded(found["candidates"])],
+        "not_testable": not_tested(found["candidates"]),
         "picture": pictures.missing(found, title),
     }
 

@@ -30,7 +30,7 @@ from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
 from bayescal._model.unknown_effect import FORMS, covariate_in
 from bayescal._report.section import Chapter
-from bayescal._search.discover import is_quiet
+from bayescal._search.discover import is_quiet, not_tested
 from bayescal._search.search_path import rises, steps_table
 from bayescal._use.decide import Decisions
 from bayescal._use.vector_correction import term_rows, terms_table
@@ -567,15 +567,6 @@ def _not_looked_at(chapter: Chapter) -> Iterator[str]:
     if by_reason := not_tested(last):
         told = "; ".join(f"{listed(names)} ({reason})" for reason, names in by_reason.items())
         yield f"Not tested: {told}."
-
-
-def not_tested(candidates: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Reason → the effects that it kept from being tested."""
-    found: dict[str, list[str]] = {}
-    for c in candidates:
-        if c["kind"] == "not testable":
-            found.setdefault(c["reason"], []).append(c["effect"])
-    return found
 
 
 def _not_decided(chapter: Chapter) -> Iterator[str]:

@@ -129,11 +129,14 @@ class Discovery(Printed):
             shown = [n for n in self.noise if n.probability >= SHOWN_PROBABILITY]
             lines.append(_folded(f"noise law (probability): {', '.join(map(str, shown))}"))
         lines += [self.stopped, *(textwrap.fill(f"unit? {w}", WIDTH) for w in self.off_scale)]
-        shown = candidates_table([vars(c) for c in self.candidates])
+        everyone = [vars(c) for c in self.candidates]
+        shown = candidates_table(everyone)
         lines += [shown] if shown.rows else []
         if any(c["source"] == "refit" for c in shown.rows):
             lines.append("* log Bayes factor by refit; the others by score")
-        lines += [*_alike(self), *_not_testable(self)]
+        lines += [_folded(f"confounded: {', '.join(group)}") for group in confounded(everyone)]
+        by_reason = not_tested(everyone).items()
+        lines += [_folded(f"not testable, {why}: {', '.join(names)}") for why, names in by_reason]
         return [line for line in lines if line]
 
     def _brief(self) -> str:
@@ -452,20 +455,20 @@ def _folded(line: str) -> str:
     return textwrap.fill(line, WIDTH, subsequent_indent="  ")
 
 
-def _alike(found: Discovery) -> list[str]:
-    """One line for each group of confounded candidates."""
+def confounded(candidates: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Groups of candidates, as they stand in result.json, that the readings cannot tell apart; none within another."""
     groups: list[tuple[str, ...]] = []
-    for c in found.candidates:
-        members = (c.effect, *c.indistinguishable_from)
+    for c in candidates:
+        members = (c["effect"], *c["indistinguishable_from"])
         if len(members) > 1 and not any({*members} <= {*known} for known in groups):
             groups.append(members)
-    return [_folded(f"confounded: {', '.join(members)}") for members in groups]
+    return groups
 
 
-def _not_testable(found: Discovery) -> list[str]:
-    """One line for each reason, with the effects that it holds back."""
-    by_reason: dict[str, list[str]] = {}
-    for c in found.candidates:
-        if c.kind == "not testable":
-            by_reason.setdefault(c.reason, []).append(c.effect)
-    return [_folded(f"not testable, {why}: {', '.join(n)}") for why, n in by_reason.items()]
+def not_tested(candidates: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
+    """Reason → the candidates, as they stand in result.json, that it kept from being tested."""
+    found: dict[str, list[str]] = {}
+    for c in candidates:
+        if c["kind"] == "not testable":
+            found.setdefault(c["reason"], []).append(c["effect"])
+    return found

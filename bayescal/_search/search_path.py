@@ -174,6 +174,21 @@ class SearchPath(Printed):
         return self.search is None or self.search.complete
 
     @property
+    def progress(self) -> str:
+        """How far the search is: time, structures weighed, the best so far; empty before the first is weighed."""
+        search, unit = self.search, unit_label(self.final.calibration.unit)
+        if search is None or not search.structures:
+            return ""
+        if len(self.steps) > 1:
+            error = f"{number(self.final.rmse_fitted)} {unit} rms as fitted"
+            return f"{search.seconds:.0f} s, fitted: {self.final.title}, {error}"
+        best = search.structures[0]
+        return (
+            f"{search.seconds:.0f} s, {search.weighed} structures weighed; best so far: {best}, "
+            f"{number(best.rms)} {unit} rms as fitted, probability {probability(best.probability)}"
+        )
+
+    @property
     def ending(self) -> str:
         """Why the search ended where it did: time, a bound on the effects, or that nothing more is probable enough."""
         search, found = self.search, self.final.discovery

@@ -10,7 +10,6 @@ import panel as pn
 import param
 from panel.custom import JSComponent
 
-from bayescal._data.unit_conversion import unit_label
 from bayescal._workbench.panes.fails import Fails
 from bayescal._workbench.panes.missing import Missing
 from bayescal._workbench.panes.model_pane import ModelPane
@@ -237,7 +236,7 @@ class Workbench:
         self.work.begin("Finding all …", search, ended, failed=failed)
 
     def _searched(self, trail: Any) -> None:
-        self._found = progress_in_words(trail)
+        self._found = trail.progress
         if not self._ending:
             self.error.searching(True, self._found)
         if len(self.session.states) > len(self.error.rows.rows):
@@ -290,11 +289,3 @@ def readings_in_words(session: Any) -> str:
     readings, kept = session.readings, session.holdout
     told = f"{len(readings):,} readings of {readings.file}"
     return told + (f"; hold-out data: {len(kept):,} of {kept.file}" if kept is not None else "")
-
-
-def progress_in_words(trail: Any) -> str:
-    """How far a search is."""
-    weighed = "" if trail.search is None else f"{trail.search.weighed:,} models weighed, "
-    last, made = trail.steps[-1], len(trail.steps) - 1
-    steps = f"{made} step{'s' * (made != 1)}"
-    return f"{weighed}{steps}, error {last.rmse_fitted:.3g} {unit_label(last.calibration.unit)}"

@@ -95,12 +95,12 @@ def undated(page: bytes) -> bytes:
 def test_find_all_is_stopped_half_way(begun: Bench) -> None:
     with opened(begun.url) as seen:
         seen.looked().press("Find all")
-        seen.page.get_by_text("models weighed").wait_for()
+        seen.page.get_by_text("rms as fitted").wait_for()
         seen.press("Stop")
         seen.page.get_by_role("button", name="Find all", disabled=False).wait_for()
         after_stop = len(seen.steps())
         seen.press("Find all")
-        seen.page.get_by_text("models weighed").wait_for()
+        seen.page.get_by_text("rms as fitted").wait_for()
         seen.page.get_by_role("button", name="Find all", disabled=False).wait_for()
         assert len(seen.steps()) >= after_stop
         assert min(float(cells[3].split()[0]) for cells in seen.steps()) == pytest.approx(
