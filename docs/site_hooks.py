@@ -70,7 +70,8 @@ def table_of_effects(instrument: str) -> str:
             sizes = dict.fromkeys(
                 f"{c.size:g} {unit_label(c.unit)}".strip() for c in e.coefficients
             )
-            cells = (f"`{e.name}`", kind, e.equation, ", ".join(sizes), e.source)
+            equation = e.equation.replace("](", r"]\(")  # v[device](t) is no link
+            cells = (f"`{e.name}`", kind, equation, ", ".join(sizes), e.source)
             rows.append(f"| {' | '.join(_cell(cell) for cell in cells)} |")
     return "\n".join(rows)
 
