@@ -232,7 +232,7 @@ def structures_over(
     effects: Sequence[Effect] = (),
     widen_noise: bool = True,
 ) -> tuple[Structures, list[Candidate]]:
-    """All structures over a model, and the candidates that these readings cannot test, each with the reason."""
+    """All structures over a model, and the families of which these readings can test no form, each with the reason."""
     instrument = model.instrument
     listed = (*instrument.candidates, *instrument.effects)
     known = {e.name: e for e in with_forms((*listed, *effects))}
@@ -253,8 +253,11 @@ def structures_over(
 
     reasons = {n: untestable(e) for n, e in known.items() if n not in model.names}
     open_ = {n: known[n] for n, reason in reasons.items() if reason is None}
-    named = {n: reason for n, reason in reasons.items() if not known[n].is_placeholder}
-    shut = [Candidate(n, kind="not testable", reason=why) for n, why in named.items() if why]
+    tested, shut = {known[n].reported for n in open_}, dict[str, Candidate]()
+    for name, reason in reasons.items():
+        family = known[name].reported
+        if reason and not known[name].is_placeholder and family not in tested:
+            shut.setdefault(family, Candidate(family, kind="not testable", reason=reason))
     frame = build_frame(readings, reference)
     model = sized(model, readings, frame)
     if any(e.open for e in open_.values()):
@@ -264,7 +267,7 @@ def structures_over(
     record = Record(instrument, frame, np.asarray(frame["output"]), library)
     laws = laws_over(model, frame) if widen_noise else {}
     layout = bind(model, readings, open_.values(), reference)[0]
-    return Structures(model, layout, record, open_, laws), shut
+    return Structures(model, layout, record, open_, laws), list(shut.values())
 
 
 def with_causes(

@@ -10,7 +10,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._data.header_rules import channels_beside
-from bayescal_models import still_sensor
+from bayescal_models import mems_gyro, still_sensor
 from tests.support.command_line import GYRO, TABLE, needs_installation, run
 from tests.support.command_line import QUICK as LEAST_SQUARES
 
@@ -111,3 +111,13 @@ def test_channels_are_known_by_their_names(output: str, others: list[str]) -> No
     apart = dict.fromkeys(["max", "supply", "index", "oxygen", "T1", "zinc"], "V")
     columns = dict.fromkeys(others, "V")
     assert channels_beside(output, {**columns, **apart}, "V") == others
+
+
+def test_what_cannot_be_tested_is_said_by_families() -> None:
+    readings = mems_gyro.simulate(seed=1)
+    columns = {name: readings[name] for name in ("temperature", "output")}
+    bare = bc.Measurements.from_arrays(mems_gyro.INSTRUMENT, **columns)
+    found = bc.discover(bc.fit(mems_gyro.INSTRUMENT.baseline(), bare, bc.LeastSquares()))
+    shut = [c.effect for c in found.candidates if c.kind == "not testable"]
+    assert {"bias.thermal_lag", "bias.warm_up", "bias.drift"} <= {*shut}
+    assert len(shut) == len({*shut}) and not any(name.count(".") > 1 for name in shut)
