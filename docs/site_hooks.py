@@ -88,7 +88,7 @@ def step(number: str) -> str:
     """A step as Markdown: paragraphs of comments are prose, all else is code."""
     title, _, body = steps()[int(number) - 1].partition("\n")
     parts = [f"## {title}"]
-    for prose, lines in groupby(body.strip().split("\n\n"), lambda p: p.startswith("# ")):
+    for prose, lines in groupby(re.split("\n{2,}", body.strip()), lambda p: p.startswith("# ")):
         text = "\n\n".join(lines).strip("\n")
         parts.append(re.sub("^# ?", "", text, flags=re.MULTILINE) if prose else _code(text))
     return "\n\n".join(parts)
