@@ -223,7 +223,7 @@ class Measurements(Printed):
 
     @property
     def data(self) -> xr.Dataset:
-        """The same."""
+        """As `to_xarray`: made anew each time, so that nothing done to it changes the readings."""
         return self.to_xarray()
 
     def has(self, name: str) -> bool:

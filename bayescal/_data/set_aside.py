@@ -43,11 +43,11 @@ class Fault(NamedTuple):
 
     Attributes:
         rows: which; none where there is no such fault.
-        said: what is wrong with them, in words.
+        reason: what is wrong with them, in words.
     """
 
     rows: np.ndarray = np.zeros(0, int)
-    said: str = ""
+    reason: str = ""
 
 
 def set_aside(
@@ -76,7 +76,7 @@ def _without(readings: Measurements, fault: Fault) -> Measurements:
     kept = np.setdiff1d(np.arange(len(readings)), fault.rows)
     if not len(fault.rows) or not len(kept):
         return readings
-    flag = f"{readings.file}: {fault.said}"
+    flag = f"{readings.file}: {fault.reason}"
     return replace(readings.select(kept), flags=(*readings.flags, flag))
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from bayescal._core.errors import InputError
 from bayescal._data.unit_conversion import (
+    REGISTRY,
     base_unit,
     coefficient_factor,
     convert,
@@ -18,8 +19,23 @@ from bayescal._data.unit_conversion import (
     parse,
     pretty,
     same_dimension,
+    spelled,
     unit_in,
 )
+
+
+def test_every_name_and_spelling_of_a_unit_has_one_meaning():
+    prefixed = [prefix + unit.name for unit in REGISTRY if unit.size for prefix in unit.prefixes]
+    names = [unit.name for unit in REGISTRY]
+    also = [text for unit in REGISTRY for text in unit.also.split()]
+    every = [*names, *prefixed, *also]
+    assert len(set(every)) == len(every) > 100
+    here = [text for unit in REGISTRY for text in unit.here.split(", ") if text]
+    assert len(set(here)) == len(here)
+    for unit in REGISTRY:
+        assert all(spelled(text) == unit.name for text in unit.here.split(", ") if text)
+        assert all(parse(text) == parse(unit.name) for text in unit.also.split())
+
 
 FAMILIES = [
     ("s", "ms", "min", "h", "day"),
