@@ -24,11 +24,10 @@ from typing import BinaryIO
 import numpy as np
 
 from bayescal._core.atomic_file import sha256_of
-from bayescal._core.errors import InputError
 from bayescal._core.quoting import csv_cell_read
 from bayescal._tables.cells import MOST_BAD, Cells, number_of, numbers_of
 from bayescal._tables.header_rows import LOOKED_AT, header_rows, with_units
-from bayescal._tables.raw_table import Header, Problem, Table, after, refuse_many
+from bayescal._tables.raw_table import Header, Problem, Table, after, refuse_many, unusable
 
 _BLOCK = 1 << 24  # bytes looked at together, and the longest line allowed
 _MARK = b"\xef\xbb\xbf"  # of UTF-8
@@ -201,10 +200,8 @@ class CsvScan:
         try:
             return next(csv.reader([line], delimiter=self.separator, strict=True))
         except csv.Error as error:
-            raise InputError(
-                f"row {row} of {self.file!r}{called} has a quotation mark without its pair: "
-                f"{line[:80]!r}. Close or remove it{cure}"
-            ) from error
+            came = f"has a quotation mark without its pair{called}: {line[:80]!r}"
+            raise unusable(self.file, came, f"Close or remove it{cure}", f"row {row}") from error
 
     def place(self, index: int) -> str:
         """The row of a reading; blank lines count as rows but hold none."""
@@ -226,9 +223,9 @@ def scan_csv(path: Path, file: str, decimal: str) -> CsvScan:
             block = rest + block
             end = block.rfind(b"\n") + 1
             if not end and len(block) > _BLOCK:
-                raise InputError(
-                    f"row {scan.first + scan.lines} of {file!r} is longer than {_BLOCK} bytes: is it a CSV file?"
-                )
+                place = f"row {scan.first + scan.lines}"
+                came = f"is longer than {_BLOCK} bytes"
+                raise unusable(file, came, "is it a CSV file?", place)
             rest = block[end:]
             _scan_lines(scan, block[:end])
         if rest:
@@ -258,9 +255,8 @@ def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
     if not there:
         handle.seek(0)
         _decode(handle.read(), scan, 1)
-        raise InputError(
-            f"{scan.file!r} is empty: a header 'name [unit], …' and rows of readings were expected"
-        )
+        expected = "a header 'name [unit], …' and rows of readings were expected"
+        raise unusable(scan.file, "is empty", expected)
     found, units = None, list[str]()
     texts = [text for _, text, _ in there]
     after = [i for i, text in enumerate(texts) if text.startswith(_LABVIEW)]
@@ -308,11 +304,12 @@ def _split_header(scan: CsvScan, row: int, line: str) -> None:
     scan.separator = _separator_of(line)
     refuse_many(scan.file, 1 + line.count(scan.separator))
     if not any(map(math.isnan, map(number_of, line.split(scan.separator)))):
-        raise InputError(
-            f"{scan.file!r} has no header: its first row, row {row}, is numbers. Write one that names the columns, "
-            "such as 'time [s],temperature [degC],output [deg/s]'"
+        raise unusable(
+            scan.file,
+            f"has no header: its first row, row {row}, is numbers",
+            "Write one that names the columns, such as 'time [s],temperature [degC],output [deg/s]'",
         )
-    scan.header = scan.split(line, row, called=", the header,")
+    scan.header = scan.split(line, row, called=", in the header")
 
 
 def _decode(data: bytes, scan: CsvScan, row: int) -> str:
@@ -320,27 +317,25 @@ def _decode(data: bytes, scan: CsvScan, row: int) -> str:
     file = scan.file
     if (zero := data.find(b"\0")) >= 0:
         row += data.count(b"\n", 0, zero)
-        raise InputError(
-            f"row {row} of {file!r} holds a zero byte: it is UTF-16 text or no text at all. {_SAVE}"
-        )
+        came = "holds a zero byte: it is UTF-16 text or no text at all"
+        raise unusable(file, came, _SAVE, f"row {row}")
     unix = data.replace(b"\r\n", b"\n")
     if (lone := unix.find(b"\r")) >= 0:
         row += unix.count(b"\n", 0, lone)
-        raise InputError(
-            f"row {row} of {file!r} holds a carriage return that ends no line: lines must end in "
-            f"LF or CR LF. {_SAVE}"
-        )
+        came = "holds a carriage return that ends no line: lines must end in LF or CR LF"
+        raise unusable(file, came, _SAVE, f"row {row}")
     try:
         return scan.text(data)
     except UnicodeDecodeError as error:
         start = data.rfind(b"\n", 0, error.start) + 1
         row += data.count(b"\n", 0, error.start)
-        raise InputError(
-            f"row {row} of {file!r} is not UTF-8: byte {error.start - start + 1} of the row is "
-            f"0x{data[error.start]:02x}, after "
-            f"{data[start : error.start][-20:].decode('utf-8', 'replace')!r}. {_SAVE}; do not join "
-            "files of different encodings"
-        ) from error
+        before = data[start : error.start][-20:].decode("utf-8", "replace")
+        came = (
+            f"is not UTF-8: byte {error.start - start + 1} of the row is 0x{data[error.start]:02x}, "
+            f"after {before!r}"
+        )
+        cure = f"{_SAVE}; do not join files of different encodings"
+        raise unusable(file, came, cure, f"row {row}") from error
 
 
 def _scan_lines(scan: CsvScan, data: bytes) -> None:
@@ -407,12 +402,9 @@ def opened(path: Path, encoding: str) -> BinaryIO:
     if encoding != "utf-16":
         return path.open("rb")
     if path.stat().st_size > _MOST_UTF16:
-        raise InputError(
-            f"{path.name!r} is UTF-16 text of more than 500 MB: save it as 'CSV UTF-8'"
-        )
+        raise unusable(path.name, "is UTF-16 text of more than 500 MB", "save it as 'CSV UTF-8'")
     try:
         return io.BytesIO(path.read_bytes().decode("utf-16").encode())
     except UnicodeError as error:
-        raise InputError(
-            f"{path.name!r} is UTF-16 text that breaks off: save it as 'CSV UTF-8'"
-        ) from error
+        came = "is UTF-16 text that breaks off"
+        raise unusable(path.name, came, "save it as 'CSV UTF-8'") from error

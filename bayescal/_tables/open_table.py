@@ -16,7 +16,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.quoting import one_line
 from bayescal._tables.csv_reader import open_csv
 from bayescal._tables.logs import Sensor, columns_of, read_bag, read_dataflash, read_ulog
-from bayescal._tables.raw_table import Table, as_format, bytes_text
+from bayescal._tables.raw_table import Table, as_format, bytes_text, unusable
 
 
 class LogFormat(NamedTuple):
@@ -59,16 +59,15 @@ def check_files(paths: Sequence[Path], max_bytes: int = MAX_BYTES) -> list[str]:
         with _reachable(path):
             size = path.stat().st_size
         if not path.is_file():
-            raise InputError(
-                f"{str(path)!r} is not a file: name a file, or all files of the folder"
-            )
+            raise unusable(str(path), "is not a file", "name a file, or all files of the folder")
         total += size
         if total > max_bytes:
             brought = f"brings the files to {bytes_text(total)}"
             held = f"holds {bytes_text(size)}" if size > max_bytes else brought
-            raise InputError(
-                f"{name!r} {held}, the limit is {bytes_text(max_bytes)}, and nothing was loaded. "
-                "Average the readings, read fewer files, or raise max_bytes"
+            raise unusable(
+                name,
+                f"{held}, the limit is {bytes_text(max_bytes)}, and nothing was loaded",
+                "Average the readings, read fewer files, or raise max_bytes",
             )
     return names
 
@@ -79,9 +78,8 @@ def _reachable(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(
-            f"{str(path)!r} cannot be read: {error.strerror or error}. Check the name and the folder"
-        ) from error
+        came = f"cannot be read: {error.strerror or error}"
+        raise unusable(str(path), came, "Check the name and the folder") from error
 
 
 def open_table(
@@ -113,9 +111,8 @@ def open_table(
         )
     with _reachable(path):
         if not path.stat().st_size:
-            raise InputError(
-                f"{name!r} is empty (0 bytes): a header and rows of readings were expected"
-            )
+            expected = "a header and rows of readings were expected"
+            raise unusable(name, "is empty (0 bytes)", expected)
         if suffix in TEXT:
             return open_csv(path, name, decimal)
         if suffix in LOG_FORMATS:
@@ -147,10 +144,8 @@ def open_log(path: Path, file: str, chosen: Collection[str]) -> Table:
     try:
         importlib.import_module(package)
     except ModuleNotFoundError:
-        raise InputError(
-            f"{file!r} is a {title}, which the package {package} reads, and that is not installed: "
-            "pip install 'bayescal[logs]'"
-        ) from None
+        came = f"is a {title}, which the package {package} reads, and that is not installed"
+        raise unusable(file, came, "pip install 'bayescal[logs]'") from None
     said = io.StringIO()  # libraries print; standard output is the command's own
     with as_format(file, title), redirect_stdout(said), redirect_stderr(said):
         sensors, notes = read(path)

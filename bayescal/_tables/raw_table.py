@@ -104,6 +104,22 @@ class Problems(list[Problem]):
             self += error.problems or [Problem(file, str(error), sentence=str(error))]
 
 
+def unusable(file: str, came: str, cure: str = "", place: str = "") -> InputError:
+    """The refusal of a file as a whole, or of one of its rows, to be raised.
+
+    Args:
+        file: its name.
+        came: what is wrong with it, as a verb goes on behind its name.
+        cure: what to do.
+        place: the row, as an editor counts.
+    """
+    where = f"{place} of {file!r}" if place else f"{file!r}"
+    joint = "" if not cure else ": " if cure[0].islower() else ". "
+    sentence, places = f"{where} {came}{joint}{cure}", (place,) if place else ()
+    cure = cure[:1].upper() + cure[1:]
+    return InputError(sentence, (Problem(file, came, cure=cure, places=places, sentence=sentence),))
+
+
 def option(name: str, value: str) -> str:
     """An option of the command line as a shell takes it: --columns 'output=gz (deg/s)'."""
     return f"{name}{'=' if value.startswith('-') else ' '}{shlex.quote(value)}"
@@ -225,16 +241,13 @@ class Table:
                     f"characters, at most {LONGEST_NAME:,} are read: give the column a short name"
                 )
         if self.rows < 1:
-            raise InputError(
-                f"{self.file!r} holds no readings: give a file with at least one row of numbers"
-            )
+            cure = "give a file with at least one row of numbers"
+            raise unusable(self.file, "holds no readings", cure)
         counts = Counter(header.name for header in self.headers if header.name)
         for name, count in counts.items():
             if count > 1:
-                raise InputError(
-                    f"{self.file!r} has {count} columns called {name!r}: which one is "
-                    "meant cannot be told. Rename or remove all but one"
-                )
+                came = f"has {count} columns called {name!r}: which one is meant cannot be told"
+                raise unusable(self.file, came, "Rename or remove all but one")
 
     @classmethod
     def of_columns(
@@ -276,10 +289,11 @@ def load_whole(table: Table, wanted: Mapping[int, bool]) -> dict[int, Cells]:
     found = table.load(wanted)
     for position, cells in found.items():
         if len(cells.values) != table.rows:
-            raise InputError(
-                f"{table.file!r} says that it holds {table.rows} rows, column "
-                f"{table.headers[position].raw!r} has {len(cells.values)}: it is damaged, or "
-                "changed while it was read. Export it again"
+            raise unusable(
+                table.file,
+                f"says that it holds {table.rows} rows, column {table.headers[position].raw!r} has "
+                f"{len(cells.values)}: it is damaged, or changed while it was read",
+                "Export it again",
             )
     return found
 
@@ -291,9 +305,10 @@ def refuse_many(file: str, columns: int) -> None:
         InputError: it is.
     """
     if columns > MOST_COLUMNS:
-        raise InputError(
-            f"{file!r} has {columns:,} columns, at most {MOST_COLUMNS:,} are read: is one row of it meant as a column? "
-            "Write one row for each reading"
+        raise unusable(
+            file,
+            f"has {columns:,} columns, at most {MOST_COLUMNS:,} are read",
+            "is one row of it meant as a column? Write one row for each reading",
         )
 
 
@@ -305,9 +320,11 @@ def refuse_large(file: str, rows: int, columns: int, max_bytes: int) -> None:
     """
     refuse_many(file, columns)
     if (size := 8 * rows * columns) > max_bytes:
-        raise InputError(
-            f"{file!r} holds {rows} rows of {columns} columns, {bytes_text(size)} in memory; the "
-            f"limit is {bytes_text(max_bytes)}. Average or split it, or raise max_bytes"
+        raise unusable(
+            file,
+            f"holds {rows} rows of {columns} columns, {bytes_text(size)} in memory; the limit is "
+            f"{bytes_text(max_bytes)}",
+            "Average or split it, or raise max_bytes",
         )
 
 
@@ -324,6 +341,5 @@ def as_format(file: str, name: str) -> Iterator[None]:
         raise
     except Exception as error:
         first = (str(error).strip().splitlines() or [type(error).__name__])[0][:200].rstrip(".")
-        raise InputError(
-            f"{file!r} cannot be read as {name}: {first}. Is it what its suffix says, and whole?"
-        ) from error
+        cure = "Is it what its suffix says, and whole?"
+        raise unusable(file, f"cannot be read as {name}: {first}", cure) from error

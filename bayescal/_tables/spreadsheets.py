@@ -10,7 +10,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._tables.header_rows import LOOKED_AT, header_rows
-from bayescal._tables.raw_table import Header, Table, as_format, loads, refuse_large
+from bayescal._tables.raw_table import Header, Table, as_format, loads, refuse_large, unusable
 from bayescal._tables.unpacked import refuse_hdf5, refuse_matlab, refuse_zip
 
 
@@ -37,7 +37,8 @@ def open_excel(path: Path, file: str, max_bytes: int) -> Table:
                 if rows := _rows_of(sheet, file, max_bytes):
                     break
             else:
-                raise InputError(f"{file!r} is empty: a header and rows of readings were expected")
+                expected = "a header and rows of readings were expected"
+                raise unusable(file, "is empty", expected)
         finally:
             book.close()
     others = f", the first of {len(sheets)}" if len(sheets) > 1 else ""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import DEEPEST
-from bayescal._tables.raw_table import bytes_text
+from bayescal._tables.raw_table import bytes_text, unusable
 
 _CHUNK = 1 << 20  # bytes unpacked at a time
 
@@ -41,9 +41,11 @@ def refuse_unpacked(file: str, packed: float, unpacked: float, limit: Limit) -> 
         InputError: it does.
     """
     if unpacked > max(limit.free, limit.times * packed):
-        raise InputError(
-            f"{file!r} holds {bytes_text(packed)} that unpack to {bytes_text(unpacked)} or more, at least "
-            f"{unpacked / packed:,.0f} times as much; at most {limit.times:g} times are read. Save the readings as CSV"
+        raise unusable(
+            file,
+            f"holds {bytes_text(packed)} that unpack to {bytes_text(unpacked)} or more, at least "
+            f"{unpacked / packed:,.0f} times as much; at most {limit.times:g} times are read",
+            "Save the readings as CSV",
         )
 
 
@@ -85,9 +87,10 @@ def refuse_hdf5(opened: Any, file: str, size: int) -> None:
                 raise InputError(f"{file!r}: the group {inner} stands there twice, or in itself")
             seen.add(address)
             if len(seen) > _OBJECTS or depth >= DEEPEST:
-                raise InputError(
-                    f"{file!r} has more than {_OBJECTS:,} arrays and groups, or groups in each other deeper than "
-                    f"{DEEPEST}: save the readings as CSV"
+                raise unusable(
+                    file,
+                    f"has more than {_OBJECTS:,} arrays and groups, or groups in each other deeper than {DEEPEST}",
+                    "save the readings as CSV",
                 )
             if isinstance(node, h5py.Group):
                 waiting.append((node, depth + 1))
@@ -179,9 +182,8 @@ def _end_of_matrix(data: bytes, at: int, limit: int, order: str, file: str, dept
     flags = struct.unpack_from(f"{order}I", data, begin + 8)[0]
     if flags & 0xFF in _HOLDS_OTHERS:
         if depth >= DEEPEST:
-            raise InputError(
-                f"{file!r} has cells or structures in each other deeper than {DEEPEST}: save the readings as CSV"
-            )
+            came = f"has cells or structures in each other deeper than {DEEPEST}"
+            raise unusable(file, came, "save the readings as CSV")
         count, at = _held(data, begin, end, order)
         for _ in range(count):
             at = _end_of_matrix(data, at, end, order, file, depth + 1)

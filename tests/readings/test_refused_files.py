@@ -198,7 +198,10 @@ def test_one_temperature_only_is_refused_unless_asked_for(put, second):
             GOOD.encode() + b"caf\xe9,0,30,1\n",
             r"row 5 .* is not UTF-8: byte 4 of the row is 0xe9, after 'caf'",
         ),
-        ('"run,output [V]\n1,2\n', "row 1 of 't.csv', the header, has a quotation mark without"),
+        (
+            '"run,output [V]\n1,2\n',
+            "row 1 of 't.csv' has a quotation mark without its pair, in the header",
+        ),
     ],
 )
 def test_text_that_cannot_be_read_is_refused(put, content, message):
