@@ -13,13 +13,15 @@ from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError, NotConverged
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._data.measurements import Measurements
+from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method, Outcome
 from bayescal._inference.origin import with_origin
+from bayescal._inference.record import record_of
 from bayescal._model.effect import Effect
-from bayescal._model.frame import Reference, build_frame, origins, reference_of
+from bayescal._model.frame import Reference, origins, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import bind
@@ -69,12 +71,12 @@ def fit(
     model.require(readings)
     _refuse_stuck(readings)
     reference = with_origin(model, readings, _reference(readings, reference))
-    frame = build_frame(readings, reference)
-    model = sized(model, readings, frame)
+    record = record_of(model.instrument, readings, reference, model.effects)
+    model = sized(model, readings, record.frame)
     layout, levels = bind(model, readings, reference=reference)
 
     def run() -> Outcome:
-        return method.run(layout, frame, frame["output"], seed, start)
+        return method.run(Assembly(layout, record), seed, start)
 
     with deadline.until(time_limit):
         outcome = deadline.within(run)

@@ -19,7 +19,7 @@ from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.method import Draws, Verdict
 from bayescal._inference.programs import padded_length
-from bayescal._inference.record import Record
+from bayescal._inference.record import Record, record_of
 from bayescal._model.frame import Frame, Reference, build_frame, reference_name
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, Levels
@@ -83,18 +83,15 @@ class Fitted:
         columns = unexplained(self.model, self.readings) if self.verdict.ok else {}
         return confounders(self.linear, columns) if columns else ()
 
-    @cached_property
+    @property
     def frame(self) -> Frame:
-        return build_frame(self.readings, self.reference)
+        return self.assembly.record.frame
 
     @cached_property
     def assembly(self) -> Assembly:
         """The fitted structure on its readings, as the engine sees it."""
-        instrument = self.model.instrument
-        library = instrument.shown_by(self.frame, self.model.effects)
-        return Assembly(
-            self.layout, Record(instrument, self.frame, np.asarray(self.frame["output"]), library)
-        )
+        instrument, effects = self.model.instrument, self.model.effects
+        return Assembly(self.layout, record_of(instrument, self.readings, self.reference, effects))
 
     def assembly_on(self, frame: Frame) -> Assembly:
         """The fitted structure on other readings; columns are computed in the fit's own program where it fits."""

@@ -17,11 +17,11 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import across, find_mode, prior_draws
-from bayescal._inference.terms import ColumnsOf
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
 from bayescal._model.prior import LogUniform
+from bayescal._model.terms import ColumnsOf
 
 # p-value of a test that asks once for each covariate and in every step: hundreds in one session.
 RARE_P = 1e-5

@@ -20,10 +20,9 @@ from bayescal._calibration.mixture import with_columns
 from bayescal._calibration.predict import Prediction, replicates
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
-from bayescal._inference.joint import expected_with_slopes
-from bayescal._inference.terms import ColumnsOf
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import factor_of
+from bayescal._model.terms import ColumnsOf
 
 DRAWS = 1000  # replicates, fewer of many readings: p-values to a thousandth
 CELLS = 10_000_000  # replicates × readings, held together
@@ -145,7 +144,7 @@ class HoldoutTest:
         none = np.zeros((1, len(readings), rows.shape[2]))
         terms = [t for t in assembly.terms if t.place == "x"]
         hyper = assembly.hyper(v.mean(axis=0))
-        slopes = expected_with_slopes(assembly, x.mean(axis=0)[None], none, hyper, terms)[1]
+        slopes = assembly.expected_with_slopes(x.mean(axis=0)[None], none, hyper, terms)[1]
         each = (np.broadcast_to(slope, (1, len(readings)))[0] / self._noise for slope in slopes)
         names = (t.known.effect.coefficient_name(t.index) for t in terms)
         return [(n, t.known.per, c) for n, t, c in zip(names, terms, each, strict=True)]

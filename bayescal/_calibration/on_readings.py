@@ -12,11 +12,10 @@ from jaxtyping import Float
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.gaussian import LOG_2PI
-from bayescal._inference.joint import expected, expected_with_slopes
 from bayescal._inference.noise_on_record import Each, log_densities, samples, variances
-from bayescal._inference.terms import Term
 from bayescal._model.effect import Coefficient
 from bayescal._model.prior import Known
+from bayescal._model.terms import Term
 
 CELLS = 2_000_000  # draws × readings worked out together
 
@@ -110,7 +109,7 @@ def replicate(
     found = np.empty((len(draws.x), assembly.record.size))
     for part, own, some, hyper in _stretches(assembly, draws):
         if members is None:
-            mean = expected(own, some.x, some.rows, hyper)
+            mean = own.expected(some.x, some.rows, hyper)
         else:
             mean = _with_new_members(own, some, hyper, random, members)
         seed = int(random.integers(2**31))
@@ -127,7 +126,7 @@ def _with_new_members(
 ) -> Float[np.ndarray, "b n"]:
     """Expected outputs, each unknown member's deviation drawn once for each draw."""
     own = _of_their_own(assembly)
-    mean, slopes = expected_with_slopes(assembly, draws.x, draws.rows, hyper, own)
+    mean, slopes = assembly.expected_with_slopes(draws.x, draws.rows, hyper, own)
     for t, slope in zip(own, slopes, strict=True):
         codes = np.arange(mean.shape[1]) if t.place == "row" else members[str(t.known.per)]
         normal = random.standard_normal((len(mean), int(codes.max()) + 2))[:, codes]  # −1: the last
@@ -188,8 +187,8 @@ def _with_beside(assembly: Assembly, draws: Vectors, hyper: Each) -> tuple[np.nd
     """Expected output, and its variance from per-reading coefficients and from members that are not known."""
     own = _of_their_own(assembly)
     if not own:
-        return expected(assembly, draws.x, draws.rows, hyper), 0.0
-    mean, slopes = expected_with_slopes(assembly, draws.x, draws.rows, hyper, own)
+        return assembly.expected(draws.x, draws.rows, hyper), 0.0
+    mean, slopes = assembly.expected_with_slopes(draws.x, draws.rows, hyper, own)
     beside = np.zeros_like(mean)
     for t, slope in zip(own, slopes, strict=True):
         beside += (slope * _own_sd(assembly, draws, hyper, t)) ** 2
@@ -230,5 +229,5 @@ def _densities(assembly: Assembly, draws: Vectors, hyper: Each) -> Float[np.ndar
         mean, beside = _with_beside(assembly, draws._replace(rows=np.zeros_like(draws.rows)), hyper)
         variance = variances(noise, hyper, record) + beside
         return -0.5 * ((record.y - mean) ** 2 / variance + np.log(variance) + LOG_2PI)
-    mean = expected(assembly, draws.x, draws.rows, hyper)
+    mean = assembly.expected(draws.x, draws.rows, hyper)
     return log_densities(noise, record, record.y - mean, hyper)

@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from bayescal._inference.column_products import ColumnProducts
 from bayescal._inference.record import Basis, Record
-from bayescal._inference.terms import ColumnsOf
 from bayescal._model.frame import Frame
+from bayescal._model.terms import ColumnsOf
 
 
 class Part(Record):

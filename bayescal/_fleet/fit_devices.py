@@ -633,9 +633,9 @@ class _Fits:
         if isinstance(self.method, LeastSquares):
             return _by_least_squares(one, self.method)
         if one.layout not in self._promoted:  # decided on the first device of its kind, for all
-            self._promoted[one.layout] = sampled_products.choose(
-                one.layout, one.frame, one.y, self.method.promote
-            )
+            record = Record(one.layout.model.instrument, one.frame, one.y)
+            found = sampled_products.choose(Assembly(one.layout, record), self.method.promote)
+            self._promoted[one.layout] = found[0].layout, found[1]
         layout, notes = self._promoted[one.layout]
         return _by_sampling(one._replace(layout=layout), self.method, self.options.seed, notes)
 

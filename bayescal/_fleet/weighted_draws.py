@@ -17,8 +17,10 @@ from bayescal._core.importance_weights import smoothed
 from bayescal._data.measurements import Measurements
 from bayescal._fleet.fit_devices import drawn
 from bayescal._inference import sampled_products
+from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import Mode
 from bayescal._inference.marginal import Marginal
+from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, bind
@@ -91,7 +93,8 @@ def weighted_draws(
         )
     ys = [np.asarray(one["output"]) for one in readings]
     layout, levels, frame = each[0]
-    layout, _ = sampled_products.choose(layout, frame, ys[0], method.promote or ())
+    first = Assembly(layout, Record(model.instrument, frame, ys[0]))
+    layout = sampled_products.choose(first, method.promote or ())[0].layout
     made = [
         drawn(layout, frame, y, method, seed, i)
         for i, ((*_, frame), y) in enumerate(zip(each, ys, strict=True))

@@ -12,8 +12,19 @@ from jaxtyping import Float, Int
 
 from bayescal._inference.gaussian import Prior
 from bayescal._inference.record import Record
-from bayescal._inference.terms import Correction, Sizes, Term
+from bayescal._model.composition import (
+    Composed,
+    Linearised,
+    by_member,
+    compose,
+    linearised,
+    slopes,
+    value,
+    values,
+)
+from bayescal._model.composition import expected as expected_of
 from bayescal._model.parameters import MOVING, Layout
+from bayescal._model.terms import Sizes, Term, terms_of
 
 Values = dict[str, float]
 NUDGE = 1e-6  # of a coordinate, for derivatives of priors,
@@ -27,14 +38,6 @@ class Point(NamedTuple):
     rows: Any
 
 
-class Line(NamedTuple):
-    """The expected output and its derivatives at one point: by x (n, p), by the per-reading coefficients (n, k)."""
-
-    mean: Float[np.ndarray, "n"]
-    jacobian: Float[np.ndarray, "n p"]
-    rows: Float[np.ndarray, "n k"]
-
-
 class Moved(NamedTuple):
     """Slopes by one coordinate of φ: of some columns of the Jacobian, of the expected output, of the row columns."""
 
@@ -42,6 +45,44 @@ class Moved(NamedTuple):
     columns: Float[np.ndarray, "n k"]
     mean: Float[np.ndarray, "n"]
     rows: Float[np.ndarray, "n r"]
+
+
+class Host:
+    """A record as the source of a composition: it keeps columns and responses. Of one draw, or of several."""
+
+    xp = np
+
+    def __init__(self, record: Record) -> None:
+        self.record = record
+        self.size, self.slots, self.codes = record.size, record.slots, record.codes
+
+    def columns(self, term: Term, shapes: Sequence[Any], moves: dict, sloped: bool) -> tuple:
+        of, record = term.known.columns, self.record
+        if any(np.ndim(s) for s in shapes) or any(m.ndim > 1 for m in moves.values()):
+            if sloped:
+                return record.moved_columns_of_draws(of, shapes, moves)
+            return record.columns_of_draws(of, shapes, moves), {}
+        at = tuple(map(float, shapes))
+        return record.moved_columns(of, at, moves) if moves else (record.columns(of, at), {})
+
+    def response(self, slots: dict, moves: dict) -> np.ndarray:
+        if _one(slots):
+            return self.record.response(slots, moves)[0]
+        return self.record.several(self._every(slots), moves)
+
+    def slopes(self, slots: dict, moves: dict) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
+        if _one(slots):
+            return self.record.response(slots, moves)
+        return self.record.responses(self._every(slots), moves)
+
+    def _every(self, slots: dict) -> dict[str, np.ndarray]:
+        """Slots of several draws, those that nothing adds to among them."""
+        shape = (len(next(iter(slots.values()))), self.size)
+        return {name: np.broadcast_to(slots.get(name, 0.0), shape) for name in self.slots}
+
+
+def _one(slots: Mapping[str, np.ndarray]) -> bool:
+    return all(np.ndim(value) < 2 for value in slots.values())
 
 
 @dataclass(eq=False)
@@ -60,31 +101,13 @@ class Assembly:
 
     def __post_init__(self) -> None:
         layout = self.layout
-        slots = self.record.slots
-        correcting = [b for b in layout.blocks if b.slot not in slots]
-        self.corrected = tuple(dict.fromkeys(b.slot for b in correcting))
-        corrections: tuple[Correction, ...] = ()
-        blocks = layout.blocks
-        # What corrects a column without an unknown but its shapes, as the temperature of a body does, is part of the
-        # other effects' columns: these stay linear in their coefficients.
-        if correcting and all(b.place == "fixed" and b.size == 1 for b in correcting):
-            corrections, self.corrected = tuple(map(Correction.of_block, correcting)), ()
-            blocks = tuple(b for b in blocks if b.slot in slots)
-        own = {b.effect.name for b in correcting}
-        self.terms = tuple(
-            Term.of_block(
-                b,
-                self.record.plain,
-                self.size_factors or {},
-                () if b.effect.name in own else corrections,
-            )
-            for b in blocks
+        self.terms, self.corrected = terms_of(
+            layout.blocks, self.record.slots, self.record.plain, self.size_factors
         )
+        self.host = Host(self.record)
         self.hypers = layout.hypers
         self.size = sum(t.size for t in self.terms if t.place == "x")
-        of_rows = [t for t in self.terms if t.place == "row"]
-        self._row_of = {(t.known.of, t.index): i for i, t in enumerate(of_rows)}
-        self.row_sd = np.array([t.prior_sd for t in of_rows])
+        self.row_sd = np.array([t.prior_sd for t in self.terms if t.place == "row"])
         self.noise = layout.model.noise
         self.fixed_values = dict(layout.model.fixed)
         # A promoted coefficient in units of a learned spread moves with that spread too.
@@ -206,188 +229,104 @@ class Assembly:
 
     # the expected output ----------------------------------------------------------------------------------------
 
-    def values(self, x: np.ndarray, rows: np.ndarray, hyper: Mapping[str, Any]) -> list[Any]:
-        """Each term's coefficient at each reading (…, n), or one for all (…, 1), of one draw or of several."""
-        of_rows = iter(np.moveaxis(rows, -1, 0))
-        return [next(of_rows) if t.place == "row" else self.value(t, x, hyper) for t in self.terms]
-
     def value(self, t: Term, x: np.ndarray, hyper: Mapping[str, Any]) -> np.ndarray:
-        """That of one term which is none of single readings."""
-        draws = x.shape[:-1]
-        if t.place == "x":
-            value = x[..., t.at]
-        elif t.place == "fixed":
-            value = np.full((*draws, t.size), t.value)
-        else:
-            value = np.stack([np.broadcast_to(hyper[name], draws) for name in t.members], axis=-1)
-            if t.group_sd_name is not None:
-                # Held in units of its learned spread (non-centred), so that a spread near zero makes no funnel (O.
-                # Papaspiliopoulos, G. Roberts and M. Sköld, Stat. Sci. 22 (2007) 59).
-                spread = np.broadcast_to(hyper[t.group_sd_name], draws)[..., None]
-                value = t.known.mean + spread * value
-        if t.known.per is None:
-            return value
-        none = np.zeros((*draws, 1))  # the code of no member is −1
-        return np.concatenate([value, none], axis=-1)[..., self.record.codes[t.known.per]]
+        """A term's coefficient at each reading (…, n), or one for all (…, 1); of none of single readings."""
+        return value(self.host, t, x, None, hyper)
 
-    def _columns(self, terms: Sequence[Term], hyper: Values, moves: Mapping[str, np.ndarray]):
-        """The column of each term, slot units per reported unit, and its slopes by the moved columns."""
-        found, last, made = [], None, None
-        for t in terms:
-            if t.known.of != last:
-                shapes = tuple(float(hyper[name]) for name in t.known.shape_names)
-                if moves and t.slot not in moves:
-                    made = self.record.moved_columns(t.known.columns, shapes, moves)
-                else:
-                    made = self.record.columns(t.known.columns, shapes), {}
-                last = t.known.of
-            columns, slopes = made  # pyright: ignore[reportGeneralTypeIssues]
-            by_move = {name: s[:, t.index] * t.factor for name, s in slopes.items()}
-            found.append((columns[:, t.index] * t.factor, by_move))
-        return found
-
-    def slopes(self, point: Point, hyper: Values) -> dict[str, Float[np.ndarray, "n"]]:
-        """Of the expected output by each slot, reading by reading."""
-        return self.record.affine[1] if self.affine else self._responding(point, hyper)[1]  # pyright: ignore
-
-    def _responding(self, point: Point, hyper: Values):
-        """Expected output, its slopes by slots and by corrected columns, and each term's column."""
-        # Corrections of columns first, as every column may hang on them; then slots, the response, and back by the
-        # chain rule: what corrects a column moves the output by ∂μ/∂column + Σ ∂μ/∂slot·∂(slot)/∂column.
-        values = self.values(point.x, point.rows, hyper)
-        moves: dict[str, np.ndarray] = {}
-        if self.corrected:
-            moves = {name: np.zeros(self.record.size) for name in self.corrected}
-            for t, (column, _), value in zip(
-                self.terms, self._columns(self.terms, hyper, {}), values, strict=True
-            ):
-                if t.slot in moves:
-                    moves[t.slot] = moves[t.slot] + column * value
-        columns = self._columns(self.terms, hyper, moves)
-        sums: dict[str, Any] = {}
-        for t, (column, _), value in zip(self.terms, columns, values, strict=True):
-            if t.slot not in moves:
-                sums[t.slot] = sums.get(t.slot, 0.0) + column * value
-        mean, slopes = self.record.response(sums, moves)
-        if moves:
-            slopes = dict(slopes)
-            for t, (_, by_move), value in zip(self.terms, columns, values, strict=True):
-                for name, slope in by_move.items():
-                    slopes[name] = slopes[name] + slopes[t.slot] * slope * value
-        return mean, slopes, columns
-
-    def linearise(self, point: Point, hyper: Values) -> Line:
-        """Expected output and Jacobian at a point, output unit per reported unit."""
-        if self.affine:
-            return self._affine_line(point, hyper)
-        mean, slopes, columns = self._responding(point, hyper)
-        n = self.record.size
-        jacobian, rows = np.zeros((n, self.size), order="F"), np.zeros((n, len(self.row_sd)))
-        for t, (column, _) in zip(self.terms, columns, strict=True):
-            self._into(t, slopes[t.slot] * column, jacobian, rows)
-        return Line(mean, jacobian, rows)
-
-    def _into(self, t: Term, column: np.ndarray, jacobian: np.ndarray, rows: np.ndarray) -> None:
-        """Put a term's slopes where its coefficients stand: in x, or beside the readings."""
-        if t.place == "x":
-            self.place(t, column, jacobian)
-        elif t.place == "row":
-            rows[:, self._row_of[t.known.of, t.index]] = column
-
-    def along(self, point: Point, v: Float[np.ndarray, "d"], i: int) -> Moved:
-        """What one coordinate of φ moves."""
-        name, ends = self.hypers[i].name, []
-        for step in (SHIFT, -SHIFT):
-            moved = v.copy()
-            moved[i] += step
-            ends.append(self.hyper(moved))
-        # In general all columns may move; of an affine output only those of the effects that have the shape.
-        if not self.affine or self.kinds[i] != "shape":
-            up, down = (self.linearise(point, hyper) for hyper in ends)
-            parts = zip(up, down, strict=True)
-            mean, columns, rows = ((above - below) / (2 * SHIFT) for above, below in parts)
-            which = np.flatnonzero(np.any(columns != 0, axis=0))
-            return Moved(which, columns[:, which], mean, rows)
-        slopes = self.slopes(point, ends[0])
-        terms = [t for t in self.terms if name in t.known.shape_names]
-        n = self.record.size
-        made, mean, rows = np.zeros((n, self.size)), np.zeros(n), np.zeros((n, len(self.row_sd)))
-        for t, (up, _), (down, _) in zip(
-            terms, *(self._columns(terms, hyper, {}) for hyper in ends), strict=True
-        ):
-            column = slopes[t.slot] * (up - down) / (2 * SHIFT)
-            self._into(t, column, made, rows)
-            if t.place == "row":
-                mean += column * point.rows[:, self._row_of[t.known.of, t.index]]
-            else:
-                mean += column * self.value(t, point.x, ends[0])
-        every = np.arange(self.size)
-        which = np.concatenate([every[:0], *(every[t.at] for t in terms if t.place == "x")])
-        return Moved(which, made[:, which], mean, rows)
-
-    def _affine_line(self, point: Point, hyper: Values) -> Line:
-        """The same where the expected output is affine: columns that never change are put together once."""
-        mean, slopes = self.record.affine  # pyright: ignore[reportGeneralTypeIssues]
-        jacobian, rows = self._plain.copy(order="F"), np.zeros_like(point.rows)
-        moving = [t for t in self.terms if t.place != "x" or t.known.shape_names]
-        for t, (column, _) in zip(moving, self._columns(moving, hyper, {}), strict=True):
-            column = slopes[t.slot] * column
-            self._into(t, column, jacobian, rows)
-            if t.place not in ("x", "row"):
-                mean = mean + column * self.value(t, point.x, hyper)
-        mean = mean + jacobian @ point.x + np.sum(rows * point.rows, axis=1)
-        return Line(mean, jacobian, rows)
-
-    @cached_property
-    def _plain(self) -> Float[np.ndarray, "n p"]:
-        """The Jacobian of an affine model, but for the columns that shapes move."""
-        slopes = self.record.affine[1]  # pyright: ignore[reportOptionalSubscript]
-        found = np.zeros((self.record.size, self.size), order="F")
-        for slot, design in self.designs.items():
-            found += slopes[slot][:, None] * design
-        return found
-
-    def place(self, term: Term, column: np.ndarray, table: np.ndarray) -> None:
-        """Put a term's column into a table with one for each entry of x."""
-        per = term.known.per
-        put(column, None if per is None else self.record.codes[per], term.at.start, table)
-
-    @cached_property
-    def designs(self) -> dict[str, Float[np.ndarray, "n p"]]:
-        """By slot, what x adds to it, of the terms whose columns never change; none where columns are corrected."""
-        found: dict[str, np.ndarray] = {}
-        for t in () if self.corrected else self.in_x:
-            if not t.known.shape_names:
-                matrix = found.setdefault(t.slot, np.zeros((self.record.size, self.size)))
-                column = self.record.columns(t.known.columns, ())[:, t.index]
-                self.place(t, column * t.factor, matrix)
-        return found
+    def composed(
+        self, terms: Sequence[Term], x, rows, hyper: Mapping[str, Any], sloped: bool = False
+    ) -> Composed:
+        """Some of its terms at a point, or at those of several draws."""
+        found = values(self.host, terms, x, rows, hyper)
+        return compose(self.host, terms, found, hyper, sloped)
 
     @cached_property
     def affine(self) -> bool:
         """Whether the expected output is affine in x and in the per-reading coefficients."""
         return not self.corrected and self.record.affine is not None
 
+    @cached_property
+    def _acting(self) -> tuple[Term, ...]:
+        """The terms to be composed: of an affine output, those whose columns or values φ moves."""
+        still = self.affine
+        return tuple(t for t in self.terms if not still or t.place != "x" or t.known.shape_names)
 
-def put(
-    column: Float[np.ndarray, "*b n"],
-    codes: Int[np.ndarray, "n"] | None,
-    start: int,
-    table: Float[np.ndarray, "*b n p"],
-) -> None:
-    """Put a coefficient's column into a table from `start` on: in one column, or in that of each reading's member.
+    @cached_property
+    def _still(self) -> tuple[Float[np.ndarray, "n p"], Int[np.ndarray, "q"]]:
+        """The Jacobian by the others, which is put together once, and where those that act stand in x."""
+        places = np.arange(self.size)
+        acting = np.concatenate(
+            [places[:0], *(places[t.at] for t in self._acting if t.place == "x")]
+        )
+        found = np.zeros((self.record.size, self.size), order="F")
+        if self.affine:
+            kept = [t for t in self.in_x if not t.known.shape_names]
+            none = np.zeros(self.size), np.zeros((self.record.size, 0)), self.fixed_values
+            made = linearised(self.host, kept, self.composed(kept, *none, sloped=True))
+            found[:, np.setdiff1d(places, acting)] = made.jacobian
+        return found, acting
 
-    Args:
-        column: of the coefficient.
-        codes: of the members, −1 for none; None where there is one coefficient for all.
-        start: place of the first member.
-        table: written to.
-    """
-    if codes is None:
-        table[..., start] = column
-        return
-    known = np.flatnonzero(codes >= 0)
-    table[..., known, start + codes[known]] = column[..., known]
+    def slopes(self, point: Point, hyper: Values) -> Mapping[str, Float[np.ndarray, "n"]]:
+        """Of the expected output by each slot and each corrected column, reading by reading."""
+        terms = () if self.affine else self.terms
+        return slopes(self.host, terms, self.composed(terms, *point, hyper, sloped=True))[1]
+
+    def linearise(self, point: Point, hyper: Values) -> Linearised:
+        """Expected output and Jacobian at a point, output unit per reported unit."""
+        made = self.composed(self._acting, *point, hyper, sloped=True)
+        found = linearised(self.host, self._acting, made)
+        if not self.affine:
+            return found
+        still, acting = self._still
+        jacobian = still.copy(order="F")
+        jacobian[:, acting] = found.jacobian
+        return Linearised(found.mean + still @ point.x, jacobian, found.rows)
+
+    def along(self, point: Point, v: Float[np.ndarray, "d"], i: int) -> Moved:
+        """What one coordinate of φ moves."""
+        ends = []
+        for step in (SHIFT, -SHIFT):
+            moved = v.copy()
+            moved[i] += step
+            made = self.composed(self._acting, *point, self.hyper(moved), sloped=True)
+            ends.append(linearised(self.host, self._acting, made))
+        mean, columns, rows = (
+            (above - below) / (2 * SHIFT) for above, below in zip(*ends, strict=True)
+        )
+        which = np.flatnonzero(np.any(columns != 0, axis=0))
+        return Moved(self._still[1][which], columns[:, which], mean, rows)
+
+    # joint draws: x (b, p), rows (b, n, k), φ by name, one value a draw or one for all -----------------------------
+
+    def expected(self, x, rows, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
+        """Expected output of joint draws, output unit."""
+        found = expected_of(self.host, self.composed(self._acting, x, rows, hyper))
+        return found + x @ self._still[0].T if self.affine else found
+
+    def expected_with_slopes(
+        self, x, rows, hyper: Mapping[str, Any], terms: Sequence[Term]
+    ) -> tuple[Float[np.ndarray, "b n"], list[np.ndarray]]:
+        """Expected output of joint draws, and its slopes by some terms, (n,) or (b, n) each, as if all readings
+        belonged to one member of a term's group."""
+        made = self.composed(self.terms, x, rows, hyper, sloped=True)
+        mean, by_slot = slopes(self.host, self.terms, made)
+        wanted = {id(t) for t in terms}
+        each = zip(self.terms, made.columns, strict=True)
+        return mean, [by_slot[t.slot] * column for t, column in each if id(t) in wanted]
+
+    def linearise_draws(
+        self, point: Point, hyper: Mapping[str, Any], count: int
+    ) -> Float[np.ndarray, "b n q"]:
+        """J beside what the expected output at a point leaves, for several φ; no column may be corrected."""
+        x = np.broadcast_to(point.x, (count, self.size))
+        rows = np.broadcast_to(point.rows, (count, *point.rows.shape))
+        mean, columns = self.expected_with_slopes(x, rows, hyper, self.in_x)
+        table = np.zeros((count, self.size + 1, self.record.size)).transpose(0, 2, 1)
+        for t, column in zip(self.in_x, columns, strict=True):
+            codes = None if t.known.per is None else self.record.codes[t.known.per]
+            table[..., t.at] = by_member(np, column, codes, t.size)
+        table[..., -1] = self.record.y - mean
+        return table
 
 
 def differences(f: Callable[[np.ndarray], Any], at: np.ndarray, step: Any) -> np.ndarray:

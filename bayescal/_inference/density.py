@@ -12,10 +12,11 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._inference.assembly import Assembly, Line, Point, Values
+from bayescal._inference.assembly import Assembly, Point, Values
 from bayescal._inference.gaussian import Conditional, Gram, Prior, condition
 from bayescal._inference.noise_on_record import Terms, Whitening, bends, density_terms, variance
 from bayescal._inference.products import DEGREES, Axes, Polynomials, Products, basis_of
+from bayescal._model.composition import Linearised
 
 NOWHERE = -1e300  # log density where there is none
 NEWTON_STEPS = 50  # to the mode of x at most
@@ -48,7 +49,7 @@ class Density:
         noise, record = self.assembly.noise, self.assembly.record
         # One variance for all readings: products over them do not depend on it.
         self.even = noise.even(record.frame) and not len(self.assembly.row_sd)
-        self._lines: dict[tuple[float, ...], tuple[Line, Gram | None]] = {}
+        self._lines: dict[tuple[float, ...], tuple[Linearised, Gram | None]] = {}
         self._mode = self.point.x  # of x, where it was sought
 
     @cached_property
@@ -64,7 +65,7 @@ class Density:
 
     # from the readings ------------------------------------------------------------------------------------------
 
-    def _line(self, v: np.ndarray, hyper: Values) -> tuple[Line, Gram | None]:
+    def _line(self, v: np.ndarray, hyper: Values) -> tuple[Linearised, Gram | None]:
         # Only shapes and promoted coefficients move J; what else is in φ (noise, sizes) leaves it as it is.
         key = tuple(float(v[i]) for i in self.assembly.moving)
         found = self._lines.get(key)
@@ -79,23 +80,23 @@ class Density:
             found = self._lines[key] = (line, gram)
         return found
 
-    def residual(self, line: Line) -> Float[np.ndarray, "n"]:
+    def residual(self, line: Linearised) -> Float[np.ndarray, "n"]:
         """What the expected output leaves, with the per-reading coefficients at zero."""
         return self.assembly.record.y - line.mean + np.sum(line.rows * self.point.rows, axis=1)
 
-    def _beside(self, line: Line) -> np.ndarray:
+    def _beside(self, line: Linearised) -> np.ndarray:
         """J and r in one table."""
         table = np.empty((len(line.mean), line.jacobian.shape[1] + 1), order="F")
         table[:, :-1], table[:, -1] = line.jacobian, self.residual(line)
         return table
 
-    def extra(self, line: Line) -> Float[np.ndarray, "n"] | float:
+    def extra(self, line: Linearised) -> Float[np.ndarray, "n"] | float:
         """Variance that the per-reading coefficients add."""
         if not len(self.assembly.row_sd):
             return 0.0
         return np.sum((line.rows * self.assembly.row_sd) ** 2, axis=1)
 
-    def _white(self, line: Line, hyper: Values) -> Whitening:
+    def _white(self, line: Linearised, hyper: Values) -> Whitening:
         return Whitening(self.assembly.noise, hyper, self.assembly.record, self.extra(line))
 
     def whitened(

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaln
 
-from bayescal._inference.assembly import Assembly, Point
+from bayescal._inference.assembly import Assembly
 from bayescal._inference.gaussian import LOG_2PI, Drawn
 from bayescal._inference.laplace import Mode, of_single_readings
 from bayescal._inference.noise_on_record import total_log_density
-from bayescal._inference.terms import Term
 
 FREEDOM = 5  # of the Student-t proposals
 Batch = Mapping[str, np.ndarray | float]  # φ by name, one value a draw, or one for all
@@ -57,7 +56,7 @@ def draw_joint(
         log_volume, squares = log_volume + volume, squares + np.sum(own**2, axis=(1, 2))
     # x = shift + S·L⁻ᵀ·ε has the density of ε over |S·L⁻ᵀ|, the volume of the map.
     log_drawn = _log_density(squares, normal.shape[1] + size * width, heavy) - log_volume
-    left = assembly.record.y - expected(assembly, x, rows, hyper)
+    left = assembly.record.y - assembly.expected(x, rows, hyper)
     prior = -0.5 * (found.squares + LOG_2PI * np.sum(assembly.weight_of_x))
     if width:
         spread = assembly.row_sd
@@ -104,93 +103,3 @@ def _draw_rows(assembly: Assembly, mode: Mode, x, hyper: Batch, own: Float[np.nd
         drawn[b] = placed[..., 0]
         volumes[b] = -np.sum(np.log(np.diagonal(chol, axis1=1, axis2=2)))
     return drawn, volumes
-
-
-def linearise_draws(
-    assembly: Assembly, point: Point, hyper: Batch, count: int
-) -> Float[np.ndarray, "b n q"]:
-    """J beside what the expected output at a point leaves, of a structure that corrects no column, for several φ."""
-    record = assembly.record
-    x = np.broadcast_to(point.x, (count, assembly.size))
-    rows = np.broadcast_to(point.rows, (count, *point.rows.shape))
-    mean, columns = expected_with_slopes(assembly, x, rows, hyper, assembly.in_x)
-    table = np.zeros((count, assembly.size + 1, record.size)).transpose(0, 2, 1)
-    for t, column in zip(assembly.in_x, columns, strict=True):
-        assembly.place(t, column, table)
-    table[:, :, -1] = record.y - mean
-    return table
-
-
-def expected_with_slopes(
-    assembly: Assembly, x, rows, hyper: Batch, terms: Sequence[Term]
-) -> tuple[Float[np.ndarray, "b n"], list[np.ndarray]]:
-    """Expected output of joint draws, and its slopes by some terms, (n,) or (b, n) each, as if all readings belonged
-    to one member of a term's group."""
-    record = assembly.record
-    moves = _moves(assembly, x, rows, hyper)
-    known: dict[str, np.ndarray] = {}
-    mean, slopes = record.responses(slots_of(assembly, x, rows, hyper, moves, known), moves)
-    slopes, wanted, found = dict(slopes), {id(t) for t in terms}, {}
-    made = {} if moves else {of: (columns, {}) for of, columns in known.items()}
-    for t, value in zip(assembly.terms, assembly.values(x, rows, hyper), strict=True):
-        if not (moves or id(t) in wanted):
-            continue
-        if (of := t.known.of) not in made:
-            shapes = [hyper[name] for name in t.known.shape_names]
-            own = {} if t.slot in moves else moves
-            made[of] = record.moved_columns_of_draws(t.known.columns, shapes, own)
-        columns, by_move = made[of]
-        found[id(t)] = columns[..., t.index] * t.factor
-        for name, slope in by_move.items():
-            slopes[name] = slopes[name] + slopes[t.slot] * slope[..., t.index] * t.factor * value
-    return mean, [slopes[t.slot] * found[id(t)] for t in terms]
-
-
-def _moves(assembly: Assembly, x, rows, hyper: Batch) -> dict[str, np.ndarray]:
-    """What columns of the readings are corrected by, (b, n) each."""
-    moves = {name: np.zeros((len(x), assembly.record.size)) for name in assembly.corrected}
-    if moves:
-        _sum_into(moves, assembly, assembly.values(x, rows, hyper), hyper, {}, {})
-    return moves
-
-
-def expected(
-    assembly: Assembly,
-    x: Float[np.ndarray, "b p"],
-    rows: Float[np.ndarray, "b n k"],
-    hyper: Batch,
-) -> Float[np.ndarray, "b n"]:
-    """Expected output of joint draws, output unit.
-
-    Args:
-        assembly: the structure on its record.
-        x: coefficients, reported units.
-        rows: per-reading coefficients.
-        hyper: φ by name, one value a draw.
-    """
-    moves = _moves(assembly, x, rows, hyper)
-    return assembly.record.several(slots_of(assembly, x, rows, hyper, moves), moves)
-
-
-def slots_of(
-    assembly: Assembly, x, rows, hyper: Batch, moves: dict, made: dict | None = None
-) -> dict[str, np.ndarray]:
-    """What the coefficients of each slot come to, (b, n) each; `made` keeps the columns by effect."""
-    slots = {name: np.zeros((len(x), assembly.record.size)) for name in assembly.record.slots}
-    for name, design in assembly.designs.items():
-        slots[name] += x @ design.T
-    made = {} if made is None else made
-    _sum_into(slots, assembly, assembly.values(x, rows, hyper), hyper, moves, made)
-    return slots
-
-
-def _sum_into(sums: dict, assembly: Assembly, values, hyper: Batch, moves: dict, made: dict):
-    """Add up what the coefficients of each slot come to."""
-    designs = assembly.designs
-    for t, value in zip(assembly.terms, values, strict=True):
-        if t.slot not in sums or (t.place == "x" and t.slot in designs and not t.known.shape_names):
-            continue
-        if (of := t.known.of) not in made:
-            shapes = [hyper[name] for name in t.known.shape_names]
-            made[of] = assembly.record.columns_of_draws(t.known.columns, shapes, moves)
-        sums[t.slot] += made[of][..., t.index] * t.factor * value

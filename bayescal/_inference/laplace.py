@@ -16,11 +16,12 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.parallel import on_one_thread
-from bayescal._inference.assembly import Assembly, Line, Point
+from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import LOG_2PI, Conditional, column_scale, condition
 from bayescal._inference.noise_on_record import variance
 from bayescal._inference.record import Record
+from bayescal._model.composition import Linearised
 
 STILL_SD = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
@@ -312,7 +313,7 @@ def _with_rows(assembly, density: Density, found, v, x=None) -> Point:
 
 
 def of_single_readings(
-    assembly: Assembly, line: Line, left: Float[np.ndarray, "n"], hyper: Mapping[str, float]
+    assembly: Assembly, line: Linearised, left: Float[np.ndarray, "n"], hyper: Mapping[str, float]
 ) -> tuple[Float[np.ndarray, "n k k"], Float[np.ndarray, "n k"]]:
     """Precision of each reading's own coefficients, all else given, and the pull of what is `left` of it."""
     # They are seen by this reading alone: (r·rᵀ/σ² + D⁻¹)·c = r·left/σ² with its slopes r and their prior variances

@@ -9,10 +9,11 @@ by QR of whitened tables, never by JᵀJ, so that no condition number is squared
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar, Literal, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
@@ -23,14 +24,14 @@ from scipy.optimize import minimize, root
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._inference import trust
-from bayescal._inference.assembly import Assembly, Line, Point, differences
+from bayescal._inference.assembly import Assembly, Point, differences
 from bayescal._inference.density import Density, noise_slopes, turn
 from bayescal._inference.gaussian import LOG_2PI, Prior
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.noise_on_record import Independent, Whitening, whitening
-from bayescal._inference.record import Record
 from bayescal._model import forward
+from bayescal._model.composition import Linearised
 from bayescal._model.noise_law import in_time
 from bayescal._model.parameters import Layout
 from bayescal._model.prior import LogUniform, Normal
@@ -41,6 +42,9 @@ GOOD_SHARE = 1e-5
 ROUND_CHANGE = 1e-9  # change of φ's coordinates in a round, below which it rests
 ROUNDS = 30  # at most
 ROUND_STEPS = 200  # of θ in a round
+NEARBY = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12)
+# Its trust region is in steps, not in slopes.
+FROM_AFAR = optx.IndirectLevenbergMarquardt(rtol=1e-12, atol=1e-12)
 STEPS_FROM_AFAR = 5000  # steps from afar: along a curved valley they are short
 SHIFT = 1e-4  # of a coordinate, for slopes by differences
 # Coordinate of a time between bounds, from which it stands at one: nothing stops it.
@@ -48,7 +52,7 @@ EDGE_COORDINATE = 5.0
 
 
 class LeastSquares(Method):
-    """Maximum a posteriori, with a Laplace covariance: by Gauss–Newton; where that stalls, by optimistix.
+    """Maximum a posteriori, with a Laplace covariance: by optimistix and, what is linear and the last digits, by QR.
 
     Attributes:
         curvature: "gauss-newton" leaves out second derivatives of the expected output; "hessian" keeps them.
@@ -59,11 +63,11 @@ class LeastSquares(Method):
     draws: int = 4000
     name: ClassVar[str] = "least-squares"
 
-    def run(self, layout, frame, y, seed, start=NOTHING_KNOWN):
+    def run(self, assembly, seed, start=NOTHING_KNOWN):
         with stage("least squares"):
-            assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
-            found = solution_on(assembly, self.curvature == "hessian", start)
-        return self.outcome(layout, found, seed)
+            mode = find_mode(assembly, start=start)
+            found = refine(assembly, mode, self.curvature == "hessian", by_optimistix=True)
+        return self.outcome(assembly.layout, found, seed)
 
     def outcome(self, layout: Layout, found: Solution, seed: int) -> Outcome:
         """What a solution comes to: draws of the Gaussian approximation about it, and whether to trust it."""
@@ -88,11 +92,9 @@ class LeastSquares(Method):
         )
 
 
-def solution_on(
-    assembly: Assembly, hessian: bool = False, start: Mapping[str, float] = NOTHING_KNOWN
-) -> Solution:
+def solution_on(assembly: Assembly, hessian: bool = False) -> Solution:
     """The fit of a structure whose noise the engine whitens by, on a record that others may share."""
-    return refine(assembly, find_mode(assembly, start=start), hessian)
+    return refine(assembly, find_mode(assembly), hessian)
 
 
 @on_one_thread  # else the last digits would hang on how many cores there are
@@ -181,13 +183,16 @@ class _Given(NamedTuple):
 
 
 @on_one_thread
-def refine(assembly: Assembly, mode: Mode, full_hessian: bool) -> Solution:
+def refine(
+    assembly: Assembly, mode: Mode, full_hessian: bool, by_optimistix: bool = False
+) -> Solution:
     """From the mode: (x, shapes) by least squares and scales by restricted likelihood in turn, until both rest.
 
     Args:
         assembly: the structure on its record.
         mode: its mode.
         full_hessian: whether the covariance takes second derivatives of the expected output.
+        by_optimistix: begin with its solver where anything is not linear, rather than where Gauss–Newton fails only.
     """
     fit = _Refinement(assembly, mode)
     # Where JᵀJ has no Cholesky factor the mode is nowhere; from the prior's centre, QR may find it.
@@ -195,13 +200,17 @@ def refine(assembly: Assembly, mode: Mode, full_hessian: bool) -> Solution:
     x = mode.point.x if found else assembly.start.x
     v = np.where(np.isfinite(mode.v), mode.v, 0.0)
     theta, converged = np.concatenate([x, v[fit.places]]), False
+    if by_optimistix and not (
+        assembly.affine and not fit.places
+    ):  # what is linear is one step of QR
+        theta = fit.solved(theta, v)
     for round_ in range(ROUNDS):
         theta, converged = fit.fit_theta(theta, v)
         if round_ == 0 and not converged and not assembly.affine:
-            theta, converged = fit.from_afar(theta, v)
+            theta, converged = fit.from_afar(v)
             if not converged:  # how long its steps are hangs on the size of the noise
                 usual = np.where([kind == "noise" for kind in assembly.kinds], 0.0, v)
-                theta, converged = fit.from_afar(theta, usual)
+                theta, converged = fit.from_afar(usual)
         moved = fit.fit_scales(theta, _put(theta[assembly.size :], fit.places, v))
         change = float(np.max(np.abs(moved - v), initial=0.0))
         v = moved
@@ -244,7 +253,7 @@ class _Refinement:
         size = self.assembly.size
         point = Point(theta[:size], self.mode.point.rows)
 
-        def linearised(located: np.ndarray) -> Line:
+        def linearised(located: np.ndarray) -> Linearised:
             return self.assembly.linearise(
                 point, self.assembly.hyper(_put(located, self.places, v))
             )
@@ -299,40 +308,30 @@ class _Refinement:
             damping = max(10 * damping, 1e-3)
         return theta, best <= GOOD_SHARE * math.sqrt(cost)
 
-    def from_afar(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, bool]:
-        """θ where Gauss–Newton ran away or stalled: by optimistix's Levenberg–Marquardt on the traced residuals.
+    def solved(self, begin: np.ndarray, v: np.ndarray, solver: Any = NEARBY) -> np.ndarray:
+        """θ by one of optimistix's solvers on the composed residuals, from `begin`; that where it fails.
 
-        It begins where the mode was looked for first, and goes in units of a plausible change of each unknown.
+        It goes in units of a plausible change of each unknown. Laws that are not Gaussian have no such residuals.
         """
-        assembly, mode, size = self.assembly, self.mode, self.assembly.size
-        layout, frame, y = assembly.layout, assembly.record.frame, jnp.asarray(assembly.record.y)
-        noise = layout.model.noise
-        if not noise.gaussian:
-            return theta, False
-        prior, rows = self.prior(v), jnp.asarray(mode.point.rows)
-        begin = np.append(assembly.start.x, np.zeros(len(self.places)))
-        blocks = [b for b in layout.x_blocks if b.coefficient.flat]
-        scale = np.array(prior.sd)
-        for b in blocks:
+        assembly, mode = self.assembly, self.mode
+        layout, noise = assembly.layout, assembly.noise
+        if not noise.gaussian or not begin.size:
+            return begin
+        prior, scale = self.prior(v), np.array(self.prior(v).sd)
+        for b in (b for b in layout.x_blocks if b.coefficient.flat):
             scale[b.start : b.start + b.size] = b.coefficient.size
-        places, extra = jnp.asarray(self.places, dtype=int), self.table(begin, v)[1]
-
-        def residuals(z, _):
-            at = begin + scale * z
-            hyper = forward.hyper_values(layout, jnp.asarray(v).at[places].set(at[size:]))
-            left = y - forward.mean(layout, frame, at[:size], rows, hyper)
-            ordered, left, more = in_time(noise, frame, left, jnp.broadcast_to(extra, left.shape))
-            white, _ = noise.whiten(left[:, None], more, hyper, ordered)
-            return jnp.append(white[:, 0], prior.weight * (at - prior.mean) / prior.sd)
-
-        solver = optx.IndirectLevenbergMarquardt(rtol=1e-12, atol=1e-12)
-        found = optx.least_squares(
-            residuals, solver, jnp.zeros(len(begin)), max_steps=STEPS_FROM_AFAR, throw=False
+        extra = np.broadcast_to(self.table(begin, v)[1], assembly.record.y.shape)
+        own = assembly.record.y, mode.point.rows, extra
+        steps = _by_optimistix(
+            solver, layout, assembly.record.frame, own, v, prior, begin, scale, tuple(self.places)
         )
-        there = begin + scale * np.asarray(found.value)
-        if not np.all(np.isfinite(there)):
-            return theta, False
-        return self.fit_theta(there, v)
+        there = begin + scale * np.asarray(steps)
+        return there if np.all(np.isfinite(there)) else begin
+
+    def from_afar(self, v: np.ndarray) -> tuple[np.ndarray, bool]:
+        """θ where Gauss–Newton ran away or stalled: from where the mode was looked for first."""
+        begin = np.append(self.assembly.start.x, np.zeros(len(self.places)))
+        return self.fit_theta(self.solved(begin, v, FROM_AFAR), v)
 
     def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Given]:
         """A function of φ's coordinates: θ integrated out of the model linearised here, by QR; with slopes if asked."""
@@ -481,6 +480,24 @@ class _Refinement:
         # each uncertain by far more than the noise, and steps of parts of that would differ in how they bend.
         rows = differences(slope, np.zeros_like(theta), 1e-3)
         return root @ np.linalg.inv(0.5 * (rows + rows.T)) @ root.T
+
+
+@eqx.filter_jit
+def _by_optimistix(solver, layout, frame, own, v, prior, begin, scale, places):
+    """Steps (q,), in parts of `scale`, to the least squares of the whitened residuals and of the prior's."""
+    (y, rows, extra), noise, size = own, layout.model.noise, layout.size
+    at_shapes = jnp.asarray(places, dtype=int)
+
+    def residuals(z: Any, _: Any) -> Any:
+        at = begin + scale * z
+        hyper = forward.hyper_values(layout, v.at[at_shapes].set(at[size:]))
+        left = y - forward.mean(layout, frame, at[:size], rows, hyper)
+        ordered, left, more = in_time(noise, frame, left, extra)
+        white, _ = noise.whiten(left[:, None], more, hyper, ordered)
+        return jnp.append(white[:, 0], prior.weight * (at - prior.mean) / prior.sd)
+
+    none = jnp.zeros(len(begin))
+    return optx.least_squares(residuals, solver, none, max_steps=STEPS_FROM_AFAR, throw=False).value
 
 
 def _put(values: np.ndarray, places: list[int], v: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from scipy.linalg.lapack import dpotrf, dtrtrs  # pyright: ignore[reportAttribut
 
 from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
-from bayescal._inference.assembly import Assembly, Line, Point
+from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import column_scale
 from bayescal._inference.laplace import Mode
@@ -24,6 +24,7 @@ from bayescal._inference.noise_on_record import (
     whitening,
 )
 from bayescal._inference.record import Record
+from bayescal._model.composition import Linearised
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame
 from bayescal._model.model import Model
@@ -67,7 +68,7 @@ class LinearModel:
 
     assembly: Assembly
     mode: Mode
-    line: Line
+    line: Linearised
     residual: Float[np.ndarray, "n"]
     nuisance: Float[np.ndarray, "n q"]
     weight: Float[np.ndarray, "q"]

@@ -22,7 +22,6 @@ from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.least_squares import LeastSquares, refine
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome
-from bayescal._inference.record import Record
 from bayescal._inference.sampling import PROPOSALS, WeightedDraws, weighted_draws
 from bayescal._inference.trust import FEWEST_DRAWS, K_HAT
 
@@ -64,12 +63,11 @@ class Marginal(Method):
     promote: tuple[str, ...] | None = None
     name: ClassVar[str] = "marginal"
 
-    def run(self, layout, frame, y, seed, start=NOTHING_KNOWN):
-        record = Record(layout.model.instrument, frame, np.asarray(y))
+    def run(self, assembly, seed, start=NOTHING_KNOWN):
         with stage("finding the mode"):
-            layout, notes, mode = sampled_products.choose_on(layout, record, self.promote, start)
-            mode = find_mode(Assembly(layout, record), start=start) if mode is None else mode
-        noise, assembly = layout.model.noise, Assembly(layout, record)
+            assembly, notes, mode = sampled_products.choose(assembly, self.promote, start)
+            mode = find_mode(assembly, start=start) if mode is None else mode
+        layout, noise = assembly.layout, assembly.noise
         deadline.offer(lambda why: self.about_the_mode(assembly, mode, seed, notes, why))
         if not noise.gaussian and layout.row_blocks:
             words = f"{noise.law} noise is not Gaussian, and readings have coefficients of their own: sampled jointly."

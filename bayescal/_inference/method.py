@@ -9,11 +9,10 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode
-from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
 
 CHAINS = 4  # that draws are dealt into, so that what reads chains can read independent draws too
@@ -108,19 +107,12 @@ class Method(eqx.Module):
 
     @abc.abstractmethod
     def run(
-        self,
-        layout: Layout,
-        frame: Frame,
-        y: Float[Array, "n"],
-        seed: int,
-        start: Mapping[str, float] = NOTHING_KNOWN,
+        self, assembly: Assembly, seed: int, start: Mapping[str, float] = NOTHING_KNOWN
     ) -> Outcome:
         """Fit. Never raises for lack of convergence: the verdict says it.
 
         Args:
-            layout: the model's unknowns.
-            frame: the readings.
-            y: their outputs.
+            assembly: the model on its readings.
             seed: of every random number.
             start: φ by name where its mode may be.
         """

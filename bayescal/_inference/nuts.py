@@ -21,7 +21,6 @@ from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Draws, Method, Outcome
 from bayescal._inference.nuts_chains import Chains, Plan, iterate
-from bayescal._inference.record import Record
 from bayescal._model import forward
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.model import Model
@@ -52,9 +51,10 @@ class NUTS(Method):
     dense: bool = True
     name: ClassVar[str] = "nuts"
 
-    def run(self, layout, frame, y, seed, start=NOTHING_KNOWN):
-        layout = replace(layout, promoted=())
-        assembly = Assembly(layout, Record(layout.model.instrument, frame, np.asarray(y)))
+    def run(self, assembly, seed, start=NOTHING_KNOWN):
+        layout = replace(assembly.layout, promoted=())
+        assembly = Assembly(layout, assembly.record)
+        frame, y = assembly.record.frame, assembly.record.y
         mode = find_mode(assembly, start=start)
         deadline.offer(lambda why: Marginal().about_the_mode(assembly, mode, seed, (), why))
         plan = Plan(self.warmup, self.draws, self.chains, self.dense)

@@ -17,10 +17,10 @@ from jaxtyping import Float
 
 from bayescal._data.measurements import Measurements
 from bayescal._inference.record import AFFINE, Record
-from bayescal._inference.terms import ColumnsOf
 from bayescal._model.frame import Frame, Reference, build_frame, origins, reference_name
 from bayescal._model.instrument import factor_of
 from bayescal._model.model import Model
+from bayescal._model.terms import ColumnsOf
 
 RANGES = 4  # of the output, to a power of two, that an origin is a multiple of: others lie about zero already
 

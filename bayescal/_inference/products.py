@@ -23,14 +23,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._data.column import UNCERTAINTY
-from bayescal._inference.assembly import Assembly, Line, Point, Values
+from bayescal._inference.assembly import Assembly, Point, Values
 from bayescal._inference.chebyshev import REACH, weights, weights_and_slopes
 from bayescal._inference.column_products import ColumnProducts
 from bayescal._inference.gaussian import Conditional, Gram, Prior
 from bayescal._inference.noise_on_record import Whitening
 from bayescal._inference.record import Basis
-from bayescal._inference.terms import Term
+from bayescal._model.composition import Linearised, by_member
 from bayescal._model.prior import Normal
+from bayescal._model.terms import Term
 
 BOX = 5.0  # standard deviations of a Gaussian fit of φ, up to which polynomials are fitted
 FEW = {1: (6, 12, 20), 2: (4, 8, 12, 17), 3: (3, 5, 7, 9)}
@@ -166,15 +167,12 @@ class Products:
     def _of_term(self, t: Term, basis: Basis, slope: np.ndarray) -> Float[np.ndarray, "n w"]:
         """The table's columns of a term: for each member of its group, as many as its basis has."""
         columns = (slope * t.factor)[:, None] * basis.columns[:, t.index]
-        if t.known.per is None:
-            return columns
-        codes = self.assembly.record.codes[t.known.per]
-        found = np.zeros((len(columns), t.size, basis.rank))
-        belong = np.flatnonzero(codes >= 0)
-        found[belong, codes[belong]] = columns[belong]
-        return found.reshape(len(columns), -1)
+        codes = None if t.known.per is None else self.assembly.record.codes[t.known.per]
+        # by_member spreads the last axis: (r, n) to (r, n, members), then members before the columns of the basis
+        found = by_member(np, columns.T, codes, t.size)
+        return found.transpose(1, 2, 0).reshape(len(columns), -1)
 
-    def _table(self, hyper: Values, v: np.ndarray, line: Line) -> Float[np.ndarray, "n m1"]:
+    def _table(self, hyper: Values, v: np.ndarray, line: Linearised) -> Float[np.ndarray, "n m1"]:
         """[Φ r]; at a φ as far as outer axes move them."""
         assembly, point = self.assembly, self.point
         residual = assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
@@ -202,7 +200,7 @@ class Products:
             table = self._table(hyper, self.there, assembly.linearise(self.point, hyper))
             return table.T @ table
         store: ColumnProducts = assembly.record.products
-        slopes, parts = assembly.record.affine[1], [np.zeros(0, int)]  # pyright: ignore
+        slopes, parts = assembly.slopes(self.point, {}), [np.zeros(0, int)]
         for t, basis in zip(self.terms, self._bases, strict=True):
             assert basis is not None
             held = (

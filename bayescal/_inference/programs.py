@@ -18,7 +18,8 @@ from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jit import ALWAYS, QUICK, known
-from bayescal._model.effect import Effect, matrix
+from bayescal._model.composition import slopes_of
+from bayescal._model.effect import Basis, matrix
 from bayescal._model.frame import Frame
 
 STEP = 1.25  # from one padded length to the next
@@ -84,15 +85,9 @@ def program(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-Basis = tuple[Callable[..., Any], int, str]  # a basis, how many columns it has, whose it is
 ByName = dict[
     str, Array
 ]  # shapes; slots or moves of columns, a number a reading; of several draws, one row each
-
-
-def basis_of(effect: Effect) -> Basis:
-    """What an effect's columns depend on: not its priors."""
-    return effect.basis, len(effect.coefficients), effect.name
 
 
 class Leaves(NamedTuple):
@@ -173,22 +168,11 @@ def response_slopes(
     what: Responding, frame: Frame, slots: ByName, moves: ByName
 ) -> tuple[Array, dict[str, Array]]:
     """Expected output, and its derivatives by each slot and by each moved column, reading by reading."""
-    if what.backward and not moves:
-        # Of dozens of slots and one output: one pass back costs as much as a few forward.
-        mean, pull = jax.vjp(lambda own: _respond(what.response, frame, (own, {})), slots)
-        return mean, pull(jnp.ones(frame.size))[0]
-    # The output of a reading hangs on its own slots alone: a vector of ones pushed forward holds each one's own
-    # slope.
-    both = (slots, moves)
-    mean, push = jax.linearize(partial(_respond, what.response, frame), both)
-    zero = jax.tree.map(jnp.zeros_like, both)
-    slopes = {}
-    for part in (0, 1):
-        for name in both[part]:
-            along = [dict(zero[0]), dict(zero[1])]
-            along[part][name] = jnp.ones(frame.size)
-            slopes[name] = push(tuple(along))
-    return mean, slopes
+
+    def respond(slots: ByName, moves: ByName) -> Array:
+        return _respond(what.response, frame, (slots, moves))
+
+    return slopes_of(respond, slots, moves, what.backward)
 
 
 @program

@@ -7,21 +7,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
+from weakref import WeakValueDictionary
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._core.parallel import on_one_thread
+from bayescal._data.measurements import Measurements
 from bayescal._inference import programs
 from bayescal._inference.chebyshev import BETWEEN, NODES, REACH, weights
 from bayescal._inference.column_products import ColumnProducts
-from bayescal._inference.terms import ColumnsOf, coordinates
 from bayescal._model.channel_at_rest import CHANNEL
 from bayescal._model.effect import Effect
-from bayescal._model.frame import Frame
+from bayescal._model.frame import Frame, Reference, build_frame
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
+from bayescal._model.terms import ColumnsOf, coordinates
 
 KEPT_BYTES = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
@@ -78,6 +80,7 @@ class Record:
     _last: tuple[Any, Any] | None = None  # slots, and what the instrument responded to them
     _for_laws: dict[Any, programs.Leaves] = field(default_factory=dict)
     plain: dict[Any, Any] = field(default_factory=dict)  # what assemblies know of a coefficient
+    readings: Measurements | None = None  # that it was made of
 
     @cached_property
     def size(self) -> int:
@@ -357,6 +360,41 @@ class Record:
     @cached_property
     def _to_length(self) -> Int[np.ndarray, "m"]:
         return np.minimum(np.arange(self.padded_size), self.size - 1)
+
+
+_LIVE: WeakValueDictionary[Any, Record] = WeakValueDictionary()
+
+
+def record_of(
+    instrument: Instrument,
+    readings: Measurements,
+    reference: Reference,
+    library: tuple[Effect, ...] = (),
+) -> Record:
+    """Readings as the engine sees them: one record, which all that is done with them shares while anybody has it.
+
+    Args:
+        instrument: whose.
+        readings: measurements.
+        reference: constants of the bases.
+        library: effects whose fixed columns are computed together; those that the readings have the columns for.
+    """
+    key = id(readings), instrument, _as_value(reference)
+    found = _LIVE.get(key)
+    if found is None:
+        frame = build_frame(readings, reference)
+        found = Record(instrument, frame, np.asarray(frame["output"]))
+        found.readings = readings  # held: no others take their place in memory while this lives
+        _LIVE[key] = found
+    if more := [e for e in instrument.shown_by(found.frame, library) if e not in found.library]:
+        found.library = (*found.library, *more)
+    return found
+
+
+def _as_value(of: Any) -> Any:
+    if isinstance(of, Mapping):
+        return tuple(sorted((name, _as_value(own)) for name, own in of.items()))
+    return of
 
 
 def _one_a_draw(

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
 from bayescal._core.errors import ModelError
 from bayescal._inference.assembly import Assembly, Point
@@ -34,29 +33,21 @@ MOST_MEMBERS = 12  # a group coefficient with more members than this is not prom
 
 
 def choose(
-    layout: Layout, frame: Frame, y: ArrayLike, asked: tuple[str, ...] | None
-) -> tuple[Layout, tuple[str, ...]]:
-    """`choose_on` a record that is made for it."""
-    return choose_on(layout, Record(layout.model.instrument, frame, np.asarray(y)), asked)[:2]
-
-
-def choose_on(
-    layout: Layout,
-    record: Record,
+    assembly: Assembly,
     asked: tuple[str, ...] | None,
     start: Mapping[str, float] = NOTHING_KNOWN,
-) -> tuple[Layout, tuple[str, ...], Mode | None]:
-    """The layout with what must be promoted, what to say about it, and its mode where that was sought.
+) -> tuple[Assembly, tuple[str, ...], Mode | None]:
+    """The model with what must be promoted, what to say about it, and its mode where that was sought.
 
     Args:
-        layout: of the model.
-        record: the readings.
+        assembly: the model on its readings.
         asked: what to promote, where somebody said it.
         start: φ by name where its mode may be.
 
     Raises:
         ModelError: a name that was asked for is no coefficient of the model.
     """
+    layout, record, notes = assembly.layout, assembly.record, ()
     if asked is not None:
         known = [b.name for b in layout.x_blocks]
         for name in asked:
@@ -64,14 +55,13 @@ def choose_on(
                 raise ModelError(
                     f"promote: nothing that could be promoted is called {name!r}; there is: {', '.join(known)}"
                 )
-        return layout.promote(*asked), (), None
-    assembly, notes = Assembly(layout, record), ()
+        return Assembly(layout.promote(*asked), record), (), None
     while _bends(assembly):
         free, least = MOST_PROMOTED - len(layout.positions("promoted")), PRODUCT_SD
         few = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MOST_MEMBERS]
         few = [b for b in few if b.size <= free]
         if not few:
-            return layout, notes, None
+            return assembly, notes, None
         mode = find_mode(assembly, start=start)
         sizes = _second_order(assembly, mode)
         strength = {
@@ -81,7 +71,7 @@ def choose_on(
         # funnel with it, so such a one is only taken where no other matters.
         matter = [b for b in few if strength[b.name] >= least]
         if not matter:
-            return layout, notes, mode
+            return assembly, notes, mode
         plain = [b for b in matter if b.coefficient.group_sd is None]
         best = max(plain or matter, key=lambda b: strength[b.name])
         # With the other parts of its effect in the same slot, nonlinear with it, where all fit in φ.
@@ -97,7 +87,7 @@ def choose_on(
             "standard deviations.",
         )
         assembly = Assembly(layout, record)
-    return layout, notes, None
+    return assembly, notes, None
 
 
 def is_nonlinear(layout: Layout, frame: Frame) -> bool:

@@ -25,7 +25,7 @@ from bayescal._core.settings import settings
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import NOWHERE, Density, about
 from bayescal._inference.gaussian import Drawn, Gram, draw
-from bayescal._inference.joint import FREEDOM, draw_joint, linearise_draws, normal_numbers
+from bayescal._inference.joint import FREEDOM, draw_joint, normal_numbers
 from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.noise_on_record import grams
 from bayescal._inference.products import Products
@@ -210,7 +210,7 @@ class ManyPhi:
     def _computed(self, v: Float[np.ndarray, "b d"]) -> Gram:
         assembly, record = self.assembly, self.assembly.record
         hyper, count = assembly.hyper(v.T), len(v) if assembly.moving else 1
-        table = linearise_draws(assembly, self.mode.point, hyper, count)
+        table = assembly.linearise_draws(self.mode.point, hyper, count)
         each = {name: np.broadcast_to(value, len(v)) for name, value in hyper.items()}
         return Gram.of(*grams(assembly.noise, record, table, each, len(v)))
 

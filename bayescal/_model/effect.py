@@ -316,6 +316,14 @@ def with_forms(effects: Iterable[Effect]) -> Iterator[Effect]:
         yield from (effect, *effect.forms)
 
 
+Basis = tuple[Callable[..., Any], int, str]  # a basis, how many columns it has, whose it is
+
+
+def basis_of(effect: Effect) -> Basis:
+    """What an effect's columns depend on: not its priors."""
+    return effect.basis, len(effect.coefficients), effect.name
+
+
 def matrix(
     basis: Callable[..., Float[Array, "n"] | Float[Array, "n p"] | float],
     count: int,

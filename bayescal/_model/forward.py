@@ -1,37 +1,34 @@
-"""One composition, four readings of it: expected output and Jacobian, log density, simulation.
+"""The composed model in JAX: expected output and Jacobian, log density, simulation.
 
-(The fourth, the NumPyro program, stands in `_inference/nuts.py`, because only there NumPyro is needed.)
+(NumPyro's program of it stands in `_inference/nuts.py`, because only there NumPyro is needed.)
 
-Everything here is a pure JAX function of a `Layout` (static), a `Frame`, and values. Each reading's output
-depends on that reading's own slots alone, so one forward derivative per slot gives the whole Jacobian.
+Everything here is a pure JAX function of a `Layout` (static), a `Frame`, and values.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
+from bayescal._model.composition import (
+    Composed,
+    Linearised,
+    Traced,
+    compose,
+    expected,
+    linearised,
+    members,
+    slopes,
+    values,
+)
 from bayescal._model.frame import Frame
 from bayescal._model.noise_law import in_time
-from bayescal._model.parameters import CoefficientBlock, Layout
+from bayescal._model.parameters import Layout
+from bayescal._model.terms import Term, terms_of
 
 Values = dict[str, Float[Array, "..."]]
-
-
-class Linearised(NamedTuple):
-    """The expected output and its derivatives, at one point.
-
-    mean (n,); jacobian by x (n, p); rows: by each coefficient that has one value per reading (n, k).
-    """
-
-    mean: Float[Array, "n"]
-    jacobian: Float[Array, "n p"]
-    rows: Float[Array, "n k"]
 
 
 def hyper_values(layout: Layout, v: Float[Array, "d"]) -> Values:
@@ -90,146 +87,45 @@ def coefficients(
     layout: Layout, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
 ) -> Values:
     """The value of every coefficient by name, (size,) each, in its reported unit."""
-    values, row = {}, 0
-    for b in layout.blocks:
-        if b.place == "fixed":
-            values[b.name] = jnp.full(b.size, b.value)
-        elif b.place == "x":
-            values[b.name] = x[b.start : b.start + b.size]
-        elif b.place == "row":
-            values[b.name] = rows[:, row]
-            row += 1
-        else:
-            value = jnp.stack([hyper[name] for name in b.member_names()])
-            if b.coefficient.group_sd is not None:
-                value = b.mean + hyper[b.group_sd_name] * value
-            values[b.name] = value
-    return values
+    of_rows = iter(rows.T)
+    return {
+        b.name: next(of_rows)
+        if b.place == "row"
+        else members(jnp, Term.of_block(b, {}, {}), x, hyper)
+        for b in layout.blocks
+    }
 
 
-def _members(block: CoefficientBlock, frame: Frame) -> Float[Array, "n m"]:
-    """Which member of its group each reading belongs to, as an indicator matrix."""
-    per = block.coefficient.per
-    assert per is not None
-    return jax.nn.one_hot(frame.codes[per], block.size, dtype=float)
-
-
-def _columns(
-    blocks: Iterable[CoefficientBlock], frame: Frame, hyper: Values, found: dict[int, Array]
-) -> list[tuple[CoefficientBlock, Array]]:
-    """The basis column of each block, in slot units per reported unit; `found` keeps the matrices by effect."""
-    return [(b, _matrix(b, frame, hyper, found)[:, b.index] * b.factor) for b in blocks]
-
-
-def _matrix(
-    block: CoefficientBlock, frame: Frame, hyper: Values, found: dict[int, Array]
-) -> Float[Array, "n p"]:
-    """The basis of a block's effect, computed once for all its blocks."""
-    effect = block.effect
-    if id(effect) not in found:
-        shapes = {s.name: hyper[effect.shape_name(s)] for s in effect.shapes}
-        found[id(effect)] = effect.evaluate(frame, shapes)
-    return found[id(effect)]
-
-
-def _sums(
-    terms: list[tuple[CoefficientBlock, Array]], values: Values, frame: Frame
-) -> dict[str, Array]:
-    sums: dict[str, Array] = {}
-    for b, column in terms:
-        value = values[b.name]
-        if b.coefficient.per == "reading":
-            share = column * value
-        elif b.coefficient.per is None:
-            share = column * value[0]
-        else:
-            share = column * (_members(b, frame) @ value)
-        sums[b.slot] = sums.get(b.slot, jnp.zeros(frame.size)) + share
-    return sums
-
-
-def compose(
-    layout: Layout,
-    frame: Frame,
-    values: Values,
-    hyper: Values,
-    push: Values,
-    blocks: Sequence[CoefficientBlock] | None = None,
-) -> tuple[Values, Frame, list[tuple[CoefficientBlock, Array]]]:
-    """What the response is taken of: each slot's sum with `push` added, and the corrected readings; basis columns too.
-
-    Effects that correct a column see the record, the others the corrected columns. All blocks act, or `blocks`.
-    """
-    acting = layout.blocks if blocks is None else blocks
-    slots, zero = [s.name for s in layout.model.instrument.slots], jnp.zeros(frame.size)
-    found: dict[int, Array] = {}
-    correcting = _columns((b for b in acting if b.slot not in slots), frame, hyper, found)
-    corrections = _sums(correcting, values, frame)
-    corrected = frame
-    for name in dict.fromkeys((*corrections, *(p for p in push if p not in slots))):
-        shifted = frame[name] + corrections.get(name, zero) + push.get(name, zero)
-        corrected = corrected.with_column(name, shifted)
-    others = _columns((b for b in acting if b.slot in slots), corrected, hyper, found)
-    sums = _sums(others, values, frame)
-    filled = {name: sums.get(name, zero) + push.get(name, zero) for name in slots}
-    return filled, corrected, [*correcting, *others]
+def composed(
+    layout: Layout, frame: Frame, x: Array, rows: Array, hyper: Values, sloped: bool = False
+) -> tuple[Traced, tuple[Term, ...], Composed]:
+    """The model put together at a point: its source, its terms, and what they come to; `sloped`: with slopes."""
+    source = Traced(layout.model.instrument, frame)
+    terms, _ = terms_of(layout.blocks, source.slots)
+    found = values(source, terms, x, rows, hyper)
+    return source, terms, compose(source, terms, found, hyper, sloped)
 
 
 def mean(
     layout: Layout, frame: Frame, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
 ) -> Float[Array, "n"]:
     """Expected output, output unit."""
-    slots, corrected, _ = compose(layout, frame, coefficients(layout, x, rows, hyper), hyper, {})
-    return layout.model.instrument.response(slots, corrected)
+    source, _, made = composed(layout, frame, x, rows, hyper)
+    return expected(source, made)
 
 
-def slot_derivatives(
-    layout: Layout, frame: Frame, values: Values, hyper: Values, slots: tuple[str, ...]
-) -> dict[str, Float[Array, "n"]]:
-    """Derivative of the expected output by each of these slots, or columns, reading by reading."""
-    instrument, (zero, one) = layout.model.instrument, (jnp.zeros(frame.size), jnp.ones(frame.size))
-    filled, corrected, _ = compose(layout, frame, values, hyper, {})
-
-    def by_column(name):
-        def respond(push):  # a column changes what the effects make of it too
-            return instrument.response(*compose(layout, frame, values, hyper, {name: push})[:2])
-
-        return jax.jvp(respond, (zero,), (one,))[1]
-
-    def respond(given):
-        return instrument.response(given, corrected)
-
-    if instrument.vector is not None:  # of thirty slots: back once, as in the fits
-        by_slot = jax.vjp(respond, filled)[1](one)[0]
-        return {s: by_slot[s] if s in filled else by_column(s) for s in slots}
-    _, forth = jax.linearize(respond, filled)  # traced once, not with each slot
-    still = dict.fromkeys(filled, zero)
-    return {s: forth({**still, s: one}) if s in filled else by_column(s) for s in slots}
+def slopes_by_slot(
+    layout: Layout, frame: Frame, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
+) -> Mapping[str, Float[Array, "n"]]:
+    """Derivative of the expected output by each slot and each corrected column, reading by reading."""
+    return slopes(*composed(layout, frame, x, rows, hyper, sloped=True))[1]
 
 
 def linearise(
     layout: Layout, frame: Frame, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
 ) -> Linearised:
     """Expected output and Jacobian at a point, output unit per reported unit."""
-    values = coefficients(layout, x, rows, hyper)
-    filled, corrected, columns = compose(layout, frame, values, hyper, {})
-    output = layout.model.instrument.response(filled, corrected)
-    terms = {b.name: column for b, column in columns}
-    free = [b for b in layout.blocks if b.place in ("x", "row")]
-    slots = sorted({b.slot for b in free})
-    slopes = slot_derivatives(layout, frame, values, hyper, tuple(slots))
-    stacked = jnp.stack([slopes[s] for s in slots], 1) if slots else jnp.zeros((frame.size, 0))
-    jacobian = []
-    for place in ("x", "row"):
-        # Slopes are multiplied in all columns at once: in one after the other XLA compiles them into each.
-        parts, of = [jnp.zeros((frame.size, 0))], []
-        for b in (b for b in free if b.place == place):
-            column = terms[b.name][:, None]
-            alone = b.coefficient.per in (None, "reading")
-            parts.append(column if alone else column * _members(b, frame))
-            of += [slots.index(b.slot)] * parts[-1].shape[1]
-        jacobian.append(jnp.concatenate(parts, 1) * stacked[:, np.array(of, int)])
-    return Linearised(output, *jacobian)
+    return linearised(*composed(layout, frame, x, rows, hyper, sloped=True))
 
 
 def log_likelihood(

@@ -269,10 +269,8 @@ class _CheckedInstrument:
     def _of_response(self, one: _Simulated) -> None:
         """Slots that change no output, or change it one for one in another unit."""
         i, layout, frame, hyper = self.instrument, one.layout, one.frame, one.hyper
-        values = forward.coefficients(layout, one.x, one.rows, hyper)
-        names = tuple(s.name for s in i.slots)
-        slopes = forward.slot_derivatives(layout, frame, values, hyper, names)
-        slopes = {name: np.asarray(slope) for name, slope in slopes.items()}
+        by_slot = forward.slopes_by_slot(layout, frame, one.x, one.rows, hyper)
+        slopes = {s.name: np.asarray(by_slot[s.name]) for s in i.slots}
         if not any(np.any(slope) for slope in slopes.values()):
             raise ModelError(
                 f"instrument {i.name!r}: the output is the same whatever its slots are ({', '.join(slopes)}): its "

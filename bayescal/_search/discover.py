@@ -22,9 +22,9 @@ from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import amplitudes, sized
-from bayescal._inference.record import Record
+from bayescal._inference.record import record_of
 from bayescal._model.effect import Effect, with_forms
-from bayescal._model.frame import Reference, build_frame, derived
+from bayescal._model.frame import Reference, derived
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
 from bayescal._model.noise_law import Noise
@@ -258,13 +258,12 @@ def structures_over(
         family = known[name].reported
         if reason and not known[name].is_placeholder and family not in tested:
             shut.setdefault(family, Candidate(family, kind="not testable", reason=reason))
-    frame = build_frame(readings, reference)
+    frame = record_of(instrument, readings, reference).frame
     model = sized(model, readings, frame)
     if any(e.open for e in open_.values()):
         plausible = amplitudes(model, readings, frame)
         open_ = {n: e.sized(*plausible) for n, e in open_.items()}
-    library = instrument.shown_by(frame, (*open_.values(), *model.effects))
-    record = Record(instrument, frame, np.asarray(frame["output"]), library)
+    record = record_of(instrument, readings, reference, (*open_.values(), *model.effects))
     laws = laws_over(model, frame) if widen_noise else {}
     layout = bind(model, readings, open_.values(), reference)[0]
     return Structures(model, layout, record, open_, laws), list(shut.values())

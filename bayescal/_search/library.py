@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri
 
-from bayescal._inference.assembly import put
-from bayescal._inference.terms import ColumnsOf
+from bayescal._model.composition import by_member
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.instrument import factor_of
+from bayescal._model.terms import ColumnsOf
 from bayescal._search.structures import SIZE_FACTORS, Structures
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
@@ -101,9 +101,13 @@ class Library:
                 # basis).
                 slope = slopes[slot.name] * factor_of(instrument, effect, c)
                 codes = None if c.per is None else record.codes[c.per]
+                size = _members(c, dict(self.structures.layout.counts))
                 for p in points:
-                    put(slope * p.basis[:, i], codes, p.at.start + at, made)
-                at += _members(c, dict(self.structures.layout.counts))
+                    start = p.at.start + at
+                    made[:, start : start + size] = by_member(
+                        np, slope * p.basis[:, i], codes, size
+                    )
+                at += size
         self._columns = made
         return made
 

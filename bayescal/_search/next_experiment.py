@@ -22,7 +22,6 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
-from bayescal._inference.joint import expected, expected_with_slopes
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.noise_on_record import whitening
 from bayescal._model.effect import Effect
@@ -209,13 +208,13 @@ def expected_readings(
     record, (x, rows, v) = assembly.record, calibration.draws(draws)
     rows = np.zeros((len(x), record.size, rows.shape[2]))
     parts = np.array_split(np.arange(len(x)), -(-len(x) // DRAWS_TOGETHER))
-    means = [expected(assembly, x[p], rows[p], assembly.hyper(v[p].T)) for p in parts]
+    means = [assembly.expected(x[p], rows[p], assembly.hyper(v[p].T)) for p in parts]
     # The rest at the middle of the draws. Whitening the unit matrix gives L⁻¹; Σ = (L⁻ᵀL⁻¹)⁻¹, whatever the law.
     hyper = assembly.hyper(np.median(v, axis=0))
     white = whitening(assembly.noise, hyper, record)(np.eye(record.size))
     covariance = np.linalg.inv(white.T @ white)
     own = [t for t in assembly.terms if t.known.per is not None and t.place != "fixed"]
-    _, slopes = expected_with_slopes(assembly, x.mean(axis=0)[None], rows[:1], hyper, own)
+    _, slopes = assembly.expected_with_slopes(x.mean(axis=0)[None], rows[:1], hyper, own)
     for t, slope in zip(own, slopes, strict=True):
         sd = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name]
         column = np.reshape(slope, -1) * sd

@@ -31,9 +31,11 @@ from bayescal._core.inverse import settled
 from bayescal._core.jit import compiled
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model import forward
+from bayescal._model.composition import Traced, compose
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Use
 from bayescal._model.parameters import CoefficientBlock, Layout, member_name
+from bayescal._model.terms import Term
 
 NOT_INPUTS = ("output", "output_uncertainty", "temperature_point")
 Scalars = dict[str, Float[Array, ""]]
@@ -302,10 +304,12 @@ class OperatingEquation(eqx.Module):
         fixed = {name: jnp.asarray(value) for name, value in self.layout.model.fixed}
         held = {b.name: jnp.asarray(b.value) for b in self.blocks if b.place == "fixed"}
         known = {**held, **fixed, **theta}
-        own = [s.name for s in self.layout.model.instrument.slots]
-        acting = [b for b in self.blocks if b.slot in own or b.slot in frame.columns]
-        values = {b.name: jnp.reshape(known[b.name], (1,)) for b in acting}
-        slots, corrected, _ = forward.compose(self.layout, frame, values, known, {}, acting)
+        source = Traced(self.layout.model.instrument, frame)
+        acting = [b for b in self.blocks if b.slot in source.slots or b.slot in frame.columns]
+        values = [jnp.reshape(known[b.name], (1,)) for b in acting]
+        made = compose(source, [Term.of_block(b, {}, {}) for b in acting], values, known)
+        slots = {name: made.slots.get(name, jnp.zeros(1)) for name in source.slots}
+        corrected = source.moved(made.moves)
         if (folded := self.folded) is not None:
             slots = {**slots, **{s: slots[s] + known[folded.name(s)] for s, _ in folded.slots}}
         return slots, corrected

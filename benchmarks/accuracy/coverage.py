@@ -115,7 +115,7 @@ def drawn_once(
     layout, levels = bind(model, readings)
     frame = build_frame(readings, reference_of(readings))
     record = Record(model.instrument, frame, readings["output"])
-    layout = sampled_products.choose_on(layout, record, method.promote)[0]
+    layout = sampled_products.choose(Assembly(layout, record), method.promote)[0].layout
     assembly = Assembly(layout, record)
     drawn = weighted_draws(assembly, find_mode(assembly), seed, method.proposals, method.rounds)
     return drawn, (layout, levels)

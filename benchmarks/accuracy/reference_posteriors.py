@@ -63,7 +63,7 @@ def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
     layout, levels = bind(model, readings)
     frame, y = build_frame(readings, reference_of(readings)), readings["output"]
     record = Record(model.instrument, frame, y)
-    layout, *_ = sampled_products.choose_on(layout, record, None)
+    layout = sampled_products.choose(Assembly(layout, record), None)[0].layout
     assembly = Assembly(layout, record)
     density, unpack, start, covariance = nuts_chains.whitened(assembly, find_mode(assembly))
     key = jax.random.key(SEED)

@@ -16,8 +16,8 @@ import numpy as np
 from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.linear_model import linear_model
 from bayescal._inference.record import Record
-from bayescal._inference.terms import ColumnsOf
 from bayescal._model.instrument import factor_of
+from bayescal._model.terms import ColumnsOf
 from benchmarks.hidden_effects.searched import Later, Searched
 
 SELECTIONS = ("stepwise BIC", "LASSO", "STLSQ")

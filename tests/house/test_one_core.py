@@ -29,19 +29,19 @@ from bayescal_models import mems_gyro, still_sensor
 
 GYRO = mems_gyro.INSTRUMENT
 CORE = (
-    "gaussian chebyshev programs terms column_products record assembly noise_on_record products density laplace "
+    "gaussian chebyshev programs column_products record assembly noise_on_record products density laplace "
     "linear_model joint sampling least_squares"
 )
-LAWS = "independent_noise summed_noise"
+LAWS = "terms composition independent_noise summed_noise"
 # What only a named option or a kind of model needs, by that: each has tests of its own.
 NEEDED_BY = {
     "noise in a column of the readings": "joint._draw_rows laplace.of_single_readings "
-    "record.Record.moved_columns_of_draws programs.moved_columns_along assembly.Assembly._responding",
+    "record.Record.moved_columns_of_draws programs.moved_columns_along",
     "a flat prior": "gaussian.column_scale",
     "a nonlinear response": "record.Record.response record.Record.responses "
     "programs.responses programs.slopes_of_draws density.Density.squares "
     "laplace.mode_of_x laplace.mode_of_x.<locals>.look laplace._about_x "
-    "least_squares._Refinement.from_afar least_squares._Refinement.from_afar.<locals>.residuals",
+    "least_squares._Refinement.from_afar",
     'LeastSquares(curvature="hessian"), or a law that is not Gaussian': "least_squares._Refinement.curved "
     "least_squares._Refinement.curved.<locals>.slope",
     "a basis that cannot be computed": "programs.columns_or_refusal",

@@ -20,11 +20,11 @@ from bayescal._inference.linear_model import sized
 from bayescal._inference.noise_on_record import total_log_density, whitening
 from bayescal._inference.record import INTERPOLATED, Record
 from bayescal._inference.sampling import ManyPhi, weighted_draws
-from bayescal._inference.terms import ColumnsOf
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout, bind
 from bayescal._model.summed_noise import over_record
+from bayescal._model.terms import ColumnsOf
 from bayescal_models import (
     differential_pair,
     inclinometer,

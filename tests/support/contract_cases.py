@@ -21,7 +21,7 @@ import bayescal_models
 from bayescal._inference import sampled_products
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
-from bayescal._inference.record import Record
+from bayescal._inference.record import Record, record_of
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
@@ -157,10 +157,8 @@ class Case:
     @cached_property
     def promoted(self) -> tuple[str, ...]:
         layout, _ = bind(self.model, self.readings)
-        frame = build_frame(self.readings, reference_of(self.readings))
-        return sampled_products.choose(layout, frame, jnp.asarray(self.readings["output"]), None)[
-            0
-        ].promoted
+        record = record_of(self.instrument, self.readings, reference_of(self.readings))
+        return sampled_products.choose(Assembly(layout, record), None)[0].layout.promoted
 
     @cached_property
     def reference(self) -> dict[str, Any]:

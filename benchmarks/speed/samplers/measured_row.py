@@ -66,7 +66,7 @@ def ours(p: BoundProblem, proposals: int | None, rounds: int) -> dict[str, Any]:
 
     def once(seed: int):
         record = Record(p.plain.model.instrument, p.frame, np.asarray(p.y))
-        layout = sampled_products.choose_on(p.plain, record, None)[0]
+        layout = sampled_products.choose(Assembly(p.plain, record), None)[0].layout
         assembly = Assembly(layout, record)
         return layout, weighted_draws(assembly, find_mode(assembly), seed, proposals, rounds)
 

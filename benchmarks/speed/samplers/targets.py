@@ -39,7 +39,8 @@ def bound(model: bc.Model, readings: bc.Measurements) -> BoundProblem:
     plain, _ = bind(model, readings)
     frame = build_frame(readings, reference_of(readings))
     y = jnp.asarray(readings["output"])
-    return BoundProblem(plain, sampled_products.choose(plain, frame, y, None)[0], frame, y)
+    problem = Assembly(plain, Record(plain.model.instrument, frame, y))
+    return BoundProblem(plain, sampled_products.choose(problem, None)[0].layout, frame, y)
 
 
 def _on_record(p: BoundProblem) -> Assembly:

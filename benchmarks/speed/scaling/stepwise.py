@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayescal._inference.linear_model import linear_model
-from bayescal._inference.terms import ColumnsOf
+from bayescal._model.terms import ColumnsOf
 from bayescal_models import mems_gyro
 from benchmarks.hidden_effects.searched import MOST, Searched
 from benchmarks.speed.timing import clocks, interleaved

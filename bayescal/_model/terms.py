@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._inference.programs import Basis, basis_of
-from bayescal._model.effect import Effect
+from bayescal._model.effect import Basis, Effect, basis_of
 from bayescal._model.parameters import CoefficientBlock
 from bayescal._model.prior import LogNormal, Normal
 
@@ -132,6 +131,39 @@ class Term(NamedTuple):
             members=tuple(block.member_names()) if block.place == "phi" else (),
             at=slice(block.start, block.start + block.size),
         )
+
+
+def terms_of(
+    blocks: Sequence[CoefficientBlock],
+    slots: Sequence[str],
+    plain: dict[Any, Any] | None = None,
+    size_factors: Mapping[str, float] | None = None,
+) -> tuple[tuple[Term, ...], tuple[str, ...]]:
+    """The terms of a structure, and the columns of the readings that some of them correct.
+
+    What corrects a column without an unknown but its shapes, as the temperature of a body does, is no term: it is part
+    of the other effects' columns, and these stay linear in their coefficients.
+
+    Args:
+        blocks: its coefficients.
+        slots: of the instrument; what acts on another name corrects that column.
+        plain: keeps what does not change of a coefficient, for other structures.
+        size_factors: on the plausible sizes of an effect's coefficients, by the effect's name; one where not named.
+    """
+    correcting = [b for b in blocks if b.slot not in slots]
+    corrected = tuple(dict.fromkeys(b.slot for b in correcting))
+    own = {b.effect.name for b in correcting}
+    corrections: tuple[Correction, ...] = ()
+    if correcting and all(b.place == "fixed" and b.size == 1 for b in correcting):
+        corrections, corrected = tuple(map(Correction.of_block, correcting)), ()
+        blocks = [b for b in blocks if b.slot in slots]
+    plain = {} if plain is None else plain
+
+    def term(b: CoefficientBlock) -> Term:
+        acting = () if b.effect.name in own else corrections
+        return Term.of_block(b, plain, size_factors or {}, acting)
+
+    return tuple(map(term, blocks)), corrected
 
 
 class Sizes:
