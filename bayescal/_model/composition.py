@@ -3,7 +3,7 @@
     output = response(Σ columns · coefficients of each slot; the readings with their columns corrected)
 
 There is no other: fits, searches, predictions, NumPyro's program, simulations and the equation that is exported all
-come from `compose`. Where columns and responses are taken from is said by a `Source`: `Traced` (here) has the effects
+come from `compose`. Where columns and responses are taken from is said by a `ColumnSource`: `Traced` (here) has the effects
 and the instrument themselves, in programs of JAX; a record that keeps them is the other (`_inference/assembly.py`).
 Leading axes are draws.
 """
@@ -26,7 +26,7 @@ from bayescal._model.terms import Term
 Hyper = Mapping[str, Any]  # φ by name: one number, or one a draw
 
 
-class Source(Protocol):
+class ColumnSource(Protocol):
     """Where columns and responses come from.
 
     Attributes:
@@ -83,7 +83,7 @@ class Linearised(NamedTuple):
     rows: Any
 
 
-def value(source: Source, term: Term, x: Any, rows: Any, hyper: Hyper, row: int = 0) -> Any:
+def value(source: ColumnSource, term: Term, x: Any, rows: Any, hyper: Hyper, row: int = 0) -> Any:
     """A term's coefficient at each reading (…, n), or one for all (…, 1).
 
     Args:
@@ -121,7 +121,9 @@ def members(xp: Any, term: Term, x: Any, hyper: Hyper) -> Any:
     return found
 
 
-def values(source: Source, terms: Iterable[Term], x: Any, rows: Any, hyper: Hyper) -> list[Any]:
+def values(
+    source: ColumnSource, terms: Iterable[Term], x: Any, rows: Any, hyper: Hyper
+) -> list[Any]:
     """`value` of each term; those of single readings in their order."""
     found, row = [], 0
     for t in terms:
@@ -131,7 +133,11 @@ def values(source: Source, terms: Iterable[Term], x: Any, rows: Any, hyper: Hype
 
 
 def compose(
-    source: Source, terms: Sequence[Term], values: list[Any], hyper: Hyper, sloped: bool = False
+    source: ColumnSource,
+    terms: Sequence[Term],
+    values: list[Any],
+    hyper: Hyper,
+    sloped: bool = False,
 ) -> Composed:
     """Add up what the terms come to.
 
@@ -180,12 +186,14 @@ def _add(xp: Any, sums: dict[str, Any], each: list[tuple[Term, Any, Any]]) -> No
             sums[slot] = sums[slot] + column * v if slot in sums else column * v
 
 
-def expected(source: Source, made: Composed) -> Any:
+def expected(source: ColumnSource, made: Composed) -> Any:
     """Expected output, output unit (…, n)."""
     return source.response(made.slots, made.moves)
 
 
-def slopes(source: Source, terms: Sequence[Term], made: Composed) -> tuple[Any, dict[str, Any]]:
+def slopes(
+    source: ColumnSource, terms: Sequence[Term], made: Composed
+) -> tuple[Any, dict[str, Any]]:
     """Expected output, and its slopes by each slot and each corrected column (…, n); `made` with slopes."""
     mean, direct = source.slopes(made.slots, made.moves)
     found = dict(direct)
@@ -196,7 +204,7 @@ def slopes(source: Source, terms: Sequence[Term], made: Composed) -> tuple[Any, 
     return mean, found
 
 
-def linearised(source: Source, terms: Sequence[Term], made: Composed) -> Linearised:
+def linearised(source: ColumnSource, terms: Sequence[Term], made: Composed) -> Linearised:
     """The expected output and its Jacobian by the coefficients of these terms; `made` with slopes."""
     xp = source.xp
     mean, by_slot = slopes(source, terms, made)
@@ -220,7 +228,7 @@ def linearised(source: Source, terms: Sequence[Term], made: Composed) -> Lineari
     return Linearised(mean, *found)
 
 
-def _codes(source: Source, t: Term) -> Any:
+def _codes(source: ColumnSource, t: Term) -> Any:
     return None if t.known.per is None or t.place == "row" else source.codes[t.known.per]
 
 
