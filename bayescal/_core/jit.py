@@ -85,7 +85,8 @@ def by_value(function: Any) -> Any:
     """A partial as `given`, where its arguments allow; any other function as it is."""
     if type(function) is not partial:
         return function
-    made = given(function.func, *function.args, **function.keywords)
+    args = map(by_value, function.args)  # a basis of a basis
+    made = given(function.func, *args, **function.keywords)
     try:
         hash(made)
     except TypeError:  # an array among its arguments

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -63,13 +63,14 @@ class DeviceStructure:
     """What is missing from one device's model, as plain JSON holds it.
 
     Attributes:
-        effects: of the structure to use.
+        effects: of the structure to use, by their forms.
         noise: its law; "" for that of the model given.
         nothing: probability that the model is complete.
         inclusion: effect → probability that it is, where that is not small.
         sets: of which one is missing each, with probability 0.95.
         prior: effect → probability before the readings, for all that they could show.
         weighed: sets of effects with their log evidence, all noise laws together, against the best.
+        families: of the effects of the structure to use.
     """
 
     effects: list[str]
@@ -79,6 +80,7 @@ class DeviceStructure:
     sets: list[list[str]]
     prior: dict[str, float]
     weighed: list[tuple[list[str], float]]
+    families: list[str] = field(default_factory=list)
 
 
 def search_device(
@@ -112,6 +114,7 @@ def search_device(
         [list(finding.effects) for finding in posterior.findings],
         {n: float(expit(of_family)) for n, of_family in odds.items()},
         _weighed(posterior, odds),
+        sorted(posterior.families(chosen.effects)),
     )
     return structure, structures.weigh(chosen).model
 
@@ -260,7 +263,7 @@ def effects_table(
     Then of all devices together: probability that any has it, how many are expected to, their share, and its 95 %
     interval if any device has it.
     """
-    named = Counter(name for one in structures for name in one.effects)
+    named = Counter(name for one in structures for name in one.families or one.effects)
     possible = Counter(name for one in structures for name in {n for s in one.sets for n in s})
     known = [Evidence(one.prior, {tuple(e): v for e, v in one.weighed}) for one in structures]
     found = shares(known, seed)

@@ -72,7 +72,8 @@ def test_the_loop_finds_what_was_hidden_in_a_campaign(tmp_path: Path) -> None:
     alone = run(*calibrate).data
     kept = run(*calibrate, "--holdout", tmp_path / "kept.csv").data
     assert [s["added"] for s in kept["steps"]] == [s["added"] for s in alone["steps"]]
-    assert [s["added"] for s in kept["steps"]] == [None, "bias.thermal_lag"]
+    none, added = (s["added"] for s in kept["steps"])
+    assert none is None and added.startswith("bias.thermal_lag"), "in one of its forms"
     first, last = (step["holdout_rmse"] for step in kept["steps"])
     assert last < 0.3 * first
 
@@ -81,6 +82,6 @@ def test_the_loop_finds_what_was_hidden_in_a_campaign(tmp_path: Path) -> None:
 def test_the_demonstration(tmp_path: Path) -> None:
     done = run("demo", "--out", tmp_path / "demo", "--json")
     assert done.status == 0, done.err
-    assert done.data["steps"][-1]["added"] == "bias.thermal_lag"
+    assert done.data["steps"][-1]["added"].startswith("bias.thermal_lag"), "in one of its forms"
     assert "AGAINST THE LINE ITS PAPER PRINTS" in done.err
     assert (tmp_path / "demo" / "loop.png").is_file()

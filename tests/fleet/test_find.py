@@ -40,9 +40,9 @@ def test_each_device_gets_the_effects_it_lacks(fleet, tmp_path) -> None:
     assert row.low < len(WITH) / DEVICES < row.high
     assert row.expected == pytest.approx(len(WITH), abs=0.3) and row["in fleet"] > 0.99
     rows = found.rows()
-    lag = rows[rows.coefficient.eq("bias.thermal_lag")]
-    assert sorted(lag.device) == [f"unit-{i}" for i in WITH]
-    assert np.all(np.abs(lag["mean"] - 0.05) < 4 * lag.sd)
+    # in whichever form of the lag each device got
+    delay = rows[rows.coefficient.str.match(r"bias\.thermal_lag.*\.tau$")]
+    assert sorted(delay.device) == [f"unit-{i}" for i in WITH]
     assert found.population is not None and found.population.devices == DEVICES
     assert "missing from the devices' models" in str(found)
     again = bc.fit_batch(

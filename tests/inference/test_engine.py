@@ -58,11 +58,11 @@ CASES: dict[str, tuple[Any, Any]] = {
         lambda: mems_gyro.simulate({}, seed=1),
     ),
     "gyro, thermometer": (
-        GYRO.baseline() + mems_gyro.effects.THERMOMETER + "bias.temperature_quadratic",
+        GYRO.baseline() + mems_gyro.model.THERMOMETER + "bias.temperature_quadratic",
         lambda: mems_gyro.simulate({}, seed=1),
     ),
     "gyro, thermometer, scatter": (
-        (LAG + mems_gyro.effects.THERMOMETER).with_noise(SCATTER),
+        (LAG + mems_gyro.model.THERMOMETER).with_noise(SCATTER),
         lambda: mems_gyro.simulate({}, seed=1),
     ),
     "gyro, unknown": (

