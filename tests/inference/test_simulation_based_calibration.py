@@ -93,10 +93,15 @@ def test_ranks_are_uniform_for_runs_over_a_parabola(draw) -> None:
 BY_CHAINS = pytest.mark.xfail(reason="bias against scale factor, both of a few poses: needs chains")
 
 
-@pytest.mark.slow
+# Six minutes of the pair: at night.
+MARKS = {
+    "magnetometer_triad": [BY_CHAINS, pytest.mark.slow],
+    "differential_pair": pytest.mark.nightly,
+}
+
+
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=[BY_CHAINS] * (n == "magnetometer_triad")) for n in INSTRUMENTS],
+    "name", [pytest.param(n, marks=MARKS.get(n, pytest.mark.slow)) for n in INSTRUMENTS]
 )
 def test_intervals_cover_for_every_instrument(name: str) -> None:
     # What fails on a hundred data sets is tried on twice as many others: chance does not fail twice, a fault does.

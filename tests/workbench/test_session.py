@@ -193,4 +193,4 @@ def test_what_a_look_found_is_added_at_the_size_that_it_found_likeliest(
     assert sized.coefficients[0].size > 2 * stated
     state = session.add(sized.name)
     assert state.model.effect(sized.name) == sized
-    assert "resize('bias.drift'" in session.script()
+    assert f"resize({sized.name!r}" in session.script()
