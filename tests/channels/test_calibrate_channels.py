@@ -95,6 +95,7 @@ def test_the_table_has_a_column_for_each_channel_and_a_row_for_each_effect(unit)
     assert "±" in row and "–" in row
 
 
+@pytest.mark.slow
 def test_a_search_that_ended_early_says_so_with_its_channel(unit) -> None:
     trail = unit.trails["weak"]
     search = replace(trail.search, complete=False, stopped="The search was ended after 5 s.")
@@ -103,6 +104,7 @@ def test_a_search_that_ended_early_says_so_with_its_channel(unit) -> None:
     assert "The search" not in str(unit)
 
 
+@pytest.mark.slow
 def test_models_and_readings_of_different_channels_are_refused(unit) -> None:
     trail = unit.trails["none"].final.calibration
     with pytest.raises(bc.InputError, match="readings for b"):

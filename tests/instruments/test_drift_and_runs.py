@@ -25,6 +25,7 @@ def drifting(campaign: Campaign | None = None) -> bc.Measurements:
     return accelerometer_triad.simulate(hidden, seed=1, campaign=campaign or Campaign(poses=60))
 
 
+@pytest.mark.slow
 def test_a_drift_widens_the_correction_by_what_it_moves_over_the_test() -> None:
     readings = drifting()
     plain = bc.vector_correction(bc.fit(MODEL, readings, QUICK))
@@ -53,6 +54,7 @@ def test_a_lag_counts_about_equilibrium() -> None:
     assert np.all(np.abs(correct.offset - BIAS) < 0.2 * correct.uncertainty[0, :3])
 
 
+@pytest.mark.slow
 def test_what_is_no_polynomial_of_the_temperature_is_in_the_uncertainty() -> None:
     """Of a curve of x, found by a search, the correction holds the cubic part."""
     plan = Campaign(poses=14, temperatures=(-20.0, -5.0, 10.0, 25.0, 40.0, 55.0, 70.0))

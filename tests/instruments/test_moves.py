@@ -153,6 +153,7 @@ def test_nothing_is_invented_and_all_is_determined() -> None:
     assert not bc.undetermined(gyro_triad.moved(), rows).add
 
 
+@pytest.mark.slow
 def test_both_leave_in_one_frame(tmp_path: Path) -> None:
     yaml = pytest.importorskip("yaml")
     _, correct, calibration = calibrated()

@@ -49,6 +49,7 @@ def test_sensitivities_are_recovered(calibration, batch) -> None:
     assert ratios.std(axis=0).max() < 0.12  # the spread over devices alone would leave 0.28
 
 
+@pytest.mark.slow
 def test_the_environment_and_the_pairs_residual_are_recovered(calibration, batch) -> None:
     devices = dp.devices_of(calibration)
     assert devices.names == batch.names

@@ -91,6 +91,7 @@ def test_the_estimating_equation_is_unbiased_where_poses_are_noisy() -> None:
     assert score(x, np.ones(count))[0] > 0.2
 
 
+@pytest.mark.slow
 def test_a_matrix_near_zero_explains_nothing() -> None:
     """Outputs over such a matrix are forces without bound, and far from the sphere."""
     readings = accelerometer_triad.simulate(seed=1)

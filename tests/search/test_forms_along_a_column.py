@@ -7,6 +7,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
+from tests.support.tiers import slow_but
 
 AT = 52.3  # °C
 WHAT = {
@@ -15,7 +16,7 @@ WHAT = {
 }
 
 
-@pytest.mark.parametrize("form", WHAT)
+@pytest.mark.parametrize("form", slow_but(["jump"], WHAT))
 def test_it_is_found_where_it_is(form: str) -> None:
     readings = mems_gyro.simulate({}, seed=5)
     output = readings["output"] + WHAT[form](readings["temperature"])

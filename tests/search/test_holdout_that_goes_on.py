@@ -12,6 +12,7 @@ import bayescal as bc
 from bayescal._data.time_in_runs import going_on
 from bayescal._inference.noise_on_record import Whitening
 from bayescal_models import still_sensor
+from tests.support.tiers import slow_but
 
 SENSOR, QUICK = still_sensor.INSTRUMENT, bc.LeastSquares(draws=200)
 STEP, TAU, LAG, NOISE = 20.0, 1500.0, 40.0, 1.0
@@ -45,7 +46,7 @@ def fitted(part: bc.Measurements) -> bc.Calibration:
     return bc.fit(model, part, QUICK, strict=False)
 
 
-@pytest.mark.parametrize("cut", ["end", "blocks"])
+@pytest.mark.parametrize("cut", slow_but(["end"], ["end", "blocks"]))
 def test_a_lag_goes_on_in_hold_out_data_cut_from_the_record(cut: str) -> None:
     kept = LATE if cut == "end" else np.flatnonzero(BLOCKS)
     used = EARLY if cut == "end" else np.flatnonzero(~BLOCKS)
