@@ -93,10 +93,9 @@ def curve_extent(calibration: Fitted, name: str) -> tuple[float, float, str, flo
     values = values - values.mean()
     worst = int(np.argmax(np.abs(values)))
     effect = calibration.model.effect(name)
-    covariate = (effect.along or "").split(",")[0] or next(iter(effect.columns), "")
-    of = derived(calibration.readings).get(covariate)
+    of = derived(calibration.readings).get(effect.covariate)
     at = None if of is None else float(of[worst])
-    return float(values.std()), float(values[worst]), covariate, at
+    return float(values.std()), float(values[worst]), effect.covariate, at
 
 
 def range_of(calibration: Fitted, covariate: str) -> tuple[float, float]:

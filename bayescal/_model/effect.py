@@ -240,6 +240,11 @@ class Effect:
         return self.family or self.name
 
     @property
+    def covariate(self) -> str:
+        """What it is a function of: a column, "elapsed" or a rate; the first of its columns, where it says nothing."""
+        return self.along or next(iter(self.columns), "")
+
+    @property
     def is_placeholder(self) -> bool:
         """Whether it stands for what no named effect describes: sized by an amplitude, not by a coefficient."""
         return self.measure is not None

@@ -52,7 +52,13 @@ _NAME = re.compile(r"unknown\((.+)\)", re.DOTALL)
 def covariate_in(name: str) -> str | None:
     """The covariate, with its form if it has one, in a placeholder's canonical name; None for any other effect."""
     found = _NAME.fullmatch(name)
-    return ", ".join(part.strip() for part in found[1].split(",")) if found else None
+    return ", ".join(filter(None, along_and_form(found[1]))) if found else None
+
+
+def along_and_form(covariate: str) -> tuple[str, str]:
+    """The column and the form in "humidity, line"; a column's own name may hold commas, and then has no form."""
+    along, _, form = (part.strip() for part in covariate.rpartition(","))
+    return (along, form) if along and form in (*FORMS, "cycle") else (covariate.strip(), "")
 
 
 def placeholder(covariate: str, slot: str, unit: str) -> Effect:
@@ -63,7 +69,7 @@ def placeholder(covariate: str, slot: str, unit: str) -> Effect:
         slot: what it adds to.
         unit: of the slot.
     """
-    along, _, form = (part.strip() for part in covariate.partition(","))
+    along, form = along_and_form(covariate)
     if form == "cycle" and along == "time":
         return cycle(slot, *OPEN, unit)
     if form in FORMS:

@@ -28,7 +28,7 @@ from bayescal._data.unit_conversion import convert, same_dimension, unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
-from bayescal._model.unknown_effect import FORMS, covariate_in
+from bayescal._model.unknown_effect import FORMS, along_and_form, covariate_in
 from bayescal._report.section import Chapter
 from bayescal._search.discover import is_quiet, not_tested
 from bayescal._search.search_path import rises, steps_table
@@ -415,14 +415,13 @@ def _does(c: Calibration, effect: Effect) -> str:
     """What an effect makes of its subject, with its size."""
     cause = effect.name.partition(".")[2] or effect.name
     if covariate := covariate_in(effect.name):
-        form = covariate.partition(", ")[2]
+        _, form = along_and_form(covariate)
         if form in FORMS:
-            column = covariate.partition(",")[0]
             step = float(np.ptp(c.linear.contribution(effect.name)))
             size = f"{number(step, 2)} {unit_label(c.unit)}"
             if form == "line":
-                return f"is proportional to {column.replace('_', ' ')}, {size} over its range"
-            at = _at(c, effect, column)
+                return f"is proportional to {effect.covariate.replace('_', ' ')}, {size} over its range"
+            at = _at(c, effect, effect.covariate)
             return (
                 f"has a step of {size} at {at}"
                 if form == "jump"

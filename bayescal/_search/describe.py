@@ -123,11 +123,10 @@ def _explaining(
     found: list[tuple[float, Preview]] = []
     residual = calibration.linear.settled[rows]
     for name, effect in previews.effects.items():
-        along = name.removeprefix("unknown(").removesuffix(")").split(",")[0]
         if (
             not effect.is_placeholder
             or name in calibration.model.names
-            or along != (against or along)
+            or (against and effect.covariate != against)
         ):
             continue
         with suppress(ModelError):  # not beside this noise law

@@ -29,7 +29,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import bind
-from bayescal._model.unknown_effect import FORMS, FREED, IN_TIME, covariate_in
+from bayescal._model.unknown_effect import FORMS, FREED, IN_TIME, along_and_form, covariate_in
 from bayescal._search.candidate import (
     Candidate,
     alike,
@@ -303,7 +303,7 @@ def placeholders(model: Model, readings: Measurements) -> list[Effect]:
     if all(s.unit != instrument.unit for s in instrument.slots):
         return []
     names = [name for name, values in derived(readings).items() if np.ptp(values) > 0]
-    forms = [form for form in IN_TIME if form.split(",")[0] in names]
+    forms = [form for form in IN_TIME if along_and_form(form)[0] in names]
     columns = [name for name in names if readings.has(name) and name != "time"]
     straight = {
         name for effect in model.effects for name in effect.varies

@@ -64,8 +64,7 @@ def shape_of(calibration: Calibration, name: str) -> DraftShape:
         raise ModelError(
             f"{name!r} is a named effect, not an unknown dependence: it has a form of its own"
         )
-    inside = name[name.index("(") + 1 : -1]
-    covariate = inside.split(",")[0]
+    covariate = effect.covariate
     low, high = range_of(calibration, covariate)
     names = [effect.coefficient_name(i) for i in range(len(effect.coefficients))]
     coefficients = np.stack([calibration.samples(n) for n in names], axis=1)

@@ -111,7 +111,7 @@ def taken_over(first: Calibration, last: Calibration) -> list[TakenOver]:
 def _own_columns(effect: Effect) -> set[str]:
     """Columns of numbers that an effect depends on, but for the time that its lags and rates need."""
     named = set(effect.varies) | (set(effect.columns) - {"time"})
-    along = (effect.along or "").split(",")[0].removesuffix(" rate")
+    along = (effect.along or "").removesuffix(" rate")
     return named | ({along} if along not in ("", "elapsed") else set())
 
 

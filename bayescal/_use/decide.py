@@ -199,7 +199,7 @@ def _no_answer(quantity: LimitedQuantity, calibration: Calibration, stated: floa
 
 def _describes_the_record(effect: Effect) -> bool:
     """Whether an effect is a form in time that the readings drew, which ends with them."""
-    return (covariate_in(effect.name) or "").startswith("time")
+    return effect.covariate == "time" and covariate_in(effect.name) is not None
 
 
 def in_words(seconds: float) -> str:

@@ -9,6 +9,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._model.frame import build_frame, derived, reference_of
+from bayescal._model.unknown_effect import covariate_in
 from bayescal_models import mems_gyro
 from tests.support.tiers import slow_but
 
@@ -156,6 +157,16 @@ def test_covariates_are_the_recorded_columns_and_what_is_derived_from_time() -> 
     assert names >= {"temperature", "board_temperature", "time", "humidity", "elapsed"}
     assert "temperature rate" in names
     assert not names & {"output", "run", "temperature_point"}
+
+
+@pytest.mark.parametrize("column", ["humidity", "q, x", '<b>a/b</b> "q", x', "flow, L/min"])
+def test_a_form_is_what_stands_after_the_last_comma_of_a_name(column: str) -> None:
+    for form in ("", "line", "jump", "kink"):
+        asked = f"{column}, {form}" if form else column
+        effect = INSTRUMENT.unknown(asked)
+        assert effect.name == f"unknown({asked})" and covariate_in(effect.name) == asked
+        assert effect.covariate == column and effect.columns == (column,)
+    assert covariate_in("unknown( time,cycle )") == "time, cycle"
 
 
 def test_two_named_effects_are_not_taken_for_one_unknown_function() -> None:
