@@ -257,6 +257,7 @@ HELP = {
     "trust": "Python file that a session kept in the folder may run, beside that of --effects; repeat for more.",
     "typed": "An effect of your own in one line, as a candidate: 'supply: s * (supply_voltage - 5); s = 0.1 V/V'.",
     "unit": "gyro_x=rad/s: unit of a column; repeat for more.",
+    "unwrap": "time=2^32us: what a clock or counter held when it began anew; repeat for more.",
     "verbose": "With all candidates of every step, and drafts of effects.",
     "without_noise": "Leave the noise of each reading out.",
     "without_uncertainty": "C and Python that give the value alone, without the covariance of the coefficients.",
@@ -311,6 +312,7 @@ class ColumnOptions:
 
     columns: list[str] | None = None
     unit: list[str] | None = None
+    unwrap: list[str] | None = None
     local_gravity: float | None = None
     local_field: str | None = None
     missing: str | None = None
@@ -345,6 +347,7 @@ class ColumnOptions:
         return {
             "columns": saved.pop("columns", {}) | named_values(self.columns, "--columns"),
             "units": saved.pop("units", {}) | named_values(self.unit, "--unit"),
+            "unwrap": saved.pop("unwrap", {}) | named_values(self.unwrap, "--unwrap"),
             **usual,
             **saved,
             **given,

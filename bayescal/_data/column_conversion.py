@@ -22,6 +22,7 @@ from bayescal._data.header_matching import (
     MatchedFile,
     ReadOptions,
     output_name,
+    period_of,
     unit_of,
 )
 from bayescal._data.header_rules import DAYS, channels_beside, plain
@@ -41,6 +42,9 @@ from bayescal._tables.raw_table import Header, Problem, Problems, Table, load_wh
 _TEXTS = 3  # of a column, that are quoted
 _OVERLOAD = "reads {:.4g}, an instrument's code for an overload or no reading at all (SCPI writes ±9.9E37 and 9.91E37)"
 _PLACEHOLDER = "reads {:g}, far from all other numbers: it stands for a missing reading"
+_MOST_AT_REST = 20.0  # g; a sensor that takes any unit is at rest, or nearly so
+_SINCE_1904 = 2_082_844_800.0  # s, from 1904 to 1970
+_EARLIEST_1904 = 946_684_800.0 + _SINCE_1904  # s; the year 2000 counted from 1904
 _LIKELY_UNITS = (
     *("deg", "arcsec", "rad", "deg/s", "rad/s", "g", "mg", "ug", "degC", "K", "degF"),
     *("s", "ms", "us", "min", "h", "V", "mV", "Hz", "kHz", "1", "%", "ppm"),
@@ -192,7 +196,9 @@ class ColumnReader:
         raw = self._without(cells.values, codes, _OVERLOAD)
         held = placeholders(raw)
         self._note_text(cells, unit)
-        raw = self._without(raw, held, _PLACEHOLDER)
+        raw = self._unwrapped(self._without(raw, held, _PLACEHOLDER), unit)
+        self._note_unsigned(raw)
+        self._note_mass(raw, unit)
         with np.errstate(over="ignore"):
             values = raw if cells.dates or unit is None else self._convert(raw, unit)
         if values is None:
@@ -204,6 +210,7 @@ class ColumnReader:
         if len(self.file.problems) == before or (unit is None and not cells.bad):
             if self._is_time:
                 values, self.converted.origin = from_first(values)
+                self._note_epoch(cells)
             self.converted.values[self.column.name] = values
             self.converted.units[self.column.name] = self.column.unit
 
@@ -251,6 +258,88 @@ class ColumnReader:
         raw = raw.copy()
         raw[rows] = np.nan
         return raw
+
+    def _unwrapped(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
+        """Numbers of a counter that began anew, as of one that went on; where the user says when it does."""
+        names = (self.header.raw, self.header.name, self.column.name)
+        said = next(
+            (self.file.options.unwrap[n] for n in names if n in self.file.options.unwrap), None
+        )
+        if said is None or unit is None:
+            return raw
+        period, own = period_of(said)
+        if own != "1":
+            period = float(convert(period, own, unit, difference=True))
+        values, known = raw.copy(), np.flatnonzero(np.isfinite(raw))
+        begun = int(np.count_nonzero(abs(np.diff(raw[known])) > 0.5 * period))
+        values[known] = np.unwrap(raw[known], period=period)
+        if (
+            known.size and not self._is_time
+        ):  # a converter's counts have a sign; a clock's have none
+            values[known] -= period * np.round(values[known[0]] / period)
+        self._flag(f"began anew {begun} time{'s' * (begun != 1)}, which was undone (unwrap={said})")
+        return values
+
+    def _note_epoch(self, cells: Cells) -> None:
+        """Count from 1904, as LabVIEW does, where seconds since 1970 would lie so far ahead that nobody measured."""
+        since = self.converted.origin
+        if since is not None and since > _EARLIEST_1904 and not cells.dates:
+            self.converted.origin = since - _SINCE_1904
+            self._flag(
+                f"taken as since 1904 (LabVIEW): since 1970 it would begin {date_text(since)[:10]}"
+            )
+
+    def _note_mass(self, raw: np.ndarray, unit: str | None) -> None:
+        """Ask about a g that is hardly that of gravity, where the instrument takes whatever unit there is."""
+        anything = any(
+            c.name == self.column.name and c.unit == ANY for c in self.file.instrument.columns
+        )
+        said = {
+            self.header.raw,
+            self.header.name,
+            self.column.name,
+        } & self.file.options.units.keys()
+        if unit is None or not anything or said:
+            return
+        powers, known = parse(unit).powers, abs(raw[np.isfinite(raw)])
+        far = (
+            powers == {"ug": 1}
+            and known.size
+            and np.median(convert(known, unit, "g")) > _MOST_AT_REST
+        )
+        if far or (powers.get("ug") == 1 and powers.get("m") == -3):
+            mass = re.sub(r"\b([mu]?)g\b", r"\1gram", unit)
+            came = f"reads {raw[np.isfinite(raw)][0]:.4g} {pretty(unit)}, and g is gravity here: hardly an acceleration"
+            cure = f"Is it a mass? Its unit is {mass}; if it is gravity, say so: "
+            cure += option("--unit", f"{self.header.raw}={unit}")
+            self.file.problem(
+                self.header.raw,
+                came,
+                cure=cure,
+                option=option("--unit", f"{self.header.raw}={mass}"),
+            )
+
+    def _note_unsigned(self, raw: np.ndarray) -> None:
+        """Note signed counts that were written as unsigned: at both ends of the bits, and never between."""
+        known = raw[np.isfinite(raw)]
+        if self.column.name != output_name(self.file.instrument) or not known.size:
+            return
+        high = float(known.max())
+        bits = next((b for b in (12, 16, 20, 24, 32) if high < 2.0**b), 0)
+        ends = 2.0**bits / 16
+        near = (known < ends) | (known >= 2.0**bits - ends)
+        if (
+            not bits
+            or known.min() < 0
+            or not near.all()
+            or (known < ends).all()
+            or high < ends * 15
+        ):
+            return
+        if (known == np.round(known)).all() and np.count_nonzero(known < ends) > 1:
+            came = f"holds whole numbers near 0 and near 2^{bits}, and none between: signed counts read as unsigned"
+            asked = option("--unwrap", f"{self.header.raw}=2^{bits}")
+            self.file.problem(self.header.raw, came, cure="Undo it, if that is so", option=asked)
 
     def _labels(self, labels: np.ndarray) -> None:
         if not self.column.required and (labels == "").all():

@@ -22,7 +22,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.settings import settings
 from bayescal._data.column import ARRAYS, MAY_BE_EMPTY, ConvertedColumns, file_names
 from bayescal._data.unit_conversion import base_unit, convert, unit_label
-from bayescal._tables.raw_table import Problem, Problems, Table
+from bayescal._tables.raw_table import Problem, Problems, Table, option
 
 # What a record may not be, and what of it is no reading of the sensor. "Good records" are the campaigns that the six
 # instruments simulate, as they are, rounded as displays do, and noisy (tests/readings/test_thermometers.py).
@@ -96,6 +96,21 @@ OUTPUT_RANGES = (
     ("rad/s", 1e-13, 1e5),
     ("rad", 1e-12, 1e4),
 )
+
+# What clocks hold when they begin anew: counters of 32, 24 and 16 bits, a GPS week, a day.
+PERIODS = {
+    **{
+        f"2^{bits}{unit}": 2.0**bits * size
+        for bits in (32, 24, 16)
+        for unit, size in (("ns", 1e-9), ("us", 1e-6), ("ms", 1e-3))
+    },
+    "604800s": 604_800.0,
+    "86400s": 86_400.0,
+}
+# Within a run: a pause that no test makes, s (ten years); a clock was set there.
+CLOCK_SET = 3.2e8
+# Usual steps that such a pause is at the least: yearly readings have not paused.
+CLOCK_SET_STEPS = 1e4
 
 RECORD = ("device", "axis", "run")  # columns of labels that tell one record in time from another
 
@@ -591,8 +606,19 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
     time = columns["time"]
     record = record_codes(columns)
     order = np.argsort(record, kind="stable")
-    back = (np.diff(time[order]) < 0) & (np.diff(record[order]) == 0)
+    inner, step = np.diff(record[order]) == 0, np.diff(time[order])
+    _refuse_clock_set(columns, order, inner, where)
+    back = (step < 0) & inner
     if back.any():
+        usual = float(np.median(step[inner & (step > 0)])) if (inner & (step > 0)).any() else 0.0
+        period = next(
+            (
+                name
+                for name, size in PERIODS.items()
+                if np.all((step[back] + size > 0) & (step[back] + size <= PAUSE_STEPS * usual))
+            ),
+            "",
+        )
         later = order[1:][back]
         index = int(later.min())
         before = int(order[np.flatnonzero(order == index)[0] - 1])
@@ -602,8 +628,34 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
         came = f"reads {time[index]:.12g} s after {time[before]:.12g} s in {where(before)}: time runs backwards{inside}"
         places = tuple(where(int(i)).partition(" of ")[0] for i in np.sort(order[1:][back]))
         file = where(index).partition(" of ")[2].strip("'")
-        problem = Problem(file, came, cure=cure, column="time", places=places)
+        undo = ""
+        if period:
+            came += f", as a clock does that begins anew at {period}"
+            cure, undo = "Undo it, if that is so", option("--unwrap", f"time={period}")
+        problem = Problem(file, came, cure=cure, option=undo, column="time", places=places)
         raise InputError(str(problem), (problem,))
+
+
+def _refuse_clock_set(columns: Columns, order: np.ndarray, inner: np.ndarray, where: Where) -> None:
+    """Refuse a record in which the time leaps by years: its clock was set, and no drift or lag over that is one."""
+    time = columns["time"][order]
+    step = np.where(inner, np.diff(time), 0.0)
+    known = abs(step[step != 0])
+    far = abs(step) > max(
+        CLOCK_SET, CLOCK_SET_STEPS * float(np.median(known)) if known.size else 0.0
+    )
+    if not far.any():
+        return
+    at = int(np.argmax(far))
+    row, years = int(order[1:][at]), step[at] / 3.156e7
+    came = f"leaps by {years:.3g} years from {where(int(order[at]))} on, within one run: the clock was set there"
+    cure = (
+        "Correct the times, or give what stands before and behind it labels of their own in a column 'run' (where no "
+        "time is needed, leave it out: --ignore time)"
+    )
+    place, _, file = where(row).partition(" of ")
+    problem = Problem(file.strip("'"), came, cure=cure, column="time", places=(place,))
+    raise InputError(str(problem), (problem,))
 
 
 def flags_of(

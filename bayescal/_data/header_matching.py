@@ -8,6 +8,7 @@ need them; no file is refused for them.
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -19,12 +20,15 @@ from bayescal._core.errors import InputError
 from bayescal._data.column import TAKEN, UNCERTAINTY, Column, NominalScale
 from bayescal._data.header_rules import (
     DAYS,
+    NO_UNIT,
     RAW,
     ColumnRule,
     by_name,
     called,
     fits,
+    labels_in,
     like_a_unit,
+    like_labels,
     plain,
     raw_unit,
     readings_of,
@@ -38,6 +42,7 @@ from bayescal._data.unit_conversion import (
     base_unit,
     convert,
     fixed_unit,
+    parse,
     pretty,
     quantity,
     same_dimension,
@@ -96,6 +101,7 @@ class ReadOptions:
         ignore: columns of the file that are left out.
         only: whether all columns beside the instrument's are.
         others: columns of the file that are outputs of other channels, and left out.
+        unwrap: the file's name, or ours → what a counter held when it began anew, as "2^32us".
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -109,6 +115,7 @@ class ReadOptions:
     ignore: tuple[str, ...] = ()
     only: bool = False
     others: frozenset[str] = frozenset()
+    unwrap: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Refuse what is no option.
@@ -328,6 +335,20 @@ class MatchedFile:
                     positions[name] = exact[other]
                     free.discard(exact[other])
         for i in sorted(free):
+            ours = labels_in(headers[i])
+            if (
+                ours
+                and ours not in (*positions, *self.options.columns)
+                and self._holds_labels(i, ours == "device")
+            ):
+                positions[ours] = i
+                free.discard(i)
+                take(
+                    i,
+                    replace(headers[i], name=ours, unit=None),
+                    f"{ours}, as its values are labels",
+                )
+        for i in sorted(free):
             reading = unit_behind(headers[i])
             if reading and reading.name not in self.expected:
                 take(i, reading, reading.name)
@@ -342,10 +363,25 @@ class MatchedFile:
         self.table = replace(self.table, headers=tuple(headers), notes=tuple(notes))
         for name, column in self.expected.items():
             unit = self.header(name).unit if name in positions else None
-            if column.unit is None and unit not in (None, "", "1", "-"):
+            meant = name in self.options.columns and not _known(unit)
+            if column.unit is None and not meant and (unit or "").lower() not in NO_UNIT:
                 came, meant = f"carries the unit {unit}", f"a label (text) as {name!r}"
                 cure = "Remove the unit, or rename the column"
                 self.problem(self.header(name).raw, came, meant, cure)
+
+    def _holds_labels(self, position: int, in_turn: bool = False) -> bool:
+        """Whether the cells of a column are labels."""
+        left_out = self.options.leaves_out(self.table.headers[position])
+        if left_out or not self.table.readable:
+            return False
+        return like_labels(load_whole(self.table, {position: False})[position].values, in_turn)
+
+    def _goes_on(self, position: int) -> bool:
+        """Whether a column may be the time that the file lacks: numbers that go on from reading to reading."""
+        if "time" in (*self.positions, *self.options.columns) or "time" not in self.expected:
+            return False
+        steps = np.diff(load_whole(self.table, {position: True})[position].values)
+        return steps.size > 1 and bool(np.median(steps) > 0)
 
     def rule(self, name: str) -> ColumnRule:
         """How the header of a column of ours is known."""
@@ -438,7 +474,11 @@ class MatchedFile:
             f"has: {names_in(self.table)}. {advice}Add a column {asked!r}, or say which one it is with "
             f"columns={{{column.name!r}: {mapped!r}}} ({chosen or f'--columns {column.name}=…'})"
         )
-        cure, given = f"{advice}Add such a column, or say which it is", chosen if one else ""
+        cure = f"{advice}Add such a column, or say which it is"
+        given = chosen
+        if not one:
+            given = option("--columns", f"{column.name}=HEADER")
+            given += f" {option('--unit', 'HEADER=UNIT')}" * (column.unit is not None)
         self.problem(column.name, "no such column", asked, cure, given, sentence=sentence)
 
     def fix_units(self, offered: Mapping[str, tuple[int, Header]]) -> None:
@@ -482,7 +522,7 @@ class MatchedFile:
             passed: positions of columns that are passed over.
         """
         kept, flags, file = dict[str, Column](), list[str](), self.table.file
-        without_unit: list[str] = []
+        without_unit, labelled = list[str](), False
         for name, position in {} if self.options.only else self.positions.items():
             header = self.table.headers[position]
             if name in self.expected or position in passed or self.options.leaves_out(header):
@@ -495,10 +535,27 @@ class MatchedFile:
             unit, base = unit_of(header, name, self.options), None
             with contextlib.suppress(InputError):
                 base = base_unit(unit) if unit else None
-            if base is not None:
+            if base == "s" and self._goes_on(position):
+                came, cure = "goes on as a time does, and is no column known here", "Say what it is"
+                self.problem(
+                    header.raw, came, cure=cure, option=option("--columns", f"time={header.raw}")
+                )
+            elif base is not None:
                 kept[name] = Column(name, base, required=False)
             elif unit or (unit := like_a_unit(header)) or self.could_be(header):
-                self._note_unclear(position, unit)
+                labels = not (self.could_be(header) or _known(unit)) and self._holds_labels(
+                    position
+                )
+                if not labels and (unit or "").lower() not in NO_UNIT - {""}:
+                    self._note_unclear(position, unit)
+                elif not labels or "run" in self.positions or labelled:
+                    without_unit.append(header.raw)
+                else:
+                    labelled = True
+                    came = "holds labels, each for a while, and is no column known here"
+                    cure = "Are they runs? Say so; if they are not, remove the column"
+                    asked = option("--columns", f"run={header.raw}")
+                    self.problem(header.raw, came, "", cure, asked)
             else:
                 without_unit.append(header.raw)
         if not self.options.only:
@@ -521,7 +578,7 @@ class MatchedFile:
         meant = self.could_be(header)
         column = self.expected[meant] if meant else None
         kind = (column and column.unit) or ANY
-        known = unit_in(unit or "", (kind,)) or spelled(unit or "")
+        known = _known(unit, kind)
         came = f"ends in [{unit}], no unit known here" if unit else "has no unit"
         left = option("--ignore", header.raw)
         shown = known or (column.example if column else "UNIT")
@@ -541,8 +598,33 @@ class MatchedFile:
             self.problem(header.raw, came, "a unit known here", cure, left)
 
 
+def _known(unit: str | None, kind: str = ANY) -> str | None:
+    """The unit that a text may be meant as; None for none."""
+    return unit_in(unit or "", (kind,)) or spelled(unit or "")
+
+
 def _needed(column: Column) -> bool:
     return column.required and column.default is None
+
+
+def period_of(text: str) -> tuple[float, str]:
+    """What a counter holds when it begins anew, a number and its unit: "2^32us", "604800 s", "65536".
+
+    Raises:
+        InputError: it is not of that form.
+    """
+    found = _PERIOD.fullmatch(text.strip())
+    if not found or not float(found[1]) > 0:
+        raise InputError(
+            f"unwrap={text!r} (--unwrap): write what the counter held when it began anew, such as '2^32us', '604800s' "
+            "or '65536count'"
+        )
+    unit = found[3] or "1"
+    parse(unit)
+    return float(found[1]) ** int(found[2] or 1), unit
+
+
+_PERIOD = re.compile(r"(\d+\.?\d*)(?:\^(\d{1,2}))?\s*([^\d\s.^].*)?")
 
 
 def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Problems) -> None:
@@ -553,9 +635,10 @@ def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Prob
         for h in t.headers
         for name in (h.raw, *(r.name for r in readings_of(h)))
     }
-    known |= set(options.columns)
+    known |= {"time", *options.columns} if "time" in options.unwrap else set(options.columns)
     said = {name: f"units={{{name!r}: {unit!r}}}" for name, unit in options.units.items()}
     said |= {name: f"ignore=[{name!r}]" for name in options.ignore}
+    said |= {name: f"unwrap={{{name!r}: {text!r}}}" for name, text in options.unwrap.items()}
     for name, asked in said.items():
         if name not in known:
             came = f"no such column, but {asked}"

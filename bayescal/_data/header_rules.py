@@ -8,10 +8,13 @@ is written C is a temperature. What has one reading is taken and said; what look
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import lru_cache
+
+import numpy as np
 
 from bayescal._data.column import UNCERTAINTY, Column
 from bayescal._data.unit_conversion import (
@@ -31,11 +34,25 @@ from bayescal._tables.raw_table import Header
 NAMES = {
     "time": "t timestamp time_stamp date_time datetime epoch unix_time utc time_utc utc_time | date_and_time "
     "time_and_date zeitstempel datum_uhrzeit datum_zeit scan_time | sample_time start_time local_time | elapsed "
-    "elapsed_time relative_time x_value millis zeit uhrzeit time_of_day heure | date datum",
+    "elapsed_time relative_time messzeit laufzeit sekunden seconds temps x_value millis zeit uhrzeit time_of_day heure "
+    "| date datum",
     "temperature": "T temperatur thermometer",
     "run": "run_no run_nr run_number run_id test_run",
     "device": "device_id serial serial_no serial_number sn",
 }
+# Names under which labels are known where their values are labels too: text or whole numbers, each for a while.
+LABELS = {
+    "run": "cycle cycle_no cycle_nr cycle_number cycle_id zyklus zyklus_nr lauf lauf_nr laufnummer messung messung_nr "
+    "messreihe versuch versuch_nr versuchsnummer durchgang durchlauf essai essai_no passage sweep trial trial_no "
+    "test_no test_nr test_id test_number run_label repetition wiederholung",
+    "device": "dut dut_id dut_no device_no device_nr unit_id unit_no sensor_id sensor_no sensor_nr sensor_sn prufling "
+    "pruefling seriennummer serien_nr geraet gerat capteur numero_de_serie",
+}
+# What stands in place of a unit where there is none.
+NO_UNIT = frozenset(
+    ["", "1", "-", "#", "no", "no.", "nr", "nr.", "n", "№", "id", "text", "label", "index", "none"]
+)
+FEWEST_IN_BLOCK = 3.0  # readings, on average, that have one label before the next
 # How names begin under which what is missing is logged, by its unit.
 BEGINNINGS = {
     "deg/s": ("gyr", "rate", "omega", "gx", "gy", "gz", "wx", "wy", "wz"),
@@ -53,6 +70,7 @@ RAW = (
 MOTION = ("m/s^2", "rad/s", "rad", "uT", "count")
 WORDS = frozenset(  # units that may be other words
     ["min", "day", "days", "bar", "rev", "count", "counts", "second", "minute", "hour", "degree"]
+    + ["atm", "psi", "gram", "grams", "lb", "cc", "kp", "mol"]
 )
 _LONG_UNITS = [u.lower() for u in (*KNOWN, *SPELLINGS) if len(u) > 3 and u not in WORDS]
 
@@ -63,6 +81,7 @@ _BRACKETS = [
 ]
 _BEHIND_SLASH = re.compile(r"([^/]*?[^/\s])\s*/\s*(.+)", re.DOTALL)
 _BEHIND_COMMA = re.compile(r"(.+?)\s*[,:;]\s*(.+)", re.DOTALL)
+_BEHIND_IN = re.compile(r"(.+?)\s+in\s+(.+)", re.DOTALL)
 _AXIS = re.compile(
     r"(?:^|[\W_\d])[xyzXYZ](?=$|[\W_])|(?<=[a-z])[XYZ](?=$|[\W_])|^[xyz](?=acc|gyr|mag)"
 )
@@ -75,7 +94,7 @@ def readings_of(header: Header) -> tuple[Header, ...]:
         return (header,)
     found = [header]
     before, end = header.raw[:-_LONGEST], header.raw[-_LONGEST:]
-    for pattern in (*_BRACKETS, _BEHIND_SLASH, _BEHIND_COMMA):
+    for pattern in (*_BRACKETS, _BEHIND_SLASH, _BEHIND_COMMA, _BEHIND_IN):
         if parts := pattern.fullmatch(end):
             unit = parts[2].strip()
             unit = unit[1:-1] if unit[:1] + unit[-1:] == "()" else unit
@@ -111,14 +130,16 @@ def like_a_unit(header: Header) -> str | None:
     for reading in readings_of(header):
         unit = reading.unit or ""
         near = get_close_matches(unit.lower(), _LONG_UNITS, 1, 0.8) if len(unit) > 3 else []
-        if (unit in known and unit != "G") or unit == "K" or near:
+        if (unit in known and unit not in ("G", "g")) or unit == "K" or near:
             return unit
     return None
 
 
 def plain(name: str) -> str:
     """A name without what people write differently: case, spaces, "temp" for temperature."""
-    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)  # boardTemp as board_Temp
+    bare = unicodedata.normalize("NFD", name)
+    bare = "".join(c for c in bare if not unicodedata.combining(c))  # Prüfling as Prufling
+    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", bare)  # boardTemp as board_Temp
     words = re.sub(r"[^a-z0-9]+", "_", parted.lower()).strip("_").split("_")
     return "_".join("temperature" if word in ("temp", "tmp") else word for word in words)
 
@@ -136,6 +157,21 @@ def by_name(headers: Sequence[Header]) -> dict[str, list[int]]:
         for name in {_compared(reading) for reading in readings_of(header)}:
             found.setdefault(name, []).append(i)
     return found
+
+
+def labels_in(header: Header) -> str | None:
+    """Which of our columns of labels a header names by one of the names in `LABELS`; None for none."""
+    names = {plain(r.name) for r in readings_of(header) if (r.unit or "").lower() in NO_UNIT}
+    known = {ours: {ours, *NAMES[ours].split(), *more.split()} for ours, more in LABELS.items()}
+    return next((ours for ours, those in known.items() if names & those), None)
+
+
+def like_labels(texts: np.ndarray, in_turn: bool = False) -> bool:
+    """Whether a column's cells are labels: several, text or whole numbers, each for a while, or (devices) in turn."""
+    levels = set(texts.tolist())
+    blocks = len(levels) if in_turn else 1 + int(np.count_nonzero(texts[1:] != texts[:-1]))
+    whole = all(re.fullmatch(r"[^.,]*[^\d.,][^.,]*|[+-]?\d+(?:[.,]0*)?", text) for text in levels)
+    return whole and len(levels) > 1 and FEWEST_IN_BLOCK * blocks <= len(texts)
 
 
 def called(headers: Sequence[Header], name: str) -> int | None:

@@ -55,6 +55,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
     decimal: str = "",
     date_order: str = "",
     ignore: Sequence[str] = (),
+    unwrap: Mapping[str, str] | None = None,
     max_bytes: int = MAX_BYTES,
 ) -> Measurements | dict[str, Measurements]:
     """Read readings of an instrument from one file or several: CSV, Parquet, NetCDF, Excel, MATLAB, or logs.
@@ -82,6 +83,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         date_order: of month, day and year in dates such as 05/06/2026: "mdy", "dmy" or "ymd"; empty where a day above
             12 shows it.
         ignore: columns of the file that are left out.
+        unwrap: the file's name (or ours) → what a counter held when it began anew: {"time": "2^32us"}.
         max_bytes: most that all files together may hold.
 
     Returns:
@@ -107,6 +109,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         decimal=decimal,
         date_order=date_order,
         ignore=ignore,
+        unwrap=unwrap or {},
     )
 
     def one(options: ReadOptions) -> Measurements:

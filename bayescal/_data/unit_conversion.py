@@ -1,9 +1,9 @@
 """The units that are known, what the text of a unit means (factor, powers of base units, offset), and units converted.
 
 The units are our own: customary tables read g as gram and Hz as an angle rate, while here g is the local
-acceleration of gravity, angle and frequency are dimensions of their own, and dps is known. Base units are
-s, K (written degC where it is a difference), rad, µg of local g, V, Hz and m. All that is known of a unit, its other
-spellings too, stands in its row of `REGISTRY`.
+acceleration of gravity, angle and frequency are dimensions of their own, and dps is known; a mass is in gram. Base
+units are s, K (written degC where it is a difference), rad, µg of local g, V, Hz, m, kg and others. All that is known
+of a unit, its other spellings too, stands in its row of `REGISTRY`.
 
 A file's units become fixed ones when it is read: inside the library nothing is converted but coefficients, between the
 units that are declared for them, their slot and the columns that their basis takes.
@@ -68,7 +68,7 @@ REGISTRY = (
     Unit("day", 86400, "s", also="days"),
     Unit("K", 1, "K", "m", "kelvin Kelvin", zero=0.0, kind="temperature"),
     Unit("degC", 1, "K", "", "celsius Celsius DegC DEGC",
-         "C, deg C, degrees C, deg. C, celcius, Cel, °, º, deg, degree, degrees", "°C", 273.15),
+         "C, oC, deg C, degrees C, deg. C, celcius, Cel, °, º, deg, degree, degrees", "°C", 273.15),
     Unit("delta_degC", 1, "K", shown="°C"),
     Unit("degF", 5 / 9, "K", "", "", "F, deg F, degrees F, fahrenheit", "°F", 459.67 * 5 / 9),
     Unit("delta_degF", 5 / 9, "K", shown="°F"),
@@ -100,6 +100,27 @@ REGISTRY = (
     Unit("W", 1, "W", "m", kind="power"),
     Unit("Pa", 1, "Pa", "hk", kind="pressure"),
     Unit("bar", 1e5, "Pa", "m"),
+    Unit("psi", 6894.757293168361, "Pa", "k"),
+    Unit("Torr", 101325 / 760, "Pa", "m", "torr"),
+    Unit("mmHg", 133.322387415, "Pa"),
+    Unit("inHg", 3386.389, "Pa"),
+    Unit("atm", 101325, "Pa"),
+    Unit("kg", 1, "kg", kind="mass"),
+    Unit("gram", 1e-3, "kg", "um", "grams gramme Gramm", "g"),
+    Unit("tonne", 1e3, "kg", "", "tonnes"),
+    Unit("lb", 0.45359237, "kg", "", "lbs lbm"),
+    Unit("N", 1, "N", "umkM", "newton newtons Newton", kind="force"),
+    Unit("kgf", STANDARD_GRAVITY, "N", "", "kp"),
+    Unit("gf", 1e-3 * STANDARD_GRAVITY, "N"),
+    Unit("lbf", 4.4482216152605, "N"),
+    Unit("N*m", 0, also="Nm"),
+    Unit("mL", 1e-6, "m**3", also="ml"),
+    Unit("L", 1e-3, "m**3", "nu", "l liter liters litre litres Liter"),
+    Unit("cc", 1e-6, "m**3"),
+    Unit("L/min", 0, also="lpm LPM"),
+    Unit("slm", 1e-3 / 60, "m**3/s", "", "slpm SLPM SLM"),
+    Unit("sccm", 1e-6 / 60, "m**3/s", "", "SCCM"),
+    Unit("mol", 1, "mol", "num", kind="amount of substance"),
     Unit("uT", 1, "uT", kind="magnetic flux density"),
     Unit("nT", 1e-3, "uT"),
     Unit("mT", 1e3, "uT"),
@@ -122,7 +143,8 @@ _ZEROS = {unit.name: unit.zero for unit in REGISTRY if unit.zero is not None}
 _SHOWN = {unit.name: unit.shown for unit in REGISTRY if unit.shown} | {"mdeg": "m°"}
 _REWRITTEN = {
     "μ": "u", "µ": "u", "º": "°", "℃": "degC", "℉": "degF", "°C": "degC", "°F": "degF", "°": "deg",
-    "%RH": "%", "%rH": "%", "%rh": "%", "% RH": "%", "\u03a9": "ohm", "\u2126": "ohm",
+    "%RH": "%", "%rH": "%", "%rh": "%", "% RH": "%", "%rF": "%", "% r.F.": "%", "%r.F.": "%",
+    "\u03a9": "ohm", "\u2126": "ohm",
     "″": "arcsec", "′": "arcmin", "”": "arcsec", "’": "arcmin",
     "''": "arcsec", '"': "arcsec", "'": "arcmin", "%": "percent", "**": "^", "·": "*", "⋅": "*", "∙": "*", "×": "*",
     "−": "-",

@@ -32,7 +32,9 @@ from bayescal._tables.raw_table import Header, Problem, Table, after, refuse_man
 _BLOCK = 1 << 24  # bytes looked at together, and the longest line allowed
 _MARK = b"\xef\xbb\xbf"  # of UTF-8
 _ASCII = bytes(range(128))
-_SIGNS = set("°µ²³·±".encode("latin-1"))  # the same in Latin-1, Latin-9 and Windows-1252
+_LEGACY = "windows-1252"  # what Excel writes as CSV in the west of Europe and in America
+_NO_LEGACY = {0x81, 0x8D, 0x8F, 0x90, 0x9D}  # bytes that it does not use
+_BEYOND = re.compile(rb"[\xc2-\xdf][\x80-\xbf]|[\xe0-\xef][\x80-\xbf]{2}|[\xf0-\xf4][\x80-\xbf]{3}")
 _MOST_UTF16 = 500_000_000  # bytes: it is held whole
 _SAVE = "Save it as 'CSV UTF-8'"
 _LABVIEW = "***End_of_Header***"
@@ -161,7 +163,7 @@ class CsvScan:
 
     def text(self, line: bytes) -> str:
         """A line that was looked through."""
-        return line.decode("latin-1" if self.encoding == "latin-1" else "utf-8")
+        return line.decode(_LEGACY if self.encoding == _LEGACY else "utf-8")
 
     @property
     def headers(self) -> tuple[Header, ...]:
@@ -245,7 +247,7 @@ def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
     It is the first line that is neither blank nor a '#' comment, unless that tells of the test, and names of columns
     stand further down.
     """
-    encoding = "latin-1" if scan.encoding == "latin-1" else "utf-8"
+    encoding = _LEGACY if scan.encoding == _LEGACY else "utf-8"
     there, row = list[tuple[int, str, int]](), 0  # a line's row, its text, and the byte behind it
     while len(there) < LOOKED_AT and (line := handle.readline(_BLOCK)):
         row += 1
@@ -377,9 +379,10 @@ def ragged_rows(scan: CsvScan) -> tuple[Problem, ...]:
 
 
 def encoding_of(path: Path) -> str:
-    """By its mark "utf-16"; "latin-1" where the only bytes beyond ASCII are signs such as ° and µ; else "utf-8".
+    """By its mark "utf-16"; "windows-1252" where bytes beyond ASCII make no character in UTF-8 anywhere; else "utf-8".
 
-    None of these signs begins a character in UTF-8, so the two cannot be taken for each other.
+    Windows-1252 has two and more of such bytes side by side in hardly any word, and in none that are UTF-8 throughout:
+    a file that has characters of both was joined of two, and is refused as what it is not.
     """
     beyond = set[int]()
     with path.open("rb") as handle:
@@ -387,10 +390,11 @@ def encoding_of(path: Path) -> str:
             return "utf-16"
         handle.seek(0)
         while block := handle.read(_BLOCK):
+            block += handle.readline()  # no character lies across blocks
             beyond.update(block.translate(None, _ASCII))
-            if not beyond <= _SIGNS:
+            if _BEYOND.search(block) or not beyond.isdisjoint(_NO_LEGACY):
                 return "utf-8"
-    return "latin-1" if beyond else "utf-8"
+    return _LEGACY if beyond else "utf-8"
 
 
 def opened(path: Path, encoding: str) -> BinaryIO:

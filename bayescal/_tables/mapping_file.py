@@ -17,6 +17,7 @@ from bayescal._core.json_shape import read_toml
 MAPPING = {  # its shape: how `read` is asked, as keywords
     "columns?": {str: str},
     "units?": {str: str},
+    "unwrap?": {str: str},
     "ignore?": [str],
     "local_gravity?": float,
     **{

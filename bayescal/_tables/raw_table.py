@@ -128,13 +128,36 @@ def option(name: str, value: str) -> str:
 def _text(problems: Sequence[Problem]) -> str:
     if len(problems) == 1:
         return str(problems[0])
-    files = list(dict.fromkeys(p.file for p in problems if p.file))
+    problems = _said_once(problems)
+    files = list(dict.fromkeys(name for p in problems for name in p.file.split("\n") if name))
     of = f"{files[0]!r}" if len(files) == 1 else f"{len(files)} files"
     page = min(WIDTH, get_terminal_size((WIDTH, 24)).columns)
-    said = "\n".join(_in_lines(p, len(files) > 1, page) for p in problems)
+    said = "\n".join(_in_lines(_in_files(p, len(files)), len(files) > 1, page) for p in problems)
     options = " ".join(dict.fromkeys(p.option for p in problems if p.option))
     asked = f"\n\nwith these options, if they are meant: {options}" if options else ""
     return f"{len(problems)} problems with {of}\n\n{said}{asked}"
+
+
+def _said_once(problems: Sequence[Problem]) -> list[Problem]:
+    """Problems of which those that are the same in several files are one; its `file` has a line for each."""
+    found = dict[tuple[Any, ...], Problem]()
+    for one in problems:
+        same = (one.column, one.came, one.expected, one.cure, one.option)
+        alike = found.get(same)
+        if alike is None or one.file in alike.file.split("\n"):
+            found[same if alike is None else (*same, len(found))] = one
+        else:
+            found[same] = replace(alike, file=f"{alike.file}\n{one.file}")
+    return list(found.values())
+
+
+def _in_files(problem: Problem, count: int) -> Problem:
+    """With its files in words: a name, or how many there are."""
+    first, *others = problem.file.split("\n")
+    if not others:
+        return problem
+    words = f"all {count} files" if len(others) + 1 == count else f"{first} and {len(others)} more"
+    return replace(problem, file=words)
 
 
 def _in_lines(problem: Problem, several: bool, page: int) -> str:

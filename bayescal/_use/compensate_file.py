@@ -172,8 +172,8 @@ def compensate_file(
         raw, names = _names(table, expected, options)
         done = CompensationSummary(out, names)
         job = _FileCompensation(compensator, options, method, noise, expected, done)
-        # Rows cannot be taken by themselves where their past counts, or times that count from the first.
-        if compensator.history or any(c.name == "time" for c in expected.columns):
+        # Rows cannot be taken by themselves where their past counts: of history, counters, times from the first.
+        if compensator.history or options.unwrap or any(c.name == "time" for c in expected.columns):
             job.whole(table)
         writers = {".parquet": _parquet, ".nc": _netcdf, **dict.fromkeys(AS_CSV, _as_csv)}
         writers.get(suffix, _csv)(job, path, partial, table, raw)

@@ -193,9 +193,12 @@ def test_one_temperature_only_is_refused_unless_asked_for(put, second):
         (HEAD, r"'t\.csv' holds no readings"),
         (GOOD.encode("utf-16-le"), r"row 1 of 't\.csv' holds a zero byte"),
         (GOOD.encode() + b"a,0,3\x000,1\n", r"row 5 of 't\.csv' holds a zero byte"),
-        (GOOD.replace("degC", "°Cé").encode("latin-1"), r"row 1 .* not UTF-8: byte 27 .* is 0xb0"),
         (
-            GOOD.encode() + b"caf\xe9,0,30,1\n",
+            GOOD.replace("degC", "°Cé").encode("latin-1") + b"\x81",
+            r"row 1 .* not UTF-8: byte 27 .* is 0xb0",
+        ),
+        (
+            GOOD.replace("degC", "°C").encode() + b"caf\xe9,0,30,1\n",
             r"row 5 .* is not UTF-8: byte 4 of the row is 0xe9, after 'caf'",
         ),
         (

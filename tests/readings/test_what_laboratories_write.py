@@ -1,0 +1,275 @@
+"""What laboratories write: clocks that begin anew, labels of runs, masses, encodings, headers made up at random.
+
+Nothing of it may be read silently wrong: it is read right, or asked about with options after which it is.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal._cli.options import ColumnOptions
+from bayescal._core.errors import InputError
+from bayescal._data.read import read
+from bayescal._data.unit_conversion import base_unit, convert
+from bayescal_models import mems_gyro, still_sensor
+from tests.readings.test_lab_exports import options_of
+from tests.support.lab_headers import RATE, ROWS, RUN, TEMPERATURE, TIME, LabFile, lab_file
+
+SMALL_FAILS = Path(__file__).parents[3] / "shared" / "data" / "small_fails"
+STILL, GYRO = still_sensor.INSTRUMENT, mems_gyro.INSTRUMENT
+STEPS = np.arange(60) * 10.0
+
+
+def table(**columns: object) -> str:
+    rows = zip(*(np.asarray(v).tolist() for v in columns.values()), strict=True)
+    return "\n".join([",".join(columns), *(",".join(map(str, row)) for row in rows), ""])
+
+
+def at_rest(**columns: object) -> str:
+    usual = {"temperature [degC]": 20 + STEPS / 20, "output [deg/s]": 0.5 + STEPS / 1e4}
+    return table(**{**usual, **columns})
+
+
+def options_said(path: Path, instrument: bc.Instrument) -> str:
+    with pytest.raises(InputError) as refused:
+        read(path, instrument)
+    return " ".join(dict.fromkeys(p.option for p in refused.value.problems if p.option))
+
+
+# --- clocks and counters ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("head", "period", "size", "said"),
+    [
+        ("time [us]", 2**32, 1e-6, "2^32us"),
+        ("time [ms]", 2**32, 1e-3, "2^32ms"),
+        ("time [s]", 604800, 1.0, "604800s"),
+        ("time [s]", 86400, 1.0, "86400s"),
+    ],
+)
+def test_a_clock_that_begins_anew_is_named_and_undone(put, head, period, size, said) -> None:
+    counts = (period + np.round((STEPS - 305) / size).astype(int)) % period
+    path = put(at_rest(**{head: counts}))
+    asked = options_said(path, STILL)
+    assert said in asked
+    found = read(path, STILL, **options_of(asked))
+    np.testing.assert_allclose(np.diff(found["time"]), 10.0, atol=1e-3)
+
+
+def test_runs_without_labels_are_no_clock_that_begins_anew(put) -> None:
+    path = put(at_rest(**{"time [s]": STEPS % 300}))
+    with pytest.raises(InputError, match=r"time runs backwards\. Put the rows in the order"):
+        read(path, STILL)
+
+
+@pytest.mark.parametrize("leap", [1608017922.0, -1.5e9])
+def test_a_clock_that_was_set_within_a_run_is_refused(put, leap) -> None:
+    time = 1608015601.0 + STEPS + leap * (STEPS > 300)
+    path = put(at_rest(**{"time [s]": time}))
+    with pytest.raises(InputError, match=r"leaps by .* years .* within one run: the clock was set"):
+        read(path, STILL)
+    runs = np.where(STEPS > 300, "b", "a")
+    assert len(read(put(at_rest(**{"time [s]": time, "run": runs})), STILL)) == 60
+
+
+def test_yearly_readings_do_not_leap(put) -> None:
+    assert len(read(put(at_rest(**{"time [day]": STEPS * 36.5})), STILL)) == 60
+
+
+def test_signed_counts_that_were_written_as_unsigned_are_asked_about(put) -> None:
+    signed = np.arange(60) - 30
+    path = put(
+        table(
+            **{
+                "time [s]": STEPS,
+                "temperature [degC]": STEPS / 20,
+                "output [count]": signed % 65536,
+            }
+        )
+    )
+    found = read(path, STILL, **options_of(options_said(path, STILL)))
+    np.testing.assert_array_equal(found["output"], signed)
+
+
+def test_seconds_since_1904_are_taken_as_such(put) -> None:
+    path = put(at_rest(**{"time [s]": 3_850_000_000 + STEPS}))
+    found = read(path, STILL)
+    assert found.since == 3_850_000_000 - 2_082_844_800
+    assert any("since 1904" in flag for flag in found.flags)
+
+
+def test_a_period_is_a_number_with_a_unit(put) -> None:
+    path = put(at_rest(**{"time [s]": STEPS}))
+    with pytest.raises(InputError, match="write what the counter held when it began anew"):
+        read(path, STILL, unwrap={"time": "often"})
+    with pytest.raises(InputError, match=r"no such column, but unwrap=\{'tim': '2\^32us'\}"):
+        read(path, STILL, unwrap={"tim": "2^32us"})
+
+
+# --- labels -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("head", "ours"),
+    [("Cycle [#]", "run"), ("Zyklus", "run"), ("Run [-]", "run"), ("Messung Nr.", "run")]
+    + [("Prüfling", "device"), ("DUT", "device"), ("Seriennummer", "device")],
+)
+def test_labels_are_known_by_their_names_and_values(put, head, ours) -> None:
+    labels = STEPS // 200 if ours == "run" else STEPS // 10 % 3
+    found = read(put(at_rest(**{"time [s]": STEPS, head: labels.astype(int)})), STILL)
+    assert found.groups(ours)[0] == ("0", "1", "2")
+    assert any(f"as {ours}, as its values are labels" in flag for flag in found.flags)
+
+
+def test_what_is_called_a_cycle_and_holds_no_labels_is_none(put) -> None:
+    for values in (STEPS / 7, np.arange(60)):
+        found = read(put(at_rest(**{"time [s]": STEPS, "Cycle": values})), STILL)
+        assert not found.has("run") and any("Cycle" in flag for flag in found.flags)
+
+
+@pytest.mark.parametrize("head", ["Charge [#]", "Block [xyz]"])
+def test_labels_of_an_unknown_name_are_asked_about_and_never_left_out(put, head) -> None:
+    path = put(at_rest(**{"time [s]": STEPS, head: (STEPS // 200).astype(int)}))
+    asked = options_said(path, STILL)
+    assert "--ignore" not in asked
+    assert read(path, STILL, **options_of(asked)).groups("run")[0] == ("0", "1", "2")
+
+
+# --- units ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("unit", "size", "base"),
+    [
+        *(("gram", 1e-3, "kg"), ("lb", 0.45359237, "kg"), ("kN", 1e3, "N"), ("kgf", 9.80665, "N")),
+        *(
+            ("L/min", 1e-3 / 60, "m^3/s"),
+            ("ml/h", 1e-6 / 3600, "m^3/s"),
+            ("sccm", 1e-6 / 60, "m^3/s"),
+        ),
+        *(("mmol/L", 1.0, "mol/m^3"), ("psi", 6894.757293168, "Pa"), ("mmHg", 133.322387415, "Pa")),
+        *(("Nm", 1.0, "N*m"), ("mgram/m^3", 1e-6, "kg/m^3")),
+    ],
+)
+def test_units_of_mass_force_volume_amount_pressure_and_flow(unit, size, base) -> None:
+    assert base_unit(unit) == base
+    assert np.isclose(convert(1.0, unit, base), size, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("unit", "values", "kept"), [("g", 1000 + STEPS / 1e3, 1e-3), ("mg/m^3", STEPS, 1e-6)]
+)
+def test_a_g_that_is_hardly_gravity_is_asked_about(put, unit, values, kept) -> None:
+    columns = {"time [s]": STEPS, "temperature [degC]": 20 + STEPS / 20}
+    path = put(table(**columns, **{f"output [{unit}]": values}))
+    found = read(path, STILL, **options_of(options_said(path, STILL)))
+    assert found.unit("output") == ("kg" if unit == "g" else "kg/m^3")
+    np.testing.assert_allclose(found["output"], kept * values, atol=1e-12)
+    assert read(path, STILL, units={"output": unit}).unit("output").startswith("ug")  # said to be
+
+
+def test_an_accelerometer_in_g_is_read_as_ever(put) -> None:
+    columns = {"time [s]": STEPS, "temperature [degC]": 20 + STEPS / 20}
+    found = read(put(table(**columns, **{"output [g]": 0.99 + STEPS / 1e6})), STILL)
+    assert found.unit("output") == "ug"
+
+
+# --- encodings, and several files -------------------------------------------------------------------------------
+
+
+def test_windows_1252_is_read(put) -> None:
+    content = at_rest(**{"time [s]": STEPS, "Gehäuse – außen [°C]": STEPS})
+    found = read(put(content.encode("windows-1252")), STILL)
+    assert "Gehäuse – außen" in found.columns
+    with pytest.raises(InputError, match="is not UTF-8"):
+        read(put(content.encode() + "é,1,1,1\n".encode("windows-1252")), STILL)
+
+
+def test_what_is_wrong_with_several_files_alike_is_said_once(put) -> None:
+    content = at_rest(time=STEPS, **{"p [foo]": STEPS})
+    paths = [put(content + f"90,{i},{i},1\n", f"t{i}.csv") for i in range(4)]
+    with pytest.raises(InputError) as refused:
+        read(paths, STILL)
+    said = str(refused.value)
+    assert said.count("the header has no unit") == 1 and "all 4 files, column 'time'" in said
+
+
+# --- headers made up at random ----------------------------------------------------------------------------------
+
+
+def is_right(found: bc.Measurements, file: LabFile) -> bool:
+    right = len(found) == ROWS and found.has("time")
+    right = right and np.allclose(found["time"] - found["time"][0], TIME, atol=1e-4)
+    right = right and np.allclose(found["temperature"], TEMPERATURE, atol=2e-5)
+    right = right and np.allclose(found["output"], RATE, atol=2e-6)
+    runs = found["run"].tolist() if found.has("run") else []
+    return bool(right and ("run" not in file.headers or runs == [str(r) for r in RUN]))
+
+
+def completed(asked: str, headers: Mapping[str, str], units: Mapping[str, str]) -> dict[str, Any]:
+    """Suggested options as a person completes them who knows the file, and corrects what is not meant."""
+    columns, unit, ignore, gone = list[str](), list[str](), list[str](), set[str]()
+    given = shlex.split(asked)
+    for option, value in zip(given[::2], given[1::2], strict=True):
+        ours, _, said = value.partition("=")
+        theirs = headers.get(ours, "")
+        if option == "--columns" and theirs and said != theirs:
+            gone |= {said}
+            columns.append(f"{ours}={theirs}")
+            unit += [f"{theirs}={units[theirs]}"] if theirs in units else []
+        elif option == "--unit" and value.rpartition("=")[0] not in ("HEADER", *gone):
+            head = value.rpartition("=")[0]
+            unit.append(f"{head}={units.get(head, '1')}")
+        elif option in ("--columns", "--ignore"):
+            (columns if option == "--columns" else ignore).append(value)
+    return ColumnOptions(columns=columns, unit=unit, ignore=ignore).for_read()
+
+
+@pytest.mark.parametrize("seeds", [range(40), pytest.param(range(40, 200), marks=pytest.mark.slow)])
+def test_generated_headers_are_read_right_or_asked_about_once(put, seeds) -> None:
+    again = []
+    for seed in seeds:
+        file = lab_file(np.random.default_rng(seed))
+        path = put(file.content)
+        try:
+            assert is_right(read(path, GYRO), file), f"{seed}: silently wrong"
+            continue
+        except InputError as error:
+            said = [p.option for p in error.problems]
+        asked = " ".join(dict.fromkeys(said))
+        assert all(said), f"{seed}: {asked}"
+        try:
+            found = read(path, GYRO, **completed(asked, file.headers, file.units))
+        except InputError as error:
+            again.append(f"{seed}: {asked}: {error}")
+            continue
+        assert is_right(found, file), f"{seed}: wrong after {asked}"
+    assert len(again) <= 0.05 * len(seeds), "\n".join(again)
+
+
+# --- the small inputs of others ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "asked"),
+    [
+        ("rollover/micros.csv", "2^32us"),
+        ("rollover/millis.csv", "2^32ms"),
+        ("rollover/gpsweek.csv", "604800s"),
+        ("loadcell_grams/loadcell.csv", "gram"),
+    ],
+)
+def test_small_inputs_are_asked_about_and_read_after(name, asked) -> None:
+    if not (SMALL_FAILS / name).is_file():
+        pytest.skip("needs the small inputs in ../shared/data/small_fails, beside this checkout")
+    said = options_said(SMALL_FAILS / name, STILL)
+    assert asked in said
+    assert len(read(SMALL_FAILS / name, STILL, **options_of(said))) > 400
