@@ -83,7 +83,7 @@ def check(calibration: Calibration) -> Check:
 
 def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
     """The calibration with the noise to judge by; and the free fit's noise, if coefficients are fixed."""
-    held = {b.name for b in calibration.layout.blocks if b.place == "fixed"}
+    held = calibration.layout.stated
     if not held:
         return calibration, None
     free = fit(

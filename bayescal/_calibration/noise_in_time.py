@@ -149,8 +149,7 @@ def _drawn(
     law = calibration.model.noise
     names = set(law.parameters())
     varying = names & set(map(str, calibration.posterior))
-    held = any(b.place == "fixed" for b in calibration.layout.blocks)
-    if law.independent or not varying or held:
+    if law.independent or not varying or calibration.layout.stated:
         return law.allan_variance(mode, variance, factors, step)[None]
     drawn = {n: calibration.samples(n) for n in varying}
     count = len(next(iter(drawn.values())))

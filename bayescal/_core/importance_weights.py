@@ -7,22 +7,54 @@ from jaxtyping import Float, Int
 from scipy.optimize import minimize
 
 ALIKE_SCATTER = 0.01  # scatter of corrections, from which the posterior is the same without
+FEWEST_OF_TAIL = 5  # weights that a tail is fitted to
 TRIED_SIZE = 50  # effective sample size from which this is known
 
 
 def smoothed(log_weight: Float[np.ndarray, "s"]) -> tuple[Float[np.ndarray, "s"], float]:
-    """Pareto-smoothed weights, summing to one, and k̂, by ArviZ.
+    """Pareto-smoothed weights, summing to one, and k̂.
+
+    The largest ones are replaced by quantiles of a generalised Pareto distribution fitted to them. As ArviZ does, which
+    takes a second to load.
+
+    Raises:
+        ValueError: fewer than 25 draws, whose largest weights show no tail.
 
     Source: Vehtari et al., JMLR 25 (2024) 72.
     """
-    from arviz_stats.base.array import array_stats  # half a second that only sampling needs
-
+    count = log_weight.size
     if np.ptp(log_weight) < 1e-9:
-        return np.full(log_weight.size, 1 / log_weight.size), 0.0
-    values, k_hat = array_stats.psislw(-np.asarray(log_weight, dtype=float))
-    # psislw takes log likelihood and smooths its inverse: hence the sign.
-    weights = np.exp(values - np.max(values))
-    return weights / weights.sum(), float(k_hat)
+        return np.full(count, 1 / count), 0.0
+    tail = int(3 * count**0.5) if count > 225 else count // 5
+    if tail < FEWEST_OF_TAIL:
+        raise ValueError(f"{count} draws are too few for Pareto smoothing")
+    weights = np.exp(log_weight - np.max(log_weight))
+    order = np.argsort(log_weight)
+    largest, cutoff = order[-tail:], weights[order[-tail - 1]]
+    k_hat, scale = _generalised_pareto(weights[largest] - cutoff)
+    if np.isfinite(k_hat) and scale > 0:
+        rest = np.log1p(-(np.arange(tail) + 0.5) / tail)
+        stretch = np.expm1(-k_hat * rest) / k_hat if k_hat else -rest
+        weights[largest] = np.minimum(cutoff + scale * stretch, 1.0)
+    return weights / weights.sum(), k_hat
+
+
+def _generalised_pareto(excess: Float[np.ndarray, "t"]) -> tuple[float, float]:
+    """Shape k̂, drawn to ½ by as much as ten values would, and scale, of values above zero in rising order.
+
+    Source: J. Zhang and M. Stephens, Technometrics 51 (2009) 316: the mean of b = −k/σ over its profile likelihood.
+    """
+    n, most = len(excess), 30 + int(len(excess) ** 0.5)
+    quartile = excess[int(n / 4 + 0.5) - 1]
+    b = (1 - np.sqrt(most / (np.arange(most) + 0.5))) / (3 * quartile) + 1 / excess[-1]
+    k = np.mean(np.log1p(-b[:, None] * excess), axis=1)
+    profile = n * (np.log(-b / k) - k - 1)
+    weight = np.exp(profile - np.max(profile))
+    weight /= weight.sum()
+    weight[weight < 10 * np.finfo(float).eps] = 0.0
+    mean = float(b @ weight / weight.sum())
+    k_hat = float(np.mean(np.log1p(-mean * excess)))
+    return (n * k_hat + 5) / (n + 10), -k_hat / mean
 
 
 def effective_size(weights: Float[np.ndarray, "s"]) -> float:

@@ -7,7 +7,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import optimistix as optx
 
 NEWTON_TOLERANCE = 1e-13  # of the last step, relative
 MOST_STEPS = 40  # that are tried
@@ -45,6 +44,8 @@ def settled(equation: Callable[[Any], Any], y: Any, affine: bool) -> tuple[Any, 
     first = -at_zero / slope
     if affine:
         return first, slope
+    import optimistix as optx  # a sixth of a second that only a curved equation needs
+
     solver = optx.Newton(rtol=NEWTON_TOLERANCE, atol=1e-300)
     found = optx.root_find(
         lambda s, _: equation(s) - y, solver, first, max_steps=MOST_STEPS, throw=False

@@ -9,15 +9,15 @@ slopes of a curve say which of these there are, and least squares of their sum h
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-from functools import lru_cache
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cholesky, solve_triangular
-from scipy.special import chdtrc
+from scipy.special import chdtrc, gammaincinv
 
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, with_error
@@ -333,7 +333,8 @@ def of_runs(
             f"{readings.file} has no Allan deviation: the output does not change over some averaging time"
         )
     edf = degrees_of_freedom(runs, noise_types(variance))
-    low, high = np.array([_interval(v, e) for v, e in zip(variance, edf, strict=True)]).T
+    tail = 0.5 * (1 - CONFIDENCE)
+    low, high = (np.sqrt(variance * edf / (2 * gammaincinv(edf / 2, p))) for p in (1 - tail, tail))
     curve = Curve(factors, runs.step, max(runs.lengths), variance, edf)
     shown = _sizes(_stretches(curve), curve)  # each only where the curve has its slope
     return AllanDeviation(
@@ -423,15 +424,43 @@ def degrees_of_freedom(runs: EvenRuns, types: Float[np.ndarray, "k"]) -> Float[n
     return np.array(found)
 
 
-@lru_cache(maxsize=4096)
+# a₀ and a₁ of `_edf` where averages overlap in more than `TERMS` terms: white, flicker and random-walk noise.
+MANY = {0: (2 / 3, 1 / 3), -1: (0.852, 0.375), -2: (1.079, 0.368)}
+TERMS = 100  # of a sum over the overlaps, above which it is approximated
+
+
 def _edf(kind: int, m: int, readings: int) -> float:
-    import allantools  # late: it imports all of scipy.stats
+    """Equivalent degrees of freedom of the overlapping Allan variance of a run, averages of m readings each.
 
-    return float(allantools.edf_greenhall(kind, 2, m, readings + 1, overlapping=True))
+    C. Greenhall & W. Riley, "Uncertainty of stability variances based on finite differences", 35th PTTI meeting
+    (2003), equations 7 to 10 and table 2, for second differences of a filter as wide as their stride.
+    """
+    differences = readings + 1 - 2 * m
+    terms, ratio = min(differences, 3 * m), differences / m
+    if terms > TERMS and ratio > 3:
+        a0, a1 = MANY[kind]
+        return ratio / (a0 - a1 / ratio)
+    stride, width = float(m), m if 3 * m <= TERMS else math.inf
+    if terms > TERMS:
+        terms, differences, stride = TERMS, TERMS, TERMS / ratio
+    j = np.arange(terms + 1)
+    squares = _covariance(j / stride, width, kind) ** 2
+    weights = np.where(j > 0, 2.0, 1.0) * (1 - j / differences)
+    weights[-1] /= 2
+    return float(differences * squares[0] / (weights @ squares))
 
 
-def _interval(variance: float, edf: float) -> tuple[float, float]:
-    import allantools  # late, as above
+def _covariance(t: Float[np.ndarray, "j"], width: float, kind: int) -> Float[np.ndarray, "j"]:
+    """Of second differences so many averaging times apart, each of averages of `width` readings; but for a factor."""
 
-    low, high = allantools.confidence_interval(np.sqrt(variance), edf, CONFIDENCE)
-    return float(low), float(high)
+    def generalised(t: np.ndarray) -> np.ndarray:
+        power = 3 - kind if math.isfinite(width) else 1 - kind
+        size = np.abs(t)
+        return size**power * (np.log(np.where(size > 0, size, 1.0)) if power % 2 == 0 else 1.0)
+
+    def averaged(t: np.ndarray) -> np.ndarray:
+        if not math.isfinite(width):
+            return generalised(t)
+        return 2 * generalised(t) - generalised(t - 1 / width) - generalised(t + 1 / width)
+
+    return sum(c * averaged(t + k) for k, c in zip(range(-2, 3), (1, -4, 6, -4, 1), strict=True))

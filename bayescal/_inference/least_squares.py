@@ -16,7 +16,6 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Float
 from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.optimize import minimize, root
@@ -42,9 +41,7 @@ GOOD_SHARE = 1e-5
 ROUND_CHANGE = 1e-9  # change of φ's coordinates in a round, below which it rests
 ROUNDS = 30  # at most
 ROUND_STEPS = 200  # of θ in a round
-NEARBY = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12)
-# Its trust region is in steps, not in slopes.
-FROM_AFAR = optx.IndirectLevenbergMarquardt(rtol=1e-12, atol=1e-12)
+TOLERANCE = 1e-12  # of optimistix's solvers, relative and absolute
 STEPS_FROM_AFAR = 5000  # steps from afar: along a curved valley they are short
 SHIFT = 1e-4  # of a coordinate, for slopes by differences
 # Coordinate of a time between bounds, from which it stands at one: nothing stops it.
@@ -66,7 +63,8 @@ class LeastSquares(Method):
     def run(self, assembly, seed, start=NOTHING_KNOWN):
         with stage("least squares"):
             mode = find_mode(assembly, start=start)
-            found = refine(assembly, mode, self.curvature == "hessian", by_optimistix=True)
+            # From where the mode is known to be, the last digits are a few steps of Gauss–Newton away.
+            found = refine(assembly, mode, self.curvature == "hessian", by_optimistix=not start)
         return self.outcome(assembly.layout, found, seed)
 
     def outcome(self, layout: Layout, found: Solution, seed: int) -> Outcome:
@@ -308,9 +306,10 @@ class _Refinement:
             damping = max(10 * damping, 1e-3)
         return theta, best <= GOOD_SHARE * math.sqrt(cost)
 
-    def solved(self, begin: np.ndarray, v: np.ndarray, solver: Any = NEARBY) -> np.ndarray:
+    def solved(self, begin: np.ndarray, v: np.ndarray, afar: bool = False) -> np.ndarray:
         """θ by one of optimistix's solvers on the composed residuals, from `begin`; that where it fails.
 
+        From afar, by the one whose trust region is one of steps.
         It goes in units of a plausible change of each unknown. Laws that are not Gaussian have no such residuals.
         """
         assembly, mode = self.assembly, self.mode
@@ -323,7 +322,7 @@ class _Refinement:
         extra = np.broadcast_to(self.table(begin, v)[1], assembly.record.y.shape)
         own = assembly.record.y, mode.point.rows, extra
         steps = _by_optimistix(
-            solver, layout, assembly.record.frame, own, v, prior, begin, scale, tuple(self.places)
+            afar, layout, assembly.record.frame, own, v, prior, begin, scale, tuple(self.places)
         )
         there = begin + scale * np.asarray(steps)
         return there if np.all(np.isfinite(there)) else begin
@@ -331,7 +330,7 @@ class _Refinement:
     def from_afar(self, v: np.ndarray) -> tuple[np.ndarray, bool]:
         """θ where Gauss–Newton ran away or stalled: from where the mode was looked for first."""
         begin = np.append(self.assembly.start.x, np.zeros(len(self.places)))
-        return self.fit_theta(self.solved(begin, v, FROM_AFAR), v)
+        return self.fit_theta(self.solved(begin, v, afar=True), v)
 
     def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Given]:
         """A function of φ's coordinates: θ integrated out of the model linearised here, by QR; with slopes if asked."""
@@ -483,8 +482,10 @@ class _Refinement:
 
 
 @eqx.filter_jit
-def _by_optimistix(solver, layout, frame, own, v, prior, begin, scale, places):
+def _by_optimistix(afar, layout, frame, own, v, prior, begin, scale, places):
     """Steps (q,), in parts of `scale`, to the least squares of the whitened residuals and of the prior's."""
+    import optimistix as optx  # a sixth of a second that only this needs
+
     (y, rows, extra), noise, size = own, layout.model.noise, layout.size
     at_shapes = jnp.asarray(places, dtype=int)
 
@@ -496,7 +497,9 @@ def _by_optimistix(solver, layout, frame, own, v, prior, begin, scale, places):
         white, _ = noise.whiten(left[:, None], more, hyper, ordered)
         return jnp.append(white[:, 0], prior.weight * (at - prior.mean) / prior.sd)
 
-    none = jnp.zeros(len(begin))
+    # From afar a trust region of steps, not of slopes.
+    kind = optx.IndirectLevenbergMarquardt if afar else optx.LevenbergMarquardt
+    none, solver = jnp.zeros(len(begin)), kind(rtol=TOLERANCE, atol=TOLERANCE)
     return optx.least_squares(residuals, solver, none, max_steps=STEPS_FROM_AFAR, throw=False).value
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import math
 import platform
-from contextlib import suppress
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from itertools import chain
 from pathlib import Path
@@ -52,7 +52,6 @@ PACKAGES = (
     "arviz-stats",
     "numpy",
     "scipy",
-    "allantools",
 )
 
 
@@ -161,6 +160,7 @@ def search_data(trail: SearchPath) -> dict[str, Any] | None:
     }
 
 
+@cache
 def versions() -> dict[str, str]:
     found = {"python": platform.python_version()}
     for name in PACKAGES:
@@ -261,7 +261,6 @@ def experiment_data(found: NextExperiment) -> dict[str, Any]:
 
 RESULT = "result.json"
 UNDER_WAY = "result_under_way.json"  # where the folder holds the result of a run before
-WRITERS = "h5py", "h5netcdf", "dask.distributed"  # loaded by xarray when it writes the first file
 
 
 class Keeper:
@@ -273,9 +272,7 @@ class Keeper:
     def __init__(self, folder: Path) -> None:
         self.path = folder / (UNDER_WAY if RESULT in files_of(folder) else RESULT)
         self._steps, self._data = 0, {}
-        for module in WRITERS:  # now, so that Ctrl-C need not wait a second for them
-            with suppress(ImportError):
-                importlib.import_module(module)
+        importlib.import_module("h5py")  # now, so that Ctrl-C need not wait for it
 
     def __call__(self, trail: SearchPath) -> None:
         if len(trail.steps) != self._steps:  # only the search changes between two steps

@@ -323,8 +323,9 @@ class Loop:
         takes = self.step_takes * (1 + len(chosen.effects) + bool(chosen.noise))
         in_time = takes < deadline.current().left and not hurried
         way = path(library, chosen) if in_time else [*dict.fromkeys([Structure(), chosen])]
-        # Where sampling may be ended early, the last model stands before it begins.
-        twice = deadline.current().apart and not isinstance(self.method, LeastSquares)
+        # Where a limit may end sampling, the last model stands before it begins; after Ctrl-C it is fitted anew.
+        limited = deadline.current().ends_at < math.inf
+        twice = limited and not isinstance(self.method, LeastSquares)
         if hurried and len(way) > 1:
             best = " + ".join(sorted(chosen.effects)) or "the first model under another noise law"
             tell(f"interrupted: fitting the best so far, {best}; Ctrl-C again does not wait for it")

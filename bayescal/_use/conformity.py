@@ -39,7 +39,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
-from scipy.stats import multivariate_normal
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._core.errors import InputError
@@ -346,6 +345,8 @@ def global_risks(
 
     Source: JCGM 106:2012, 9.5: item and estimate are normal together, with the covariance sd².
     """
+    from scipy.stats import multivariate_normal  # half a second that only this needs
+
     covariance = np.full((2, 2), sd**2) + np.diag([0.0, uncertainty**2])
 
     def share(items: Limits, read: Limits) -> float:

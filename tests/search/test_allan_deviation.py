@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import allantools
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import bayescal as bc
 from bayescal._calibration.noise_in_time import allan_check
-from bayescal._data.allan_deviation import EvenRuns, overlapping, term
+from bayescal._data.allan_deviation import EvenRuns, degrees_of_freedom, overlapping, term
 from bayescal_models import mems_gyro, still_sensor
 
 # W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), section 12: the data, their overlapping Allan
@@ -47,6 +49,24 @@ def test_the_estimator_gives_the_published_deviations(data, published) -> None:
     assert list(count) == [len(data) + 1 - 2 * m for m in published]
     both, _ = overlapping(np.column_stack([data, 2 * data]), runs)
     assert both == pytest.approx(5 * variance, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", [0, -1, -2])
+@pytest.mark.parametrize("readings", [30, 110, 331, 10_000])
+def test_degrees_of_freedom_are_those_of_allantools(kind: int, readings: int) -> None:
+    runs = EvenRuns((np.arange(readings),), 1.0)
+    found = degrees_of_freedom(runs, np.full(len(runs.factors), kind))
+    theirs = [
+        allantools.edf_greenhall(kind, 2, int(m), readings + 1, overlapping=True)
+        for m in runs.factors
+    ]
+    assert found == pytest.approx(theirs, rel=1e-12)
+
+
+def test_the_interval_is_that_of_a_chi_squared() -> None:
+    found = bc.allan_deviation(record(np.random.default_rng(0).standard_normal(300), 1.0))
+    ends = [found.deviation * np.sqrt(found.edf / chi2.ppf(p, found.edf)) for p in (0.975, 0.025)]
+    assert np.array([found.low, found.high]) == pytest.approx(np.array(ends), rel=1e-10)
 
 
 def record(output: np.ndarray, step: float, unit: str = "deg/s", runs: int = 1) -> bc.Measurements:
