@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import chdtrc
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
 from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, number, with_error
 from bayescal._core.result_table import ResultTable, plain_table
+from bayescal._data.column import UNCERTAINTY
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model.frame import derived
@@ -69,9 +71,24 @@ def unknowns_parts(
     lines = []
     if fixed := ", ".join(f"{name} = {value:g}" for name, value in calibration.model.fixed):
         lines.append(f"fixed: {fixed}")
+    if calibration.model.noise_as_stated:
+        squares, freedom, chance = chi_squared(calibration)
+        lines.append(
+            f"noise as stated: χ² = {squares:.4g} with {freedom} degrees of freedom (as much or more by chance in "
+            f"{chance:.2g} of cases)"
+        )
     if at := [f"{k} = {v:g} °C" for k, v in calibration.hold_at.items()]:
         lines.append("constants hold at " + ", ".join(at))
     return [shown, *(textwrap.fill(line, WIDTH) for line in lines)]
+
+
+def chi_squared(calibration: Fitted) -> tuple[float, int, float]:
+    """Residuals against the known uncertainties: χ², its degrees of freedom, the chance of as much or more."""
+    known = calibration.readings[UNCERTAINTY]
+    squares = float(np.sum((np.asarray(calibration.linear.settled) / known) ** 2))
+    freedom = len(known) - len(calibration.linear.owners)
+    chance = float(chdtrc(freedom, squares)) if freedom > 0 else float("nan")
+    return squares, freedom, chance
 
 
 def _unknown_row(s: dict[str, Any]) -> list[str]:

@@ -7,16 +7,19 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from bayescal._core.errors import ModelError
 from bayescal._core.formatting import number
 from bayescal._core.result_table import Printed, ResultTable, plain_table
+from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, unit_label
 from bayescal._model.effect import Coefficient, Effect
 from bayescal._model.formula import require_units
 from bayescal._model.frame import GROUPS
 from bayescal._model.instrument import Instrument, factor_of
-from bayescal._model.noise_law import Noise
+from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.prior import Normal
 from bayescal._model.static import static
 
@@ -136,7 +139,8 @@ class Model(Printed):
     def fix(self, values: Mapping[str, float]) -> Model:
         """The model with some unknowns held at a value, in the unit in which each is reported.
 
-        So a published calibration is checked: fix all its coefficients and look at what remains.
+        So a published calibration is checked: fix all its coefficients and look at what remains. With noise.white at 0
+        the known uncertainty of each reading, its column `output_uncertainty`, is all the noise that there is.
 
         Raises:
             ModelError: no unknown has that name, or the value is not finite, or not positive where it must be.
@@ -149,6 +153,8 @@ class Model(Printed):
         for name, value in values.items():
             if not math.isfinite(value):
                 raise ModelError(f"{name!r} cannot be fixed to {value}: give a finite number")
+            if name == WHITE and value == 0:
+                continue  # the known uncertainties of the readings are all the noise there is
             if name in scales and value <= 0:
                 raise ModelError(f"{name!r} cannot be fixed to {value}: give a positive number")
         return replace(self, fixed=tuple({**dict(self.fixed), **values}.items()))
@@ -178,6 +184,11 @@ class Model(Printed):
         )
         made = replace(effect, coefficients=tuple(sized))
         return replace(self, effects=tuple(made if e is effect else e for e in self.effects))
+
+    @property
+    def noise_as_stated(self) -> bool:
+        """Whether the known uncertainties of the readings are all the noise there is."""
+        return dict(self.fixed).get(WHITE) == 0
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -223,6 +234,13 @@ class Model(Printed):
                     f"{self.noise.law} noise needs the column {column!r}, which {readings.file} lacks: record it, "
                     "or use White() noise"
                 )
+        if self.noise_as_stated and not (
+            readings.has(UNCERTAINTY) and np.all(readings[UNCERTAINTY] > 0)
+        ):
+            raise ModelError(
+                f"With {WHITE} fixed to 0 each reading needs a known uncertainty, a positive number in the column "
+                f"{UNCERTAINTY!r}, which {readings.file} lacks: record it, or let {WHITE} be estimated"
+            )
 
 
 def in_short(model: Model) -> str:

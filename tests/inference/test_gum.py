@@ -21,9 +21,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._calibration.summary import chi_squared
+from bayescal._core.errors import ModelError
 from bayescal._use.budget import READINGS, REST
-
-ALMOST_NONE = 1e-9  # of noise beside the known uncertainties of ISO/TS 28037
 
 
 def line(centre: float, unit: str = "1") -> bc.Effect:
@@ -122,8 +122,32 @@ def test_the_bayesian_sd_of_gum_h3_is_wider_by_the_t_factor(gum, gum_fit) -> Non
 @cache
 def fitted(x: tuple[float, ...], y: tuple[float, ...], u: tuple[float, ...]) -> bc.Calibration:
     readings = bc.Measurements.from_arrays(STRAIGHT, x=x, output=y, output_uncertainty=u)
-    model = STRAIGHT.baseline().fix({"noise.white": ALMOST_NONE})
+    model = STRAIGHT.baseline().fix({"noise.white": 0.0})
     return bc.fit(model, readings, bc.LeastSquares())
+
+
+def test_noise_as_stated_is_weighted_least_squares_and_its_chi_squared() -> None:
+    x, u = np.arange(8.0), np.tile([0.5, 1.5], 4)
+    y = 2.0 + 0.75 * x + u * np.random.default_rng(3).normal(size=8)
+    fit = fitted(*(tuple(v.tolist()) for v in (x, y, u)))
+    rows = np.column_stack([np.ones(8), x]) / u[:, None]
+    cov = np.linalg.inv(rows.T @ rows)
+    mean, covariance = estimates(fit)
+    np.testing.assert_allclose(mean, cov @ rows.T @ (y / u), rtol=1e-9)
+    np.testing.assert_allclose(covariance, cov, rtol=1e-9)
+    squares, freedom, chance = chi_squared(fit)
+    np.testing.assert_allclose(squares, np.sum((y / u - rows @ mean) ** 2), rtol=1e-9)
+    assert freedom == 6 and 0 < chance < 1
+    assert f"noise as stated: χ² = {squares:.4g} with 6 degrees of freedom" in str(fit)
+
+
+def test_noise_as_stated_needs_that_it_is_stated() -> None:
+    model = STRAIGHT.baseline().fix({"noise.white": 0.0})
+    x = np.arange(8.0)
+    for known in ({}, {"output_uncertainty": np.where(x > 3, 1.0, 0.0)}):
+        readings = bc.Measurements.from_arrays(STRAIGHT, x=x, output=x, **known)
+        with pytest.raises(ModelError, match="each reading needs a known uncertainty"):
+            bc.fit(model, readings, bc.LeastSquares())
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +171,7 @@ def test_lines_of_iso_28037_are_met(name, iso) -> None:
         "u_y"
     ]
     np.testing.assert_allclose(residual @ residual, example["chi2"], rtol=1e-9)
+    np.testing.assert_allclose(chi_squared(fit)[0], example["chi2"], rtol=1e-9)
     said = example["published_gtc"]
     found = {"a": mean[0], "b": mean[1], "u_a": sd[0], "u_b": sd[1], "cov": covariance[0, 1]}
     for key, value in found.items():
