@@ -10,6 +10,7 @@ slopes of a curve say which of these there are, and least squares of their sum h
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import NamedTuple
@@ -30,6 +31,7 @@ from bayescal._data.unit_conversion import parse, unit_label
 ALLAN_READINGS = 30
 # From the slope of one kind of noise on log axes to where that of the next begins: half of ½.
 ALLAN_SLOPE = 0.25
+CUT_STEPS = 1.5  # of a grid, over which the stamps of readings may lie about it; two readings on one stamp are over 1
 ALLAN_COVERAGE = 2.0  # standard uncertainties, as everywhere that an interval of 95 % is meant
 # p-value of a line through part of an Allan deviation, below which it is none.
 ALLAN_STRAIGHT_P = 1e-3
@@ -354,6 +356,9 @@ def of_runs(
 def even_runs(readings: Measurements) -> EvenRuns:
     """The runs of a record, each in the order of time.
 
+    Stamps that were cut to whole milliseconds, or are shared by readings that arrived together, are those of an even
+    grid, where no reading is a step off it: the grid's step is taken.
+
     Raises:
         InputError: no column `time`, no run of 30 readings, or steps that differ by more than 5 %.
     """
@@ -367,6 +372,8 @@ def even_runs(readings: Measurements) -> EvenRuns:
         raise InputError(f"{need} a run of {ALLAN_READINGS} readings or more")
     steps = [np.diff(readings["time"][r]) for r in rows]
     usual = float(np.median(np.concatenate(steps)))
+    if (grid := _grid(readings["time"], rows, usual)) is not None:
+        return EvenRuns(tuple(rows), grid)
     for own, r in zip(steps, rows, strict=True):
         odd = np.flatnonzero(np.abs(own - usual) > EVEN_STEPS * usual)
         if len(odd):
@@ -376,6 +383,30 @@ def even_runs(readings: Measurements) -> EvenRuns:
                 f"{number(float(own[odd[0]]))} s, differ from the usual {number(usual)} s. Give runs without gaps"
             )
     return EvenRuns(tuple(rows), usual)
+
+
+def _grid(time: np.ndarray, rows: Sequence[np.ndarray], usual: float) -> float | None:
+    """The step, s, of the grid that the stamps of all runs are cut from; None where readings may have been lost.
+
+    A lost reading leaves a multiple of the usual step; stamps that were cut stay near the line through all.
+    """
+    found = list[float]()
+    for r in rows:
+        own = time[r]
+        if len(r) < ALLAN_READINGS:
+            return None
+        steps = np.diff(own) / usual if usual else np.array([0.5])
+        whole = np.maximum(np.round(steps), 1.0)
+        places = np.arange(len(r))
+        grid = float(np.polyfit(places, own - own[0], 1)[0])
+        if (
+            np.all(abs(steps - whole) <= EVEN_STEPS)
+            or np.ptp(own - grid * places) > CUT_STEPS * grid
+        ):
+            return None
+        found.append(grid)
+    grid = float(np.median(found))
+    return grid if all(abs(own - grid) <= EVEN_STEPS * grid for own in found) else None
 
 
 def overlapping(

@@ -88,6 +88,15 @@ COUNTED_RUNS = 8  # runs of one reading each, below which that may be the plan o
 FEWEST_LEVELS = 3
 # Share of a thermometer's changes that are usual ones: a rounded corner of a profile is among the rest.
 USUAL_CHANGES_SHARE = 0.9
+# Of readings at even distances in the file that lie apart: robust standard deviations beyond which one does, fewest of
+# them, the distances, and the share of the places at such a distance that they hold. Of so many rows, at most.
+PERIODIC_SD, PERIODIC_READINGS, PERIODIC_ROWS, PERIODIC_SHARE, PERIODIC_LOOKED = (
+    8.0,
+    6,
+    (4, 200),
+    0.8,
+    20_000,
+)
 # Unit, least and largest range of an output that any sensor resolves and measures. Least: a superconducting gravimeter
 # resolves 1e-12 m/s², a large ring laser 1e-13 rad/s, an interferometer on a lever 1e-12 rad. Most: gauges of impacts
 # end at 2e6 m/s², rotors of any kind at 1e5 rad/s, and an angle beyond 1e4 rad has been counted in turns.
@@ -794,6 +803,8 @@ def odd_numbers(columns: Columns, units: Mapping[str, str | None], output: str) 
         output: name of the output column.
     """
     found = _of_size(columns[output], units[output] or "1", output) if output in columns else []
+    if output in columns:
+        found += _in_turn(columns, units, output)
     if "time" in columns:
         found += [*_of_time(columns), *_of_pauses(columns)]
     if "run" in columns and len(columns["run"]) >= COUNTED_RUNS:
@@ -824,6 +835,41 @@ def _of_size(values: np.ndarray, unit: str, name: str) -> list[str]:
                 "and its scale (--unit, --nominal-scale)"
             ]
     return []
+
+
+def _in_turn(columns: Columns, units: Mapping[str, str | None], output: str) -> list[str]:
+    """Readings at even distances that lie apart from their neighbours; none where a column was set as often."""
+    values = columns[output][:PERIODIC_LOOKED]
+    if len(values) < PERIODIC_READINGS * PERIODIC_ROWS[0]:
+        return []
+
+    def apart(column: np.ndarray) -> np.ndarray:
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(column, 2, mode="reflect"), 5)
+        return np.abs(column - np.median(windows, axis=1))
+
+    off = apart(values)
+    # of normal noise seven tenths lie within about one standard deviation of the median of five
+    rows = np.flatnonzero(off > PERIODIC_SD * max(float(np.quantile(off, 0.7)), 1e-300))
+    if len(rows) < PERIODIC_READINGS:
+        return []
+    period = int(np.median(np.diff(rows)))
+    places = np.arange(int(np.median(rows % period)) if period else 0, len(values), max(period, 1))
+    held, low, high = np.isin(rows, places), *PERIODIC_ROWS
+    if not low <= period <= high or min(held.mean(), held.sum() / len(places)) < PERIODIC_SHARE:
+        return []
+    for name in columns.keys() - {output, "time"}:
+        own = columns[name] if units.get(name) else label_codes(columns, [name])
+        changes = np.count_nonzero(own[1:] != own[:-1])
+        if (
+            units.get(name) != "degC"
+            and len(np.unique(own)) < len(own) / 2
+            and changes * 2 * period > len(own)
+        ):
+            return []  # something was set as often
+    return [
+        f"column {output!r}: every {period}th reading lies {np.median(off[rows[held]]):.3g} from its neighbours, "
+        f"{int(held.sum())} in all: another channel of the logger, or read while it switched? Leave these rows out"
+    ]
 
 
 def _of_time(columns: Columns) -> list[str]:

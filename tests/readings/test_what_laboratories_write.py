@@ -114,6 +114,21 @@ def test_a_period_is_a_number_with_a_unit(put) -> None:
         read(path, STILL, unwrap={"tim": "2^32us"})
 
 
+def test_every_tenth_reading_that_lies_apart_is_said(put) -> None:
+    noise = 1e-3 * np.random.default_rng(1).normal(size=60)
+    bad = 0.5 + STEPS / 1e4 + noise + 0.2 * (np.arange(60) % 10 == 3)
+    found = read(put(at_rest(**{"time [s]": STEPS, "output [deg/s]": bad})), STILL)
+    assert any("every 10th reading lies" in flag for flag in found.flags)
+    for more in ({}, {"rate [rpm]": np.arange(60) % 10 == 3}):
+        good = bad if more else 0.5 + STEPS / 1e4 + noise
+        columns = {
+            "time [s]": STEPS,
+            "output [deg/s]": good,
+            **{n: v * 1.0 for n, v in more.items()},
+        }
+        assert not any("lies" in flag for flag in read(put(at_rest(**columns)), STILL).flags)
+
+
 # --- labels -----------------------------------------------------------------------------------------------------
 
 

@@ -256,3 +256,14 @@ def test_readings_without_a_fit_are_drawn_too() -> None:
     assert ax.get_ylabel() == "Allan deviation [°/s]"
     assert ax.get_xlabel() == "averaging time τ [s]"
     assert ax.get_title(loc="left").startswith("N = ")
+
+
+@pytest.mark.parametrize("kind", ["cut to milliseconds", "two readings on one stamp"])
+def test_stamps_that_stay_near_an_even_grid_are_that_grid(kind: str) -> None:
+    """At 400 Hz: stamps in whole milliseconds, or of pairs that arrived together."""
+    exact = np.arange(len(NOISE)) / 400
+    stamps = np.floor(exact * 1e3) / 1e3 if kind.startswith("cut") else exact[::2].repeat(2)
+    even, cut = (record(NOISE, 1.0).with_column("time", t) for t in (exact, stamps))
+    found, like = bc.allan_deviation(cut), bc.allan_deviation(even)
+    np.testing.assert_allclose(found.step, 1 / 400, rtol=2e-3)
+    np.testing.assert_allclose(found.deviation, like.deviation, rtol=1e-12)
