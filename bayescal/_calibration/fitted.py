@@ -91,7 +91,9 @@ class Fitted:
     def assembly(self) -> Assembly:
         """The fitted structure on its readings, as the engine sees it."""
         instrument, effects = self.model.instrument, self.model.effects
-        return Assembly(self.layout, record_of(instrument, self.readings, self.reference, effects))
+        record = record_of(instrument, self.readings, self.reference)
+        record.library = instrument.shown_by(record.frame, effects)
+        return Assembly(self.layout, record)
 
     def assembly_on(self, frame: Frame) -> Assembly:
         """The fitted structure on other readings; columns are computed in the fit's own program where it fits."""

@@ -66,23 +66,26 @@ class Host:
         return record.moved_columns(of, at, moves) if moves else (record.columns(of, at), {})
 
     def response(self, slots: dict, moves: dict) -> np.ndarray:
-        if _one(slots):
+        if _one(slots, moves):
             return self.record.response(slots, moves)[0]
-        return self.record.several(self._every(slots), moves)
+        return self.record.several(self._every(slots, moves), moves)
 
     def slopes(self, slots: dict, moves: dict) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        if _one(slots):
+        if _one(slots, moves):
             return self.record.response(slots, moves)
-        return self.record.responses(self._every(slots), moves)
+        return self.record.responses(self._every(slots, moves), moves)
 
-    def _every(self, slots: dict) -> dict[str, np.ndarray]:
+    def _every(self, slots: dict, moves: dict) -> dict[str, np.ndarray]:
         """Slots of several draws, those that nothing adds to among them."""
-        shape = (len(next(iter(slots.values()))), self.size)
+        shape = (
+            max(len(a) for a in (*slots.values(), *moves.values()) if np.ndim(a) > 1),
+            self.size,
+        )
         return {name: np.broadcast_to(slots.get(name, 0.0), shape) for name in self.slots}
 
 
-def _one(slots: Mapping[str, np.ndarray]) -> bool:
-    return all(np.ndim(value) < 2 for value in slots.values())
+def _one(slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]) -> bool:
+    return all(np.ndim(value) < 2 for value in (*slots.values(), *moves.values()))
 
 
 @dataclass(eq=False)
@@ -102,7 +105,7 @@ class Assembly:
     def __post_init__(self) -> None:
         layout = self.layout
         self.terms, self.corrected = terms_of(
-            layout.blocks, self.record.slots, self.record.plain, self.size_factors
+            layout.blocks, self.record, self.record.plain, self.size_factors
         )
         self.host = Host(self.record)
         self.hypers = layout.hypers
@@ -301,7 +304,9 @@ class Assembly:
     def expected(self, x, rows, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
         """Expected output of joint draws, output unit."""
         found = expected_of(self.host, self.composed(self._acting, x, rows, hyper))
-        return found + x @ self._still[0].T if self.affine else found
+        if self.affine:
+            return found + x @ self._still[0].T
+        return np.broadcast_to(found, (len(x), self.record.size))  # of no term it is one for all
 
     def expected_with_slopes(
         self, x, rows, hyper: Mapping[str, Any], terms: Sequence[Term]

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -309,20 +311,29 @@ class _Refinement:
     def solved(self, begin: np.ndarray, v: np.ndarray, afar: bool = False) -> np.ndarray:
         """θ by one of optimistix's solvers on the composed residuals, from `begin`; that where it fails.
 
-        From afar, by the one whose trust region is one of steps.
-        It goes in units of a plausible change of each unknown. Laws that are not Gaussian have no such residuals.
+        From afar, by the one whose trust region is one of steps. It goes in units of a plausible change of each unknown.
+        Laws that are not Gaussian have no such residuals, and no derivative forward is known of what correlated noise
+        whitens by.
         """
         assembly, mode = self.assembly, self.mode
         layout, noise = assembly.layout, assembly.noise
-        if not noise.gaussian or not begin.size:
+        if not (noise.gaussian and noise.independent and begin.size):
             return begin
         prior, scale = self.prior(v), np.array(self.prior(v).sd)
         for b in (b for b in layout.x_blocks if b.coefficient.flat):
             scale[b.start : b.start + b.size] = b.coefficient.size
-        extra = np.broadcast_to(self.table(begin, v)[1], assembly.record.y.shape)
-        own = assembly.record.y, mode.point.rows, extra
+        record = assembly.record
+        extra = np.broadcast_to(self.table(begin, v)[1], record.y.shape)
+        # Padded to one of a few lengths, for each of which it is compiled once.
+        counts = {**dict(layout.counts), "reading": record.padded_size}
+        padded = replace(layout, counts=tuple(counts.items()))
+        there = np.arange(record.padded_size) < record.size
+        own = record.y, extra, mode.point.rows.T
+        y, extra, rows = (jnp.asarray(record.longer(np.asarray(a))) for a in own)
+        frame = jax.tree.unflatten(record.padded.form, record.padded.arrays)
+        readings = y, extra, rows.T, jnp.asarray(there, float)
         steps = _by_optimistix(
-            afar, layout, assembly.record.frame, own, v, prior, begin, scale, tuple(self.places)
+            afar, padded, frame, readings, v, prior, begin, scale, tuple(self.places)
         )
         there = begin + scale * np.asarray(steps)
         return there if np.all(np.isfinite(there)) else begin
@@ -486,7 +497,7 @@ def _by_optimistix(afar, layout, frame, own, v, prior, begin, scale, places):
     """Steps (q,), in parts of `scale`, to the least squares of the whitened residuals and of the prior's."""
     import optimistix as optx  # a sixth of a second that only this needs
 
-    (y, rows, extra), noise, size = own, layout.model.noise, layout.size
+    (y, extra, rows, real), noise, size = own, layout.model.noise, layout.size
     at_shapes = jnp.asarray(places, dtype=int)
 
     def residuals(z: Any, _: Any) -> Any:
@@ -495,7 +506,7 @@ def _by_optimistix(afar, layout, frame, own, v, prior, begin, scale, places):
         left = y - forward.mean(layout, frame, at[:size], rows, hyper)
         ordered, left, more = in_time(noise, frame, left, extra)
         white, _ = noise.whiten(left[:, None], more, hyper, ordered)
-        return jnp.append(white[:, 0], prior.weight * (at - prior.mean) / prior.sd)
+        return jnp.append(real * white[:, 0], prior.weight * (at - prior.mean) / prior.sd)
 
     # From afar a trust region of steps, not of slopes.
     kind = optx.IndirectLevenbergMarquardt if afar else optx.LevenbergMarquardt

@@ -19,6 +19,7 @@ from bayescal._inference import programs
 from bayescal._inference.chebyshev import BETWEEN, NODES, REACH, weights
 from bayescal._inference.column_products import ColumnProducts
 from bayescal._model.channel_at_rest import CHANNEL
+from bayescal._model.composition import columns_read
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame, Reference, build_frame
 from bayescal._model.instrument import Instrument
@@ -80,7 +81,7 @@ class Record:
     _last: tuple[Any, Any] | None = None  # slots, and what the instrument responded to them
     _for_laws: dict[Any, programs.Leaves] = field(default_factory=dict)
     plain: dict[Any, Any] = field(default_factory=dict)  # what assemblies know of a coefficient
-    readings: Measurements | None = None  # that it was made of
+    of: Any = None  # what it was made of, held
 
     @cached_property
     def size(self) -> int:
@@ -123,6 +124,11 @@ class Record:
     def products(self) -> ColumnProducts:
         """Columns of an affine output that structures share, and their products."""
         return ColumnProducts(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
+
+    @cached_property
+    def read(self) -> frozenset[str]:
+        """Columns that the response takes itself."""
+        return columns_read(self.instrument, self.frame)
 
     @cached_property
     def slots(self) -> tuple[str, ...]:
@@ -371,24 +377,26 @@ def record_of(
     reference: Reference,
     library: tuple[Effect, ...] = (),
 ) -> Record:
-    """Readings as the engine sees them: one record, which all that is done with them shares while anybody has it.
+    """Readings as the engine sees them. Their frame and the columns that no shape moves are made once, while any has
+    them; products and columns at shapes are each record's own, so that no result hangs on what was done before.
 
     Args:
         instrument: whose.
         readings: measurements.
         reference: constants of the bases.
-        library: effects whose fixed columns are computed together; those that the readings have the columns for.
+        library: effects whose fixed columns are computed together.
     """
     key = id(readings), instrument, _as_value(reference)
-    found = _LIVE.get(key)
-    if found is None:
+    base = _LIVE.get(key)
+    if base is None:
         frame = build_frame(readings, reference)
-        found = Record(instrument, frame, np.asarray(frame["output"]))
-        found.readings = readings  # held: no others take their place in memory while this lives
-        _LIVE[key] = found
-    if more := [e for e in instrument.shown_by(found.frame, library) if e not in found.library]:
-        found.library = (*found.library, *more)
-    return found
+        base = Record(instrument, frame, np.asarray(frame["output"]))
+        base.of = readings  # held: no others take their place in memory while this lives
+        _LIVE[key] = base
+    own = {"library": library, "of": base, "_fixed": base._fixed, "_bases": base._bases}
+    made = Record(instrument, base.frame, base.y, **own)
+    vars(made).update(padded=base.padded, codes=base.codes)
+    return made
 
 
 def _as_value(of: Any) -> Any:

@@ -12,6 +12,7 @@ Leading axes are draws.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 from typing import Any, NamedTuple, Protocol
 
@@ -207,26 +208,39 @@ def slopes(
 
 def linearised(source: ColumnSource, terms: Sequence[Term], made: Composed) -> Linearised:
     """The expected output and its Jacobian by the coefficients of these terms; `made` with slopes."""
-    xp = source.xp
     mean, by_slot = slopes(source, terms, made)
-    names = sorted({t.slot for t in terms})
-    shape = (*mean.shape, 0)
-    stacked = [
-        xp.zeros(shape),
-        *(xp.broadcast_to(by_slot[s], mean.shape)[..., None] for s in names),
-    ]
-    stacked = xp.concatenate(stacked, axis=-1)
-    found = []
-    for place in ("x", "row"):
-        # Slopes are multiplied in all columns at once: in one after the other XLA compiles them into each.
-        parts, of = [xp.zeros(shape)], []
-        for t, column in zip(terms, made.columns, strict=True):
-            if t.place == place:
-                column = xp.broadcast_to(column, mean.shape)
-                parts.append(by_member(xp, column, _codes(source, t), t.size))
-                of += [names.index(t.slot)] * parts[-1].shape[-1]
-        found.append(xp.concatenate(parts, axis=-1) * stacked[..., np.array(of, int)])
-    return Linearised(mean, *found)
+    tabled = _in_one_table if source.xp is np else _in_one_product
+    each = [(t, c, by_slot[t.slot]) for t, c in zip(terms, made.columns, strict=True)]
+    return Linearised(
+        mean, *(tabled(source, mean, [e for e in each if e[0].place == p]) for p in ("x", "row"))
+    )
+
+
+def _in_one_table(source: ColumnSource, mean: np.ndarray, each: list[tuple]) -> np.ndarray:
+    """A Jacobian (…, n, q), written term by term into one table, whose columns lie together in memory."""
+    width = sum(1 if _codes(source, t) is None else t.size for t, *_ in each)
+    found, at = np.zeros((*mean.shape[:-1], width, mean.shape[-1])), 0
+    for t, column, slope in each:
+        own, codes = slope * column, _codes(source, t)
+        if codes is None:
+            found[..., at, :] = own
+            at += 1
+            continue
+        known = np.flatnonzero(codes >= 0)
+        found[..., at + codes[known], known] = np.broadcast_to(own, mean.shape)[..., known]
+        at += t.size
+    return np.swapaxes(found, -1, -2)
+
+
+def _in_one_product(source: ColumnSource, mean: Any, each: list[tuple]) -> Any:
+    """A Jacobian (n, q) in a program: slopes multiplied one after the other would be compiled into each column."""
+    columns, slopes = [jnp.zeros((*mean.shape, 0))] * 2
+    for t, column, slope in each:
+        own = by_member(jnp, jnp.broadcast_to(column, mean.shape), _codes(source, t), t.size)
+        columns = jnp.concatenate([columns, own], axis=-1)
+        slope = jnp.broadcast_to(slope, mean.shape)[..., None]
+        slopes = jnp.concatenate([slopes, jnp.broadcast_to(slope, own.shape)], axis=-1)
+    return columns * slopes
 
 
 def _codes(source: ColumnSource, t: Term) -> Any:
@@ -249,6 +263,11 @@ class Traced:
         self.instrument, self.frame = instrument, frame
         self.size, self.codes = frame.size, frame.codes
         self.slots = tuple(s.name for s in instrument.slots)
+
+    @property
+    def read(self) -> frozenset[str]:
+        """Columns that the response takes itself."""
+        return columns_read(self.instrument, self.frame)
 
     def moved(self, moves: Mapping[str, Any]) -> Frame:
         """The readings with columns corrected."""
@@ -307,3 +326,27 @@ def slopes_of(
 def _alone(values: Mapping[str, Any], name: str) -> dict[str, Any]:
     """Ones for one name, zeros for the others."""
     return {n: jnp.ones_like(v) if n == name else jnp.zeros_like(v) for n, v in values.items()}
+
+
+def live(function, *arguments: Any) -> list[bool]:
+    """Which leaves of the arguments the value of a function depends on, by its traced operations."""
+    jaxpr = jax.make_jaxpr(function)(*arguments).jaxpr
+    wanted = {id(v) for v in jaxpr.outvars}
+    for equation in reversed(jaxpr.eqns):
+        if any(id(v) in wanted for v in equation.outvars):
+            wanted |= {id(v) for v in equation.invars}
+    return [id(v) in wanted for v in jaxpr.invars]
+
+
+def columns_read(instrument: Instrument, frame: Frame) -> frozenset[str]:
+    """Columns of the readings that an instrument's response takes itself, beside its slots."""
+    slots = {s.name: jnp.zeros(frame.size) for s in instrument.slots}
+    like = jax.tree.map(lambda a: jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)), frame)
+
+    def respond(columns: dict[str, Any], slots: dict[str, Any], frame: Frame) -> Any:
+        return instrument.response(slots, replace(frame, columns=columns))
+
+    taken = live(respond, like.columns, slots, like)
+    return frozenset(
+        name for name, is_taken in zip(sorted(like.columns), taken, strict=False) if is_taken
+    )

@@ -101,7 +101,7 @@ def composed(
 ) -> tuple[Traced, tuple[Term, ...], Composed]:
     """The model put together at a point: its source, its terms, and what they come to; `sloped`: with slopes."""
     source = Traced(layout.model.instrument, frame)
-    terms, _ = terms_of(layout.blocks, source.slots)
+    terms, _ = terms_of(layout.blocks, source)
     found = values(source, terms, x, rows, hyper)
     return source, terms, compose(source, terms, found, hyper, sloped)
 

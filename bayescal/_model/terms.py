@@ -135,28 +135,30 @@ class Term(NamedTuple):
 
 def terms_of(
     blocks: Sequence[CoefficientBlock],
-    slots: Sequence[str],
+    source: Any,
     plain: dict[Any, Any] | None = None,
     size_factors: Mapping[str, float] | None = None,
 ) -> tuple[tuple[Term, ...], tuple[str, ...]]:
     """The terms of a structure, and the columns of the readings that some of them correct.
 
-    What corrects a column without an unknown but its shapes, as the temperature of a body does, is no term: it is part
-    of the other effects' columns, and these stay linear in their coefficients.
+    What corrects a column without an unknown but its shapes, as the temperature of a body does, is no term where the
+    response does not take that column itself: it is part of the other effects' columns, and these stay linear in their
+    coefficients.
 
     Args:
         blocks: its coefficients.
-        slots: of the instrument; what acts on another name corrects that column.
+        source: of columns and responses; what acts on a name that is none of its slots corrects that column.
         plain: keeps what does not change of a coefficient, for other structures.
         size_factors: on the plausible sizes of an effect's coefficients, by the effect's name; one where not named.
     """
-    correcting = [b for b in blocks if b.slot not in slots]
+    correcting = [b for b in blocks if b.slot not in source.slots]
     corrected = tuple(dict.fromkeys(b.slot for b in correcting))
     own = {b.effect.name for b in correcting}
     corrections: tuple[Correction, ...] = ()
-    if correcting and all(b.place == "fixed" and b.size == 1 for b in correcting):
+    held = all(b.place == "fixed" and b.coefficient.per is None for b in correcting)
+    if correcting and held and source.read.isdisjoint(corrected):
         corrections, corrected = tuple(map(Correction.of_block, correcting)), ()
-        blocks = [b for b in blocks if b.slot in slots]
+        blocks = [b for b in blocks if b.slot in source.slots]
     plain = {} if plain is None else plain
 
     def term(b: CoefficientBlock) -> Term:

@@ -258,12 +258,13 @@ def structures_over(
         family = known[name].reported
         if reason and not known[name].is_placeholder and family not in tested:
             shut.setdefault(family, Candidate(family, kind="not testable", reason=reason))
-    frame = record_of(instrument, readings, reference).frame
+    record = record_of(instrument, readings, reference)
+    frame = record.frame
     model = sized(model, readings, frame)
     if any(e.open for e in open_.values()):
         plausible = amplitudes(model, readings, frame)
         open_ = {n: e.sized(*plausible) for n, e in open_.items()}
-    record = record_of(instrument, readings, reference, (*open_.values(), *model.effects))
+    record.library = instrument.shown_by(frame, (*open_.values(), *model.effects))
     laws = laws_over(model, frame) if widen_noise else {}
     layout = bind(model, readings, open_.values(), reference)[0]
     return Structures(model, layout, record, open_, laws), list(shut.values())

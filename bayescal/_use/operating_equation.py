@@ -31,7 +31,7 @@ from bayescal._core.inverse import settled
 from bayescal._core.jit import compiled
 from bayescal._data.column import UNCERTAINTY
 from bayescal._model import forward
-from bayescal._model.composition import Traced, compose
+from bayescal._model.composition import Traced, compose, live
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Use
 from bayescal._model.parameters import CoefficientBlock, Layout, member_name
@@ -578,16 +578,6 @@ def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np
 
 
 NOISE_READINGS = 1000  # over which a noise that follows a column is averaged; the mean is known far better than it
-
-
-def live(function, *arguments: Any) -> list[bool]:
-    """Which leaves of the arguments the value of a function depends on, by its traced operations."""
-    jaxpr = jax.make_jaxpr(function)(*arguments).jaxpr
-    wanted = {id(v) for v in jaxpr.outvars}
-    for equation in reversed(jaxpr.eqns):
-        if any(id(v) in wanted for v in equation.outvars):
-            wanted |= {id(v) for v in equation.invars}
-    return [id(v) in wanted for v in jaxpr.invars]
 
 
 @compiled

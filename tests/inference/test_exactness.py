@@ -16,6 +16,7 @@ from bayescal._inference.record import Record
 from bayescal._inference.sampled_products import is_nonlinear
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
+from bayescal._model.summed_noise import over_record
 from bayescal_models import mems_gyro, still_sensor
 
 COLUMNS = (
@@ -303,3 +304,14 @@ def test_a_sum_alone_is_known_under_heavy_tails_too() -> None:
         assert tails.samples(name).std() == pytest.approx(white.samples(name).std(), rel=0.01)
     known = [c.samples("bias.temperature").std() for c in (tails, white)]
     assert known[0] < 0.7 * known[1], "outliers weigh less under heavy tails"
+
+
+@pytest.mark.parametrize("noise", ["white", "ornstein_uhlenbeck"])
+def test_least_squares_of_what_is_not_linear_under_any_gaussian_noise(noise: str) -> None:
+    readings = mems_gyro.simulate({"bias.thermal_lag": 0.05}, seed=1)
+    model = mems_gyro.INSTRUMENT.baseline() + "bias.thermal_lag"
+    if noise != "white":
+        model = model.with_noise(over_record(bc.HalfCauchy(0.1), 30.0, 3000.0))
+    found = bc.fit(model, readings, bc.LeastSquares())
+    tau = found.samples("bias.thermal_lag.tau")
+    assert abs(tau.mean() - 300.0) < 4 * tau.std()
