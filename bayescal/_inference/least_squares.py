@@ -311,9 +311,9 @@ class _Refinement:
     def solved(self, begin: np.ndarray, v: np.ndarray, afar: bool = False) -> np.ndarray:
         """θ by one of optimistix's solvers on the composed residuals, from `begin`; that where it fails.
 
-        From afar, by the one whose trust region is one of steps. It goes in units of a plausible change of each unknown.
-        Laws that are not Gaussian have no such residuals, and no derivative forward is known of what correlated noise
-        whitens by.
+        From afar, by the one whose trust region is one of steps. It goes in units of a plausible change of each
+        unknown. Laws that are not Gaussian have no such residuals, and no derivative forward is known of what
+        correlated noise whitens by.
         """
         assembly, mode = self.assembly, self.mode
         layout, noise = assembly.layout, assembly.noise
