@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dpotrf, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
@@ -203,25 +202,36 @@ class LinearModel:
         return self.assembly.slopes(self.mode.point, self.assembly.hyper(self.mode.v))
 
 
-def taken_up(u: np.ndarray, information: np.ndarray) -> tuple[float, float]:
+def taken_up(
+    u: Float[np.ndarray, "*b k"], information: Float[np.ndarray, "*b k k"]
+) -> tuple[Float[np.ndarray, "*b"], Float[np.ndarray, "*b"]]:
     """What columns of standard normal coefficients take up: half a log volume, and of the sum of squares.
 
     Args:
-        u: their score after the nuisances (k,).
-        information: after the nuisances (k, k).
+        u: their score after the nuisances.
+        information: after the nuisances.
 
     Returns:
-        An infinite volume where there is none.
+        Of each set of columns; an infinite volume where there is none.
     """
-    if not len(u):
-        return 0.0, 0.0
     # With columns of standard normal coefficients the log Bayes factor is ½·uᵀ(I + K)⁻¹u − ½·log|I + K|, K the
     # information: these are its two parts, the second by L·Lᵀ = I + K.
-    chol, failed = dpotrf(information + np.eye(len(u)), lower=1)
-    if failed:
-        return math.inf, 0.0
-    half = dtrtrs(chol, u, lower=1)[0]
-    return float(np.log(chol.diagonal()).sum()), float(half @ half)
+    chol = _factors(information + np.eye(u.shape[-1]))
+    failed = np.isnan(chol).any(axis=(-2, -1))
+    chol = np.where(failed[..., None, None], np.eye(u.shape[-1]), chol)
+    half = np.linalg.solve(chol, u[..., None])[..., 0]
+    volume = np.log(np.diagonal(chol, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.where(failed, np.inf, volume), np.where(failed, 0.0, np.sum(half**2, axis=-1))
+
+
+def _factors(matrices: Float[np.ndarray, "*b k k"]) -> Float[np.ndarray, "*b k k"]:
+    """Lower Cholesky factors; NaN of a matrix that has none."""
+    try:
+        return np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        if matrices.ndim == 2:
+            return np.full_like(matrices, np.nan)
+        return np.stack([_factors(one) for one in matrices])
 
 
 def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:

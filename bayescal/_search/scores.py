@@ -153,14 +153,14 @@ class WithoutNuisances(NamedTuple):
 
     def _of_blocks(self, name: str) -> Float[np.ndarray, "points sizes"]:
         """The same for a candidate of several columns."""
-        library, found = self.view.library, []
-        for at in (point.at for point in library.points[name]):
-            columns, inside, u = self.view.columns[:, at], self.inside[:, at], self.u[at]
-            information = columns.T @ columns - inside.T @ inside
-            for s in library.sizes[name]:
-                gain = self.gain(s.sd * u, s.sd[:, None] * information * s.sd)
-                found.append(gain + s.log_weight)
-        return np.reshape(found, (len(library.points[name]), -1))
+        library, places = self.view.library, [p.at for p in self.view.library.points[name]]
+        columns = np.stack([self.view.columns[:, at] for at in places])
+        inside = np.stack([self.inside[:, at] for at in places])
+        u = np.stack([self.u[at] for at in places])[:, None]
+        information = columns.mT @ columns - inside.mT @ inside
+        sd = np.stack([s.sd for s in library.sizes[name]])
+        gains = self.gain(sd * u, sd[:, :, None] * information[:, None] * sd[:, None])
+        return gains + [s.log_weight for s in library.sizes[name]]
 
     def _scored(self, point: GridPoint, gains: Float[np.ndarray, "sizes"]) -> ScoredPoint:
         best = self.view.library.sizes[point.effect][int(np.argmax(gains))]
@@ -171,14 +171,16 @@ class WithoutNuisances(NamedTuple):
     @property
     def dropped(self) -> float:
         """Log Bayes factor of what is left against the whole structure."""
-        return self.gain(np.zeros(0), np.zeros((0, 0)))
+        return float(self._gain(0.0, 0.0))
 
-    def gain(self, u: np.ndarray, information: np.ndarray) -> float:
+    def gain(
+        self, u: Float[np.ndarray, "*b k"], information: Float[np.ndarray, "*b k k"]
+    ) -> Float[np.ndarray, "*b"]:
         """Log Bayes factor, against the whole structure, of what is left with columns of standard normal coefficients.
 
         The noise is taken as large as it then is likely to be.
         """
-        return float(self._gain(*taken_up(u, information)))
+        return self._gain(*taken_up(u, information))
 
     def _gain(self, volume: Any, taken: Any) -> Any:
         """By log volumes, and by the squares that columns take."""
@@ -197,17 +199,30 @@ class WithoutNuisances(NamedTuple):
         self, found: Mapping[str, list[ScoredPoint]]
     ) -> list[tuple[float, ScoredPoint, ScoredPoint]]:
         """Log Bayes factors of two candidates at once, the best first."""
-        points, made = [p for own in found.values() for p in own[:IN_PAIRS]], []
+        points = [p for own in found.values() for p in own[:IN_PAIRS]]
         family = self.view.library.structures.family
-        for a, b in itertools.combinations(points, 2):
-            if family(a.effect) != family(b.effect):
-                # Of two blocks of columns after the nuisances: the information of each, and what they share, CₐᵀC_b −
-                # PₐᵀP_b.
-                shared = a.columns.T @ b.columns - a.inside.T @ b.inside
-                cross = a.size.sd[:, None] * shared * b.size.sd
-                (u, one), (w, other) = a.standard, b.standard
-                whole = np.block([[one, cross], [cross.T, other]])
-                made.append((self.gain(np.concatenate([u, w]), whole), a, b))
+        families = [family(p.effect) for p in points]
+        together = [
+            (i, j)
+            for i, j in itertools.combinations(range(len(points)), 2)
+            if families[i] != families[j]
+        ]
+        if not together:
+            return []
+        # Columns of all points side by side, and one of zeros, which changes no gain: it fills those of fewer up.
+        sd = np.concatenate([*(p.size.sd for p in points), [0.0]])
+        columns, inside = (
+            np.column_stack([*parts, np.zeros(len(parts[0]))])
+            for parts in ([p.columns for p in points], [p.inside for p in points])
+        )
+        u = sd * np.concatenate([*(p.u for p in points), [0.0]])
+        information = sd[:, None] * (columns.T @ columns - inside.T @ inside) * sd
+        counts = np.array([len(p.u) for p in points])
+        start, step = np.cumsum(counts) - counts, np.arange(counts.max())
+        at = np.where(step < counts[:, None], start[:, None] + step, len(sd) - 1)
+        both = at[np.array(together)].reshape(len(together), -1)
+        gains = self.gain(u[both], information[both[:, :, None], both[:, None]]).tolist()
+        made = [(gain, points[i], points[j]) for gain, (i, j) in zip(gains, together, strict=True)]
         return sorted(made, key=lambda m: -m[0])
 
 
