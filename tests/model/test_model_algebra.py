@@ -166,8 +166,9 @@ def test_fixing_what_is_not_there_or_no_number_is_refused() -> None:
 
 
 def test_a_scale_cannot_be_fixed_to_zero_or_less() -> None:
-    with pytest.raises(bc.ModelError, match=r"'noise.white' cannot be fixed to 0.0: .*positive"):
-        BASELINE.fix({"noise.white": 0.0})
+    with pytest.raises(bc.ModelError, match=r"'noise.white' cannot be fixed to -0.1: .*positive"):
+        BASELINE.fix({"noise.white": -0.1})
+    assert BASELINE.fix({"noise.white": 0.0}), "the noise as stated for each reading, and no more"
     lagging = BASELINE + "bias.thermal_lag"
     with pytest.raises(
         bc.ModelError, match=r"'bias.thermal_lag.tau' cannot be fixed to -5.0: .*positive"
