@@ -50,6 +50,12 @@ NEEDED_BY = {
     "log likelihoods of single readings, for ArviZ": "noise_on_record._densities noise_on_record.log_densities",
     "a term that something added stands for": "linear_model.LinearModel.uncertainty linear_model.LinearModel.beyond",
     "NUTS where weights fail": "independent_noise.StudentT.amplitudes",
+    "what a source of columns is": "composition.ColumnSource.columns composition.ColumnSource.response "
+    "composition.ColumnSource.slopes",
+    "a fleet in closed form, and slopes in a program": "composition.Traced.slopes composition._in_one_product",
+    "a correction that is held": "composition.Traced.read",
+    "a correction of three axes": "assembly.Assembly.value",
+    "a look, and a fleet by least squares": "least_squares.solution_on",
     "JSON of a result": "summed_noise.SumOfTerms.derived",
 }
 
