@@ -15,7 +15,6 @@ from bayescal._inference.record import Record
 from bayescal._model.composition import (
     Composed,
     Linearised,
-    by_member,
     compose,
     linearised,
     slopes,
@@ -325,13 +324,11 @@ class Assembly:
         """J beside what the expected output at a point leaves, for several φ; no column may be corrected."""
         x = np.broadcast_to(point.x, (count, self.size))
         rows = np.broadcast_to(point.rows, (count, *point.rows.shape))
-        mean, columns = self.expected_with_slopes(x, rows, hyper, self.in_x)
-        table = np.zeros((count, self.size + 1, self.record.size)).transpose(0, 2, 1)
-        for t, column in zip(self.in_x, columns, strict=True):
-            codes = None if t.known.per is None else self.record.codes[t.known.per]
-            table[..., t.at] = by_member(np, column, codes, t.size)
-        table[..., -1] = self.record.y - mean
-        return table
+        made = self.composed(self.terms, x, rows, hyper, sloped=True)
+        mean, jacobian, _ = linearised(self.host, self.terms, made)
+        left = self.record.y - mean
+        # A column's numbers lie together in memory, as in the Jacobian.
+        return np.concatenate([np.swapaxes(jacobian, 1, 2), left[:, None]], axis=1).swapaxes(1, 2)
 
 
 def differences(f: Callable[[np.ndarray], Any], at: np.ndarray, step: Any) -> np.ndarray:

@@ -234,13 +234,13 @@ def _in_one_table(source: ColumnSource, mean: np.ndarray, each: list[tuple]) -> 
 
 def _in_one_product(source: ColumnSource, mean: Any, each: list[tuple]) -> Any:
     """A Jacobian (n, q) in a program: slopes multiplied one after the other would be compiled into each column."""
-    columns, slopes = [jnp.zeros((*mean.shape, 0))] * 2
+    columns = [jnp.zeros((*mean.shape, 0))]
+    slopes = list(columns)
     for t, column, slope in each:
-        own = by_member(jnp, jnp.broadcast_to(column, mean.shape), _codes(source, t), t.size)
-        columns = jnp.concatenate([columns, own], axis=-1)
-        slope = jnp.broadcast_to(slope, mean.shape)[..., None]
-        slopes = jnp.concatenate([slopes, jnp.broadcast_to(slope, own.shape)], axis=-1)
-    return columns * slopes
+        column, slope = (jnp.broadcast_to(a, mean.shape) for a in (column, slope))
+        columns.append(by_member(jnp, column, _codes(source, t), t.size))
+        slopes.append(jnp.broadcast_to(slope[..., None], columns[-1].shape))
+    return jnp.concatenate(columns, axis=-1) * jnp.concatenate(slopes, axis=-1)
 
 
 def _codes(source: ColumnSource, t: Term) -> Any:
