@@ -68,7 +68,9 @@ def life(
         killed = False
     except (Gone, OSError, HTTPException):
         if not killer.finished.is_set():  # it is none of our doing
-            raise
+            raise AssertionError(
+                f"ended with {server.process.poll()}: {''.join(server.said)}"
+            ) from None
         killed = True
     finally:
         killer.cancel()

@@ -38,6 +38,8 @@ class Visitor:
         assert token is not None
         self._runner, self._sent, self._parts = asyncio.Runner(), 0, urlsplit(url)
         self._socket = self._run(self._opened(token[1]))
+        while self._received()[0]["msgtype"] != "ACK":  # what comes before it is not understood
+            pass
         self._event("document_ready")
 
     async def _opened(self, token: str) -> WebSocketClientConnection:
@@ -84,7 +86,7 @@ class Visitor:
 
         async def part() -> Any:
             if (found := await self._socket.read_message()) is None:  # once; then it waits for ever
-                raise Gone
+                raise Gone(self._socket.close_code, self._socket.close_reason)
             return found
 
         async def receive() -> list[dict[str, Any]]:
