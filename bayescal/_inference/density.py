@@ -13,8 +13,15 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._inference.assembly import Assembly, Point, Values
-from bayescal._inference.gaussian import Conditional, Gram, Prior, condition
-from bayescal._inference.noise_on_record import Terms, Whitening, bends, density_terms, variance
+from bayescal._inference.gaussian import LOG_2PI, Conditional, Gram, Prior, condition
+from bayescal._inference.noise_on_record import (
+    Terms,
+    Whitening,
+    bends,
+    density_terms,
+    sloped_log_density,
+    variance,
+)
 from bayescal._inference.products import DEGREES, Axes, Polynomials, Products, basis_of
 from bayescal._model.composition import Linearised
 
@@ -51,6 +58,7 @@ class Density:
         self.even = noise.even(record.frame) and not len(self.assembly.row_sd)
         self._lines: dict[tuple[float, ...], tuple[Linearised, Gram | None]] = {}
         self._mode = self.point.x  # of x, where it was sought
+        self._last: tuple[Values, tuple[float, dict[str, float]]] | None = None
 
     @cached_property
     def products(self) -> Products | None:
@@ -116,9 +124,20 @@ class Density:
             shared, size = float(self.assembly.noise.shared_variance(hyper)), len(line.mean)
             jtj, jtr, rtr = (part / shared for part in gram[:3])
             return Gram(jtj, jtr, rtr, size * math.log(shared))
+        if not self.assembly.terms:
+            # Without a coefficient the density is the law's own: what stands for squares and log|Σ| is twice that.
+            value = self._of_noise(line, hyper)[0]
+            return Gram(np.zeros((0, 0)), np.zeros(0), -2 * value - len(line.mean) * LOG_2PI, 0.0)
         if not self.assembly.noise.gaussian:
             return self._about_the_mode(self._beside(line), hyper)
         return Gram.of(*self._white(line, hyper).gram(self._beside(line)))
+
+    def _of_noise(self, line: Linearised, hyper: Values) -> tuple[float, dict[str, float]]:
+        """Log density of what is left of the readings, and its slopes by the law's parameters; the last one is kept."""
+        if self._last is None or self._last[0] != hyper:
+            law, record = self.assembly.noise, self.assembly.record
+            self._last = hyper, sloped_log_density(law, record, self.residual(line), hyper)
+        return self._last[1]
 
     def _about_the_mode(self, table: Float[np.ndarray, "n q"], hyper: Values) -> Gram:
         """The products that stand for a law that is not Gaussian: of the quadratic about the mode of x given φ.
@@ -218,6 +237,9 @@ class Density:
             made[i] += excess @ log_sd
         if self.products is not None and self.products.reaches(v):
             made += self.products.slopes(v, hyper, prior, found)
+        elif not assembly.terms:
+            by_name = self._of_noise(self._line(v, hyper)[0], hyper)[1]
+            made += by_parameter(assembly, v, by_name)
         elif assembly.noise.gaussian:
             made += self._slopes_by_readings(v, hyper, prior, found)
         else:
@@ -326,7 +348,14 @@ def noise_slopes(
         white: of the noise there.
         table: T, output unit.
     """
-    by_name, made = white.slopes(table), np.zeros(len(v))
+    return by_parameter(assembly, v, white.slopes(table))
+
+
+def by_parameter(
+    assembly: Assembly, v: Float[np.ndarray, "d"], by_name: dict[str, float]
+) -> Float[np.ndarray, "d"]:
+    """Slopes by the law's parameters as slopes by coordinates of φ; zero by others."""
+    made = np.zeros(len(v))
     for i, h in enumerate(assembly.hypers):
         if h.kind == "noise":
             made[i] = by_name[h.name] * assembly.value_change(v, i)

@@ -422,6 +422,26 @@ def _by_draws(
     return _back(law, record, found).T
 
 
+@program
+def _sloped(law: Noise, frame: Frame, y, left, values, size):
+    counted = jnp.arange(frame.size) < size
+
+    def value(values):
+        return jnp.sum(jnp.where(counted, law.log_density(y, y - left, values, frame), 0.0))
+
+    return jax.value_and_grad(value)(values)
+
+
+def sloped_log_density(
+    law: Noise, record: Record, left: Float[np.ndarray, "n"], values: Values
+) -> tuple[float, dict[str, float]]:
+    """Log density of all readings together at what is left of them, and its slopes by the law's parameters."""
+    own = {name: np.float64(values[name]) for name in law.parameters()}
+    arrays = (record.longer(_forth(law, record, a, 0)) for a in (record.y, left))
+    made = _sloped(law.plain, record.padded_for(law), *arrays, own, np.float64(record.size))
+    return float(made[0]), {name: float(slope) for name, slope in made[1].items()}
+
+
 def total_log_density(
     law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each
 ) -> Float[np.ndarray, "b"]:

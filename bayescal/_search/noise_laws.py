@@ -17,7 +17,7 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
-from bayescal._inference.laplace import NOTHING_KNOWN, at_mode, find_mode
+from bayescal._inference.laplace import at_mode, climb
 from bayescal._inference.noise_on_record import total_log_density
 from bayescal._inference.record import Record
 from bayescal._model.channel_at_rest import CHANNEL
@@ -34,7 +34,7 @@ LEVELS = (
     0.0,
     1.0,
 )  # coordinates of a law's further parameters, at which a maximum is looked for first
-STILL_SD = 0.1  # that a climb's last step moves by: within a hundredth of a nat of the maximum
+CLIMBED_NATS = 1e-4  # nats that a climb's last step would gain
 
 
 def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
@@ -67,10 +67,14 @@ def log_prior(laws: Mapping[str, Noise], name: str) -> float:
 
 
 class OnResiduals(NamedTuple):
-    """Log evidence of a noise law alone, and the coordinates of its parameters at the maximum, by name."""
+    """Log evidence of a noise law alone; coordinates of its parameters at the maximum, by name; their covariance."""
 
     log_evidence: float
     hint: dict[str, float]
+    covariance: np.ndarray | None = None
+
+
+NO_FIT = OnResiduals(-math.inf, {})
 
 
 @on_one_thread
@@ -78,7 +82,7 @@ def on_residuals(
     law: Noise,
     record: Record,
     left: Float[np.ndarray, "n"],
-    near: Mapping[str, float] = NOTHING_KNOWN,
+    near: OnResiduals = NO_FIT,
 ) -> OnResiduals:
     """A law of known expected output, by Laplace: the fit of a model without effects.
 
@@ -88,10 +92,10 @@ def on_residuals(
         law: which.
         record: the readings.
         left: what the expected output leaves of them.
-        near: coordinates of its parameters by name where the maximum may be, such as that of other residuals.
+        near: the law on other residuals, whose maximum may be near.
     """
     priors = law.parameters()
-    starts = [[near[n] for n in priors]] if near else []
+    starts = [[near.hint[n] for n in priors]] if near.hint else []
     starts = np.array(
         starts
         + [
@@ -103,14 +107,18 @@ def on_residuals(
         ]
     )
     if not len(starts):
-        return OnResiduals(-math.inf, {})
+        return NO_FIT
     hyper = {name: p.value(starts[:, i]) for i, (name, p) in enumerate(priors.items())}
     there = total_log_density(law, record, left[None], hyper)
     there += sum(np.asarray(p.log_density(starts[:, i])) for i, p in enumerate(priors.values()))
     alone = Assembly(Layout(Model(CHANNEL, (), law), ()), record.of_noise(left))
-    top = find_mode(alone, [starts[int(np.argmax(there))]], still=STILL_SD, curved=False)
-    mode = at_mode(Density(alone, top.point, top.flat), top.v, top.change, quick=True)
-    return OnResiduals(float(mode.log_evidence), dict(zip(priors, mode.v.tolist(), strict=True)))
+    density = Density(alone, alone.start, np.ones(0))
+    begin = starts[[int(np.argmax(there))]]
+    mode = at_mode(
+        density, climb(density, begin, near.covariance, CLIMBED_NATS)[0], 0.0, quick=True
+    )
+    hint = dict(zip(priors, mode.v.tolist(), strict=True))
+    return OnResiduals(float(mode.log_evidence), hint, mode.covariance)
 
 
 def _stated(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> list[dict[str, float]]:

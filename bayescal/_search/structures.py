@@ -21,14 +21,14 @@ from bayescal._core.settings import settings
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import condition
-from bayescal._inference.laplace import NOTHING_KNOWN, Mode, at_mode, find_mode, flat_scales
+from bayescal._inference.laplace import Mode, at_mode, find_mode, flat_scales
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.record import Record
 from bayescal._model.effect import Effect, with_forms
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import Layout
-from bayescal._search.noise_laws import OnResiduals, log_prior, on_residuals
+from bayescal._search.noise_laws import NO_FIT, OnResiduals, log_prior, on_residuals
 
 # Share of the prior weight of what is missing, for what no named effect describes: a formula that is known beforehand
 # is likelier than one that is not.
@@ -235,15 +235,14 @@ class Structures:
     @cached_property
     def law_on_residuals(self) -> Callable[[Weighed, str], OnResiduals]:
         """A noise law, by name, on what a structure's fit leaves of the readings; each asked for once."""
-        laws, latest = {"": self.base.noise, **self.laws}, dict[str, Mapping[str, float]]()
+        laws, latest = {"": self.base.noise, **self.laws}, dict[str, OnResiduals]()
 
         @cache
         def found(weighed: Weighed, name: str) -> OnResiduals:
             # Residuals of another structure are much alike: where their maximum is, the climb is shorter.
-            left, near = self.line(weighed).residual, latest.get(name, NOTHING_KNOWN)
-            made = on_residuals(laws[name], self.record, left, near)
-            latest[name] = made.hint
-            return made
+            left, near = self.line(weighed).residual, latest.get(name, NO_FIT)
+            latest[name] = on_residuals(laws[name], self.record, left, near)
+            return latest[name]
 
         return found
 
