@@ -18,7 +18,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.special import ndtri, softmax
 
 from bayescal._core.errors import InputError
@@ -26,6 +26,7 @@ from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
+from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
@@ -62,6 +63,7 @@ STIRRED_DEGREES = 0.2
 Terms = tuple[str, ...]  # names of those of a sum, beside white noise
 # Readings above which means of blocks are taken: the filter then takes a tenth of a second.
 BLOCK_MEANS_READINGS = 16_384
+NOTHING = 1e6  # times the scatter of neighbours: the uncertainty of a place without a reading
 STRETCHES = 8  # of single readings beside the means, as many readings as there are means at most
 ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, then in pairs
 TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
@@ -263,9 +265,10 @@ def _of_neighbours(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[str,
     begins above or below what it comes to from two apart on, neighbours alone are correlated.
     """
     squares, counts = np.zeros(len(LINE) + 1), np.zeros(len(LINE) + 1)
-    for rows in runs.rows:
-        for k in range(1, min(len(rows), len(squares) + 1)):
-            apart = output[rows[k:]] - output[rows[:-k]]
+    for own in runs.of(output):
+        for k in range(1, min(len(own), len(squares) + 1)):
+            apart = own[k:] - own[:-k]
+            apart = apart[np.isfinite(apart)]
             squares[k - 1] += 0.5 * float(apart @ apart)
             counts[k - 1] += len(apart)
     rise = squares / counts
@@ -282,7 +285,8 @@ def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[s
     A frequency counts against the geometric mean of both sides, which takes out any slope of the spectrum; of the mean
     of k windows, the logarithm of this ratio has a standard deviation of about 1/√k.
     """
-    run, best, found = output[max(runs.rows, key=len)], 0.0, dict[str, float]()
+    run, best, found = max(runs.of(output), key=len), 0.0, dict[str, float]()
+    run = np.where(np.isfinite(run), run, np.nanmean(run))
     length = WINDOW
     while (count := len(run) // length) >= WINDOWS:
         parts = run[: count * length].reshape(count, length)
@@ -312,7 +316,8 @@ def _total(fits: dict[Terms, Mode], terms: tuple[str, ...]) -> float:
 def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]]:
     output, notes = np.asarray(readings["output"], float), []
     rows = [r for r in runs.rows if len(r) > 1]
-    jumps = np.concatenate([np.diff(output[r]) for r in rows])
+    jumps = np.concatenate([np.diff(own) for own in runs.of(output)])
+    jumps = jumps[np.isfinite(jumps)]
     size = float(np.median(np.abs(jumps - np.median(jumps)))) * 1.4826 / math.sqrt(2)
     if not size > 0:
         raise InputError(
@@ -327,6 +332,10 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
         notes.append(
             f"a polynomial of degree {DEGREE} over temperature was taken out beside the noise"
         )
+    if runs.lost:
+        notes.append(
+            f"{100 * runs.lost:.2g} % of the readings were lost: the filter goes on without"
+        )
     total = sum(len(r) for r in rows)
     count = 2 ** max(0, math.ceil(math.log2(total / BLOCK_MEANS_READINGS)))
     blocks: list[np.ndarray] = []
@@ -339,11 +348,13 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
         )
     parts = [*blocks, *(r[:, None] for r in rows)]
     lengths = [len(part) for part in parts]
+    beside = {UNCERTAINTY: np.concatenate([_of_lost(p, size) for p in parts])} if runs.lost else {}
     still = Measurements.from_arrays(
         CHANNEL,
         run=np.repeat([f"{k:06d}" for k in range(len(parts))], lengths),
         time=runs.step * np.concatenate([np.arange(length) for length in lengths]),
-        **{n: np.concatenate([v[part].mean(axis=1) for part in parts]) for n, v in given.items()},
+        **{n: np.concatenate([_means(v, part) for part in parts]) for n, v in given.items()},
+        **beside,
     )
     reference = reference_of(still)
     frame = build_frame(still, reference)
@@ -353,6 +364,22 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
     record = Record(CHANNEL, frame, np.asarray(frame["output"]))
     own = (size, runs.step, longest, runs.factors * runs.step, variance)
     return _AtRest(layout, record, count, sum(map(len, blocks)), *own), notes
+
+
+def _means(values: Float[np.ndarray, "n"], part: Int[np.ndarray, "k c"]) -> np.ndarray:
+    """Of the readings that are there, −1 where one was lost (k,); zero where none is."""
+    there = part >= 0
+    return np.where(there, values[part], 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
+
+
+def _of_lost(part: Int[np.ndarray, "k c"], size: float) -> np.ndarray:
+    """Uncertainty, in each of the c readings of a mean, that says as much as that some are lost (k,).
+
+    A mean of n has c/n times the white variance of one of c. Where fewer than half are there it says nothing.
+    """
+    count, there = part.shape[1], np.sum(part >= 0, axis=1)
+    missing = count / np.maximum(there, 1) - 1
+    return size * np.where(2 * there < count, NOTHING, np.sqrt(missing))
 
 
 def _stretches(rows: Sequence[np.ndarray], length: int) -> list[np.ndarray]:

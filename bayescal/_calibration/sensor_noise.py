@@ -22,6 +22,7 @@ from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._data.allan_deviation import (
     ALLAN_READINGS,
     CONFIDENCE,
+    FULL_SHARE,
     AllanDeviation,
     EvenRuns,
     degrees_of_freedom,
@@ -229,18 +230,23 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
 
 def _events(readings: Measurements, runs: EvenRuns) -> tuple[str, ...]:
     """The largest change between neighbouring averages, if stationary Gaussian noise has none such; in words."""
-    output, time = (np.asarray(readings[name], float) for name in ("output", "time"))
+    output, times = (runs.of(np.asarray(readings[name], float)) for name in ("output", "time"))
     worst, said = EVENT_RATIO, ()
-    for rows in runs.rows:
+    for own, time in zip(output, times, strict=True):
         for m in runs.factors.astype(int):
-            count = len(rows) // m
+            count = len(own) // m
             if count <= ALLAN_READINGS:
                 break
-            jumps = np.abs(np.diff(output[rows[: count * m]].reshape(count, m).mean(axis=1)))
+            parts = own[: count * m].reshape(count, m)
+            full = np.flatnonzero(np.isfinite(parts).mean(axis=1) >= FULL_SHARE)
+            jumps = np.abs(np.diff(np.nanmean(parts[full], axis=1)))
             usual = float(np.median(jumps)) / NORMAL_MEDIAN
             at = int(np.argmax(jumps))
             if jumps[at] > worst * usual > 0:
-                worst, when = float(jumps[at]) / usual, float(time[rows[(at + 1) * m]])
+                worst, when = (
+                    float(jumps[at]) / usual,
+                    float(time[0] + runs.step * m * full[at + 1]),
+                )
                 change = f"{number(float(jumps[at]))} {unit_label(readings.unit('output') or '')}".strip()
                 said = (
                     f"at {number(when)} s the average over {number(m * runs.step)} s changes by {change}, "

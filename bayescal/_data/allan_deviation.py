@@ -31,7 +31,11 @@ from bayescal._data.unit_conversion import parse, unit_label
 ALLAN_READINGS = 30
 # From the slope of one kind of noise on log axes to where that of the next begins: half of ½.
 ALLAN_SLOPE = 0.25
+FULL_SHARE = 0.5  # of the readings of an average, that must be there
 CUT_STEPS = 1.5  # of a grid, over which the stamps of readings may lie about it; two readings on one stamp are over 1
+LOST_SHARE = (
+    0.2  # of the places of a run's grid, that may have no reading: drivers lose some per cent
+)
 ALLAN_COVERAGE = 2.0  # standard uncertainties, as everywhere that an interval of 95 % is meant
 # p-value of a line through part of an Allan deviation, below which it is none.
 ALLAN_STRAIGHT_P = 1e-3
@@ -248,10 +252,19 @@ CONFIDENCE = 0.95  # of its intervals, as of every interval here
 
 
 class EvenRuns(NamedTuple):
-    """Rows of each run in the order of time, and the step between them, s."""
+    """Which reading stands at each place of each run's grid in time, −1 where it was lost; and the grid's step, s."""
 
     rows: tuple[np.ndarray, ...]
     step: float
+
+    def of(self, values: Float[np.ndarray, "n"]) -> list[Float[np.ndarray, "k"]]:
+        """Values of the readings of each run in the order of time, NaN where one was lost."""
+        return [np.where(rows < 0, np.nan, values[rows]) for rows in self.rows]
+
+    @property
+    def lost(self) -> float:
+        """Share of the places without a reading."""
+        return sum(int(np.sum(r < 0)) for r in self.rows) / sum(self.lengths)
 
     @property
     def lengths(self) -> tuple[int, ...]:
@@ -357,10 +370,12 @@ def even_runs(readings: Measurements) -> EvenRuns:
     """The runs of a record, each in the order of time.
 
     Stamps that were cut to whole milliseconds, or are shared by readings that arrived together, are those of an even
-    grid, where no reading is a step off it: the grid's step is taken.
+    grid, where no reading is a step off it: the grid's step is taken. A step that is several usual ones has lost the
+    readings between.
 
     Raises:
-        InputError: no column `time`, no run of 30 readings, or steps that differ by more than 5 %.
+        InputError: no column `time`, no run of 30 readings, steps that differ by more than 5 % from whole numbers of
+            the usual one, or more than a fifth of a run lost.
     """
     need = f"Allan deviation of {readings.file} needs"
     if not readings.has("time"):
@@ -374,15 +389,22 @@ def even_runs(readings: Measurements) -> EvenRuns:
     usual = float(np.median(np.concatenate(steps)))
     if (grid := _grid(readings["time"], rows, usual)) is not None:
         return EvenRuns(tuple(rows), grid)
+    placed = list[np.ndarray]()
     for own, r in zip(steps, rows, strict=True):
-        odd = np.flatnonzero(np.abs(own - usual) > EVEN_STEPS * usual)
+        taken = np.maximum(np.round(own / usual), 1.0) if usual > 0 else np.ones(len(own))
+        places = np.concatenate([[0], np.cumsum(taken)]).astype(int)
+        odd = np.flatnonzero(np.abs(own - taken * usual) > EVEN_STEPS * taken * usual)
+        if not len(odd) and len(r) < (1 - LOST_SHARE) * (places[-1] + 1):
+            odd = np.flatnonzero(taken > 1)
         if len(odd):
             run = f" in run {levels[codes[r[0]]]}" if len(rows) > 1 else ""
             raise InputError(
                 f"{need} readings evenly spaced in time: {len(odd)} of {len(own)} steps{run}, such as "
                 f"{number(float(own[odd[0]]))} s, differ from the usual {number(usual)} s. Give runs without gaps"
             )
-    return EvenRuns(tuple(rows), usual)
+        placed.append(np.full(places[-1] + 1, -1))
+        placed[-1][places] = r
+    return EvenRuns(tuple(placed), usual)
 
 
 def _grid(time: np.ndarray, rows: Sequence[np.ndarray], usual: float) -> float | None:
@@ -414,6 +436,9 @@ def overlapping(
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
     """Allan variances of all runs together, and how many differences each is the mean of; of several columns their sum.
 
+    Where readings were lost, averages are of those that are there, half of their number at least, and their differences
+    are taken down to what white noise of all would have: a random walk comes out lower, by the lost share at most.
+
     Args:
         values: of the readings.
         runs: of these.
@@ -421,13 +446,22 @@ def overlapping(
     squares, count = np.zeros(len(runs.factors)), np.zeros(len(runs.factors))
     for rows in runs.rows:
         own = values[rows].reshape(len(rows), -1)
-        sums = np.zeros((len(rows) + 1, own.shape[1]))
-        np.cumsum(own - own.mean(axis=0), axis=0, out=sums[1:])
+        there = rows >= 0
+        own = np.where(there[:, None], own - own[there].mean(axis=0), 0.0)
+        sums = np.zeros((len(rows) + 1, own.shape[1] + 1))
+        np.cumsum(np.column_stack([own, there]), axis=0, out=sums[1:])
         for k, m in enumerate(runs.factors.astype(int)):
-            if (differences := len(rows) + 1 - 2 * m) > 1:
-                second = sums[2 * m :] - 2 * sums[m:-m] + sums[: -2 * m]
-                squares[k] += np.einsum("ij,ij->", second, second) / (2 * m**2)
-                count[k] += differences
+            if len(rows) + 1 - 2 * m > 1:
+                parts = sums[m:] - sums[:-m]
+                taken = parts[:, -1:]
+                later, sooner = taken[m:], taken[:-m]
+                full = (np.minimum(later, sooner) >= FULL_SHARE * m)[:, 0]
+                means = parts[:, :-1] / np.maximum(taken, 1)
+                second = (means[m:] - means[:-m])[full]
+                # Of white noise, means of fewer readings scatter by as much more.
+                second *= np.sqrt(2 / m / (1 / later[full] + 1 / sooner[full]))
+                squares[k] += np.einsum("ij,ij->", second, second) / 2
+                count[k] += len(second)
     return squares / count, count
 
 
@@ -440,7 +474,7 @@ def noise_types(variance: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
 
 
 def degrees_of_freedom(runs: EvenRuns, types: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-    """Equivalent degrees of freedom of the runs together, of each run by Greenhall & Riley (2003).
+    """Equivalent degrees of freedom of the runs together, of each run by Greenhall & Riley (2003); less the share lost.
 
     A mean of estimates of the variance 2·v²/eᵢ with weights wᵢ has the variance 2·v²·Σ wᵢ²/eᵢ.
     """
@@ -452,7 +486,7 @@ def degrees_of_freedom(runs: EvenRuns, types: Float[np.ndarray, "k"]) -> Float[n
         weight = differences[there] / (differences[there] @ counts[there])
         edf = np.array([_edf(int(kind), int(m), int(n)) for n in lengths[there]])
         found.append(1 / (counts[there] @ (weight**2 / edf)))
-    return np.array(found)
+    return (1 - runs.lost) * np.array(found)
 
 
 # a₀ and a₁ of `_edf` where averages overlap in more than `TERMS` terms: white, flicker and random-walk noise.

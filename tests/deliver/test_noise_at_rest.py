@@ -181,12 +181,30 @@ def test_levels_and_the_curve_over_temperature_are_integrated_out() -> None:
     assert found[1] - found[0] == pytest.approx(exact[1] - exact[0], rel=1e-8)
 
 
+@pytest.mark.parametrize("longest", [16_384, pytest.param(512, marks=pytest.mark.slow)])
+def test_lost_readings_are_missing_ones_of_the_filter(monkeypatch, longest) -> None:
+    """Density and event of what is left, of single readings and of means of blocks of which some are not full."""
+    monkeypatch.setattr(noise_at_rest, "BLOCK_MEANS_READINGS", longest)
+    data, random = still(6, n=2000), np.random.default_rng(5)
+    lost = random.random(2000) < 0.05
+    lost[900:940] = True  # and a pause
+    some = data.select(np.flatnonzero(~lost))
+    found = bc.noise(some)
+    n = symbol(found, "N")
+    assert n.low < 60 * N < n.high and n.high < 1.15 * n.low
+    (note,) = (note for note in found.notes if "lost" in note)
+    assert float(note.split()[0]) == pytest.approx(100 * np.mean(lost), rel=0.02)
+    output = some["output"] + 1.0 * (np.arange(len(some)) > 1000)
+    (said,) = _events(some.with_column("output", output), even_runs(some))
+    assert float(said.split()[1]) == pytest.approx(some["time"][1001], abs=4.0)
+
+
 def test_what_cannot_be_told_is_refused() -> None:
     data = still(6)
     rounded = data.with_column("output", np.round(data["output"], 1))
     with pytest.raises(bc.InputError, match="rounded more coarsely than its noise"):
         bc.noise(rounded)
-    uneven = data.select(np.flatnonzero(np.arange(len(data)) % 7 != 3))
+    uneven = data.select(np.flatnonzero(np.arange(len(data)) % 7 < 4))
     with pytest.raises(bc.InputError, match="evenly spaced"):
         bc.noise(uneven)
 

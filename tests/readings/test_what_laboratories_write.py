@@ -273,6 +273,21 @@ def test_generated_headers_are_read_right_or_asked_about_once(put, seeds) -> Non
 # --- the small inputs of others ---------------------------------------------------------------------------------
 
 
+def small_input(name: str) -> Path:
+    if not (SMALL_FAILS / name).is_file():
+        pytest.skip("needs the small inputs in ../shared/data/small_fails, beside this checkout")
+    return SMALL_FAILS / name
+
+
+@pytest.mark.parametrize("name", ["drop400", "ms400", "pairs400"])
+def test_stamps_of_drivers_have_the_noise_of_the_sensor(name) -> None:
+    path = small_input(f"noise_stamps/{name}_short.csv")
+    found = bc.noise(read(path, STILL, columns={"output": "gyro_x"}))
+    density = next(f for f in found.figures if f.symbol == "N")
+    assert density.unit == "deg/h^0.5" and density.low < 0.24 < density.high
+    assert any("lost" in note for note in found.notes) == (name == "drop400")
+
+
 @pytest.mark.parametrize(
     ("name", "asked"),
     [
@@ -283,8 +298,6 @@ def test_generated_headers_are_read_right_or_asked_about_once(put, seeds) -> Non
     ],
 )
 def test_small_inputs_are_asked_about_and_read_after(name, asked) -> None:
-    if not (SMALL_FAILS / name).is_file():
-        pytest.skip("needs the small inputs in ../shared/data/small_fails, beside this checkout")
-    said = options_said(SMALL_FAILS / name, STILL)
+    said = options_said(small_input(name), STILL)
     assert asked in said
-    assert len(read(SMALL_FAILS / name, STILL, **options_of(said))) > 400
+    assert len(read(small_input(name), STILL, **options_of(said))) > 400

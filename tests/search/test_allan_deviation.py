@@ -221,14 +221,30 @@ def without_time(readings: bc.Measurements) -> bc.Measurements:
     )
 
 
+def test_lost_readings_leave_averages_of_the_others() -> None:
+    """White noise: on average the deviations are those of all readings, single ones of pairs that are there."""
+    ratios = []
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        values, kept = random.standard_normal(800), random.random(800) > 0.1
+        kept[[0, -1]] = True
+        some = bc.allan_deviation(record(values, 0.5).select(np.flatnonzero(kept)))
+        whole = bc.allan_deviation(record(values, 0.5))
+        np.testing.assert_array_equal(some.tau, whole.tau)
+        assert np.all(some.edf[:4] < whole.edf[:4])
+        assert some.differences[0] < 0.9 * whole.differences[0]
+        ratios.append((some.deviation / whole.deviation) ** 2)
+    assert np.mean(ratios, axis=0)[:6] == pytest.approx(1.0, abs=0.03)
+
+
 @pytest.mark.parametrize(
     ("readings", "said"),
     [
         (without_time(record(NOISE, 1.0)), "needs the column 'time'"),
         (record(NOISE[:29], 1.0), "a run of 30 readings or more"),
         (
-            record(NOISE, 1.0).select(np.delete(np.arange(100), [50, 51])),
-            r"1 of 97 steps, such as 3 s, differ from the usual 1 s\. Give runs without gaps",
+            record(NOISE, 1.0).select(np.delete(np.arange(100), np.arange(30, 70))),
+            r"1 of 59 steps, such as 41 s, differ from the usual 1 s\. Give runs without gaps",
         ),
         (
             record(NOISE, 1.0).with_column("time", np.arange(100) ** 1.1),
@@ -243,7 +259,7 @@ def test_what_has_no_allan_deviation_is_refused_with_the_reason(readings, said: 
 
 
 def test_a_check_of_readings_with_a_gap_says_nothing_of_it() -> None:
-    gap = record(NOISE, 1.0).select(np.delete(np.arange(100), [50, 51]))
+    gap = record(NOISE, 1.0).select(np.delete(np.arange(100), np.arange(30, 70)))
     found = bc.check(fitted(gap))
     assert found.allan is None
     assert "Allan" not in str(found)
