@@ -87,7 +87,7 @@ def plan(
 class TriadOptions:
     """What is asked of three axes, one triad or all of a unit."""
 
-    shortest: float = 2.0
+    shortest: float | None = None
     baseline: bool = False
     seed: int = 0
     out: Path | None = None
@@ -128,7 +128,9 @@ def triad(
             return
         if untold.add:
             print_notes([str(untold)])
-        trail, correction = _calibrated(model, readings, asked)
+        # Where poses leave directions open, chains would go through the priors of these for minutes.
+        method = bc.Marginal(chains=not untold.add)
+        trail, correction = _calibrated(model, readings, asked, method=method)
         if folder is not None:
             from bayescal._report.whole_folder import whole_folder
 
@@ -255,6 +257,7 @@ def _calibrated(
     readings: Any,
     asked: TriadOptions,
     turned: Callable[[Any], Any] = lambda correction: correction,
+    method: Any = None,
 ) -> tuple[Any, Any]:
     """Search and correction, printed or to be printed as JSON.
 
@@ -263,10 +266,10 @@ def _calibrated(
         readings: of poses or moves.
         asked: what is.
         turned: takes the correction to other axes.
+        method: of the last fit.
     """
-    trail = bc.calibrate(
-        model, readings, seed=asked.seed, max_effects=0 if asked.baseline else MOST_ADDED
-    )
+    most = 0 if asked.baseline else MOST_ADDED
+    trail = bc.calibrate(model, readings, method=method, seed=asked.seed, max_effects=most)
     correction = bc.vector_correction(trail.calibration)  # averaged over the structures
     correction = turned(correction)
     print_notes(correction.notes)

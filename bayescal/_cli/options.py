@@ -243,7 +243,7 @@ HELP = {
     "save_mapping": "TOML file to keep these options in, for --mapping.",
     "scheduler": "tcp://host:8786: a Dask cluster that does the work.",
     "seed": "Seed of every random number.",
-    "shortest": "Shortest pose in a log, s.",
+    "shortest": "Shortest pose in a log, s; 2, or 1 where many still stretches are shorter.",
     "simple_noise": (
         "Where noise is correlated, leave out sums of terms (random walk, flicker, two times, a tone): faster on "
         "long records."

@@ -8,6 +8,7 @@ its blocks, pooled over all poses: often 3 to 4 times that of independent sample
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,9 @@ QUIET_QUANTILE = 0.1  # quantile of the blocks' scatter, that is taken as at res
 # Times the scatter at rest, up to which a block is still: means of blocks of filtered noise differ by 4 once in 10⁴.
 STILL_RATIO = 6.0
 SHORTEST_SECONDS = 2.0  # of a pose: eight blocks, whose means say how well theirs is known
+# s, of a pose held by hand: taken where more than a share of all still stretches lie between this and the other.
+BRIEF_SECONDS = 1.0
+BRIEF_SHARE = 0.25  # of them: a unit that is mostly held for longer pauses briefly now and then
 BLOCK_SAMPLES = 4  # fewest in a block, from which on their scatter says something
 
 
@@ -35,6 +39,8 @@ class StillStretches(NamedTuple):
         uncertainty: standard uncertainty of these means, one for all outputs (k,).
         of_second: that of a mean over one second, of white noise.
         ratio: of it to that of independent samples.
+        shortest: of these stretches, s, as asked or chosen.
+        left_out: duration of each shorter one of a second or more, s.
     """
 
     first: Int[np.ndarray, "k"]
@@ -43,6 +49,8 @@ class StillStretches(NamedTuple):
     uncertainty: Float[np.ndarray, "k"]
     of_second: float
     ratio: float
+    shortest: float
+    left_out: tuple[float, ...]
 
 
 def still_stretches(
@@ -53,12 +61,11 @@ def still_stretches(
     Args:
         time: s, increasing and nearly even.
         outputs: of one unit, such as three accelerometers.
-        shortest: of a pose, s; that of the settings if None.
+        shortest: of a pose, s; two if None, or one where more than a quarter of all still stretches lie between.
 
     Raises:
         InputError: samples too far apart, or no stretch is still for so long.
     """
-    shortest = SHORTEST_SECONDS if shortest is None else shortest
     step = float(np.median(np.diff(time))) if len(time) > 1 else np.inf
     size = round(BLOCK_SECONDS / step) if step > 0 else 0
     if size < BLOCK_SAMPLES:
@@ -74,17 +81,24 @@ def still_stretches(
     still = np.all(scatter <= STILL_RATIO * rest, axis=1)
     moved = np.any(np.abs(np.diff(mean, axis=0)) > STILL_RATIO * rest, axis=1)
     label = np.cumsum(np.concatenate([[True], moved | (still[1:] != still[:-1])]))
-    first, last = [], []
+    found = list[tuple[float, int, int]]()
     for one in np.unique(label[still]):
         inside = np.flatnonzero((label == one) & still)[1:-1]  # a move may reach into the ends
-        if len(inside) * size * step >= shortest:
-            first.append(int(inside[0]))
-            last.append(int(inside[-1]) + 1)
-    if not first:
+        if len(inside):
+            # A block counts as a quarter of a second, which a step of 1/20 s makes 0.2499999 of.
+            found.append((round(len(inside) * size * step, 6), int(inside[0]), int(inside[-1]) + 1))
+    lengths = np.array([length for length, *_ in found])
+    if shortest is None:
+        brief = np.mean(lengths[lengths >= BRIEF_SECONDS] < SHORTEST_SECONDS) > BRIEF_SHARE
+        shortest = BRIEF_SECONDS if brief else SHORTEST_SECONDS
+    kept = [ends for length, *ends in found if length >= shortest]
+    shorter = tuple(map(float, lengths[(lengths >= BRIEF_SECONDS) & (lengths < shortest)]))
+    if not kept:
         raise InputError(
             f"no stretch of the log is still for {shortest:g} s: hold the unit still in each pose for longer, or say a "
-            "shorter time"
+            "shorter time" + (f": {said_of(shorter)}" if shorter else "")
         )
+    first, last = zip(*kept, strict=True)
     own = [mean[a:b] for a, b in zip(first, last, strict=True)]
     spent = sum(len(o) - 1 for o in own) * mean.shape[1]
     between = sum(float(np.sum((o - o.mean(axis=0)) ** 2)) for o in own) / spent
@@ -96,7 +110,15 @@ def still_stretches(
         uncertainty=np.sqrt(between / np.array([len(o) for o in own])),
         of_second=float(np.sqrt(between * size * step)),
         ratio=float(np.sqrt(between * size / within)) if within > 0 else 1.0,
+        shortest=shortest,
+        left_out=shorter,
     )
+
+
+def said_of(left_out: Sequence[float]) -> str:
+    """Of still stretches that are too short, and with what they are taken."""
+    least = min(left_out)
+    return f"{len(left_out)} shorter still stretches are left out; --shortest {least:g} (shortest={least:g}) takes them"
 
 
 class LoggedRun(NamedTuple):

@@ -52,6 +52,7 @@ class Marginal(Method):
         sampler: "importance", which falls back to NUTS by itself where Pareto k̂ > 0.7 (if the model is nonlinear,
             above 0.5 coefficients are first proposed anew with heavier tails), for five minutes at most where no time
             limit says otherwise; "nuts" for NUTS on all unknowns, coefficients whitened.
+        chains: whether it falls back to these; where not, draws by uneven weights are what there is, and said to be so.
         promote: names of coefficients to sample with φ because their product with another unknown matters;
             None chooses them by the size of the second-order term.
     """
@@ -61,6 +62,7 @@ class Marginal(Method):
     rounds: int = 12
     sampler: Literal["importance", "nuts"] = "importance"
     promote: tuple[str, ...] | None = None
+    chains: bool = True
     name: ClassVar[str] = "marginal"
 
     def run(self, assembly, seed, start=NOTHING_KNOWN):
@@ -84,6 +86,8 @@ class Marginal(Method):
                 judged = self._sampled(assembly, mode, seed, result, heavy=True)
         if not judged.why_not:
             return result(judged)
+        if not self.chains:
+            return result(judged, "chains=False")
         deadline.offer(partial(result, judged))
         words = (
             TOO_HEAVY if not noise.gaussian else TOO_NONLINEAR if not assembly.affine else UNEVEN

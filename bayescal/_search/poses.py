@@ -10,7 +10,7 @@ from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, OF
-from bayescal._data.still_stretches import as_readings, per_sample, still_stretches
+from bayescal._data.still_stretches import as_readings, per_sample, said_of, still_stretches
 from bayescal._model.instrument import Instrument
 
 
@@ -24,7 +24,7 @@ def poses(
     Args:
         log: samples of the three outputs, read with the instrument, with a column `time`.
         instrument: of three axes.
-        shortest: of a pose, s.
+        shortest: of a pose, s; None for two, or one where the log holds many that are shorter.
 
     Raises:
         InputError: an instrument of one output, no column `time`, or no still stretch.
@@ -34,12 +34,13 @@ def poses(
     log = per_sample(log)
     _, runs = log.groups("run")
     rows: dict[str, list[np.ndarray]] = {}
-    ratios = []
+    ratios, left_out = list[float](), list[float]()
     for run in np.unique(runs):
         own = np.flatnonzero(runs == run)
         outputs = np.stack([log[name][own] for name in instrument.vector.outputs], axis=1)
         found = still_stretches(log["time"][own], outputs, shortest)
         ratios.append(found.ratio)
+        left_out += found.left_out
         for name in log.columns:
             if name in ("output", UNCERTAINTY, OF, *ACROSS):
                 continue
@@ -55,4 +56,5 @@ def poses(
         f"{len(made['output'])} readings of {len(columns[UNCERTAINTY])} poses found in {log.file}; means of blocks "
         f"scatter {np.mean(ratios):.1f} times as much as those of independent samples would"
     )
-    return replace(made, sources=log.sources, flags=(*made.flags, said))
+    short = (f"{log.file}: {said_of(left_out)}",) if left_out else ()
+    return replace(made, sources=log.sources, flags=(*made.flags, said, *short))

@@ -488,10 +488,32 @@ def test_still_stretches_and_the_uncertainty_of_their_means() -> None:
     apart = (found.mean - force @ matrix.T - [0.012, -0.020, 0.035]) / found.uncertainty[:, None]
     assert 0.75 < apart.std() < 1.25
     assert 2.0 < found.ratio < 4.0  # √((1 + 0.8)/(1 − 0.8)) = 3
-    with pytest.raises(bc.InputError, match="no stretch of the log is still"):
+    assert found.shortest == 2.0 and not found.left_out
+    with pytest.raises(bc.InputError, match=r"no stretch .* is still for 10 s: .*--shortest 3\.5 "):
         still_stretches(time, y, shortest=10.0)
     with pytest.raises(bc.InputError, match="each row is a pose already"):
         still_stretches(time[::50], y[::50])
+
+
+def test_the_length_of_a_pose_is_chosen_from_the_log() -> None:
+    """Held for 1.8 to 2 s by hand: shorter ones are taken where they are many, else named."""
+    time, y, force = raw_log()
+    at = np.arange(len(time))
+    all_over = np.where(at // 500 % 3 == 0, 400, 190)  # samples that are kept of 400 of each pose
+    at_first = np.where(at < 2500, all_over, 400)
+    for held, count, shortest in ((all_over, 24, 1.0), (at_first, 21, 2.0)):
+        kept = (at % 500 >= 400) | (at % 500 < held)
+        found = still_stretches(np.arange(kept.sum()) / 100, y[kept])
+        assert (len(found.mean), found.shortest) == (count, shortest)
+        assert len(found.left_out) == len(force) - count
+
+
+def test_poses_that_leave_directions_open_need_no_chains() -> None:
+    readings = accelerometer_triad.simulate(seed=1, campaign=Campaign(kind="level"))
+    found = bc.fit(MODEL, readings, bc.Marginal(chains=False), strict=False)
+    assert "NUTS" not in found.verdict.sampler
+    (why,) = found.verdict.reasons
+    assert "chains, which would be exact, were not run (chains=False)" in why
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from bayescal._cli.options import ColumnOptions
 from bayescal._core.errors import InputError
 from bayescal._data.read import read
 from bayescal._data.unit_conversion import base_unit, convert
-from bayescal_models import mems_gyro, still_sensor
+from bayescal_models import accelerometer_triad, mems_gyro, still_sensor
 from tests.readings.test_lab_exports import options_of
 from tests.support.lab_headers import RATE, ROWS, RUN, TEMPERATURE, TIME, LabFile, lab_file
 
@@ -286,6 +286,23 @@ def test_stamps_of_drivers_have_the_noise_of_the_sensor(name) -> None:
     density = next(f for f in found.figures if f.symbol == "N")
     assert density.unit == "deg/h^0.5" and density.low < 0.24 < density.high
     assert any("lost" in note for note in found.notes) == (name == "drop400")
+
+
+def test_poses_that_are_held_briefly_are_all_found() -> None:
+    columns = {f"output_{a}": f"a{a}" for a in "xyz"}
+    path = small_input("short_holds_triad/shortposes.csv")
+    log = read(path, accelerometer_triad.INSTRUMENT, columns=columns)
+    poses = bc.poses(log, accelerometer_triad.INSTRUMENT)
+    assert len(poses) == 30
+    found = bc.fit(accelerometer_triad.INSTRUMENT.baseline(), poses, bc.LeastSquares())
+    true = {
+        "bias.constant": (8.0, -4.0, 12.0),
+        "scale.constant": (2000.0, 5000.0, 5500.0),
+    }  # mg, ppm
+    for name, values in true.items():
+        for axis, value in zip("xyz", values, strict=True):
+            draws = found.samples(f"{name}[{axis}]")
+            assert abs(draws.mean() - value) < 3 * draws.std()
 
 
 @pytest.mark.parametrize(
