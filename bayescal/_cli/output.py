@@ -12,8 +12,8 @@ from bayescal._calibration.check_result import Check, check_parts
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.predict import Prediction
 from bayescal._calibration.summary import directions_data, summary, unknowns_parts
+from bayescal._core import progress
 from bayescal._core.formatting import WIDTH, number, probability
-from bayescal._core.progress import tell
 from bayescal._core.result_table import plain_table
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
@@ -139,7 +139,8 @@ def first_text(trail: SearchPath, verbose: bool = False) -> str:
 
 
 class ConsoleReporter:
-    """Follows a search: the first table at once, a line for each step, result.json where there is a folder.
+    """Follows a search: the first table at once, result.json where there is a folder, a line where the best so far
+    changes or ten seconds have passed.
 
     Attributes:
         begun: whether the first table is printed.
@@ -148,13 +149,18 @@ class ConsoleReporter:
     def __init__(self, folder: Path | None, json_: bool, verbose: bool = False) -> None:
         self.keep = None if folder is None else Keeper(folder)
         self.begun, self.verbose = json_, verbose
+        self._told = (0, "")
 
     def __call__(self, trail: SearchPath) -> None:
         if not self.begun:
             print(first_text(trail, self.verbose), flush=True)
             self.begun = True
         if line := trail.progress:
-            tell(line)
+            assert trail.search is not None  # where a line is told of it
+            best = (len(trail.steps), str(trail.search.structures[0]))
+            if best != self._told or progress.quiet() >= progress.EVERY:
+                progress.tell(line)
+                self._told = best
         if self.keep is not None:
             self.keep(trail)
 

@@ -43,6 +43,11 @@ def tell(what: str) -> None:
     print(f"bayescal: {what} …", file=sys.stderr, flush=True)
 
 
+def quiet() -> float:
+    """Time since the last such line, s."""
+    return time.monotonic() - _told
+
+
 def note(what: str) -> None:
     """Say on stderr what the user should know of and no reason to stop."""
     print(f"bayescal: note: {what}", file=sys.stderr, flush=True)

@@ -31,7 +31,7 @@ import pyarrow.parquet as pq
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import parsed_json
-from bayescal._core.progress import note, stage, tell
+from bayescal._core.progress import EVERY, note, stage, tell
 from bayescal._core.quoting import one_line
 from bayescal._core.settings import Settings, settings, use_settings
 from bayescal._core.version import __version__
@@ -516,7 +516,6 @@ def _stretch_digest(piece: Piece) -> str:
 
 
 DOUBTED = 100  # devices whose result is not reliable, of which the whole says why
-PROGRESS_SECONDS = 2.0  # seconds between two lines of progress
 
 
 def fit_fleet(
@@ -739,7 +738,7 @@ class _Run:
             else:
                 self.done[number] = outcome.value
             passed += some[outcome.index].readings
-            if time.monotonic() > last + PROGRESS_SECONDS or (count == len(tasks) and last > begun):
+            if time.monotonic() > last + EVERY or (count == len(tasks) and last > begun):
                 last = time.monotonic()
                 self._tell(wanted, last - begun, passed / max(readings, 1))
 

@@ -6,9 +6,11 @@ import ast
 import re
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from bayescal._cli.output import ConsoleReporter
 from bayescal._core import progress
 from tests.support.command_line import needs_installation, run
 
@@ -53,6 +55,27 @@ def test_a_short_one_says_nothing(capsys) -> None:
     with progress.stage("short", 5.0):
         pass
     assert not lines_of(capsys)
+
+
+def test_a_search_is_told_of_where_its_best_changes_or_after_a_while(capsys, monkeypatch) -> None:
+    def told(best: str, weighed: int) -> list[str]:
+        reporter(
+            SimpleNamespace(
+                progress=f"{weighed} structures weighed; best so far: {best}",
+                search=SimpleNamespace(structures=[best]),
+                steps=[None],
+            )
+        )
+        return lines_of(capsys)
+
+    reporter = ConsoleReporter(None, json_=True)
+    monkeypatch.setattr(progress, "EVERY", 30.0)
+    assert len(told("baseline", 1)) == 1
+    assert not told("baseline", 2) and not told("baseline", 3)
+    (line,) = told("+ bias.warm_up", 4)
+    assert line == "bayescal: 4 structures weighed; best so far: + bias.warm_up …"
+    monkeypatch.setattr(progress, "EVERY", 0.0)
+    assert len(told("+ bias.warm_up", 5)) == 1
 
 
 @needs_installation
