@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import bayescal as bc
-from bayescal._cli.console import exit_unless, print_result
+from bayescal._cli import request
+from bayescal._cli.console import Answer
 from bayescal._cli.options import ColumnOptions, Commands, ModelOptions, named_numbers
 from bayescal._core.errors import InputError
 from bayescal._search.own_files import in_a_file
 
 if TYPE_CHECKING:
     from distributed import Client
-
-    from bayescal._model.model import Model
 
 commands = Commands()
 
@@ -35,68 +34,49 @@ def batch(
     scheduler: str | None = None,
     find: bool = False,
     seed: int = 0,
-    json_: bool = False,
-) -> None:
+) -> Answer:
     """Fit every device of files with a column 'device' by itself: one table of coefficients."""
-    from bayescal._cli.request import compose, instrument_named, method_named, own_effects
-
     apart = find or workers is not None or scheduler is not None
     apart = apart or any(path.is_dir() for path in files)
     _refuse_place(out, files, apart)
-    chosen = instrument_named(instrument)
-    own = own_effects(choice, chosen, None)
-    model = compose(chosen, choice, own)
-    asked: dict[str, Any] = {
-        "method": method_named(method),
-        "population": True if population == ["all"] else population or False,
-        "seed": seed,
-        "reference": {**named_numbers(choice.reference, "--reference")},
-    }
-    if not apart and out.suffix:
-        _at_once(model, files, out, columns, asked, json_)
-        return
-    find_how = bc.Find(effects=own) if find else False
+    chosen = request.instrument_named(instrument)
+    own = request.own_effects(choice, chosen, None)
+    model = request.compose(chosen, choice, own)
+    how, asked = (
+        columns.for_read(),
+        {
+            "method": request.method_named(method),
+            "population": True if population == ["all"] else population or False,
+            "seed": seed,
+            "reference": {**named_numbers(choice.reference, "--reference")},
+        },
+    )
+    if not apart and out.suffix:  # all devices in this process, into one file
+        needs = tuple(column for effect in model.effects for column in effect.columns)
+        devices = bc.split_devices(list(files), model.instrument, **how, needs=needs)
+        columns.keep()
+        fitted = bc.fit_batch(model, devices, **asked)
+        fitted.save(out)
+        bad = [name for name, ok in zip(fitted.devices, fitted.ok, strict=True) if not ok]
+        data = {"file": str(out), "devices": len(fitted), "not_fitted": bad, "checked": 0}
+        data |= {"odd": fitted.odd, **fitted.about}
+        if fitted.population is not None:
+            data["population"] = fitted.population.table.to_dict("records")
+        why = f"{len(bad)} of {len(fitted)} devices have no result, or none to rely on"
+        return Answer(fitted, data, ok=not bad, why=why, written=lambda: str(out))
     own_files = [] if choice.effects_file is None else [choice.effects_file]
     if in_a_file(instrument):  # the workers need the user's Python files too
         own_files.append(Path(instrument.rpartition(":")[0]))
     with _cluster(workers, scheduler, own_files) as client:
-        how = {"client": client, "columns": columns.for_read(), "find": find_how, **asked}
-        fleet = bc.fit_batch(model, list(files), out=out, **how)
+        asked |= {"client": client, "columns": how, "find": bc.Find(effects=own) if find else False}
+        fleet = bc.fit_batch(model, list(files), out=out, **asked)
     columns.keep()
-    print_result(fleet.data() if json_ else fleet)
-    if not json_:
-        print(f"\nwritten: {fleet.folder}")
     bad, lost = fleet.devices - fleet.fitted, len(fleet.missing)
     said = [f"{bad} of {fleet.devices} devices have no result, or none to rely on"] * bool(bad)
     said += [
         f"{lost} files have none: put right what is said of them, and the same command goes on from there"
     ] * bool(lost)
-    exit_unless(not said, "; ".join(said))
-
-
-def _at_once(
-    model: Model,
-    files: list[Path],
-    out: Path,
-    columns: ColumnOptions,
-    asked: dict[str, Any],
-    json_: bool,
-) -> None:
-    """All devices in this process, into one file."""
-    needs = tuple(column for effect in model.effects for column in effect.columns)
-    devices = bc.split_devices(list(files), model.instrument, **columns.for_read(), needs=needs)
-    columns.keep()
-    fitted = bc.fit_batch(model, devices, **asked)
-    fitted.save(out)
-    bad = [name for name, ok in zip(fitted.devices, fitted.ok, strict=True) if not ok]
-    data = {"file": str(out), "devices": len(fitted), "not_fitted": bad, "checked": 0}
-    data |= {"odd": fitted.odd, **fitted.about}
-    if fitted.population is not None:
-        data["population"] = fitted.population.table.to_dict("records")
-    print_result(data if json_ else fitted)
-    if not json_:
-        print(f"\nwritten: {out}")
-    exit_unless(not bad, f"{len(bad)} of {len(fitted)} devices have no result, or none to rely on")
+    return Answer(fleet, ok=not said, why="; ".join(said), written=lambda: str(fleet.folder))
 
 
 def _refuse_place(out: Path, files: list[Path], apart: bool) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,15 +33,53 @@ def print_notes(notes: Iterable[str]) -> None:
         print(f"bayescal: note: {one_line(note)}", file=sys.stderr)
 
 
-def exit_unless(reliable: bool, why: str) -> None:
-    """Leave with status 1 if the result that was printed is not reliable.
+@dataclass(frozen=True)
+class Answer:
+    """What a command found: it is printed, in words or as data, and settles the exit status.
 
-    Raises:
-        typer.Exit: it is not.
+    Attributes:
+        shown: prints itself; plain data is printed as JSON; None where all is said.
+        data: for --json; what `shown.data()` gives if not given.
+        ok: whether the result may be used; where not, the status is 1.
+        why: what stands against it.
+        doubt: what is noted beside a result that may be used, and makes the status 1 too.
+        pictures: draws what is drawn once the result is printed; whether all could be.
+        written: says, once that is done, which files there are.
     """
-    if not reliable:
-        print(f"bayescal: result not reliable: {why}", file=sys.stderr)
-        raise typer.Exit(1)
+
+    shown: Any
+    data: Any = None
+    ok: bool = True
+    why: str = ""
+    doubt: str = ""
+    pictures: Callable[[], bool] | None = None
+    written: Callable[[], str] | None = None
+
+    def tell(self, json_: bool) -> bool:
+        """Print it, and make what is drawn of it; whether that could be."""
+        if json_ and self.data is not None:
+            print_result(self.data)
+        elif json_ and hasattr(self.shown, "data"):
+            print_result(self.shown.data())
+        elif self.shown is not None:
+            print_result(self.shown)
+        made = self.pictures is None or self.pictures()
+        if self.written is not None and not json_:
+            print(f"\nwritten: {self.written()}")
+        return made
+
+    def leave(self, made: bool) -> None:
+        """Leave with status 1 if the result is not reliable, or not all of it could be drawn.
+
+        Raises:
+            typer.Exit: so it is.
+        """
+        if not self.ok:
+            print(f"bayescal: result not reliable: {self.why}", file=sys.stderr)
+        elif self.doubt:
+            print_notes([self.doubt])
+        if not (self.ok and made and not self.doubt):
+            raise typer.Exit(1)
 
 
 def drawn(make: Callable[..., Any], *given: Any) -> bool:
@@ -51,16 +90,6 @@ def drawn(make: Callable[..., Any], *given: Any) -> bool:
         print_notes([str(error)])
         return False
     return True
-
-
-def exit_unless_drawn(*made: bool) -> None:
-    """Leave with status 1 if something could not be drawn, as `drawn` has said.
-
-    Raises:
-        typer.Exit: it could not.
-    """
-    if not all(made):
-        raise typer.Exit(1)
 
 
 @contextmanager

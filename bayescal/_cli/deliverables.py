@@ -11,17 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 import bayescal as bc
-from bayescal._cli.console import (
-    drawn,
-    exit_unless,
-    exit_unless_drawn,
-    print_notes,
-    print_result,
-    result_folder,
-)
+from bayescal._cli import request, saved
+from bayescal._cli.console import Answer, drawn, print_notes, result_folder
 from bayescal._cli.options import (
     ColumnOptions,
     Commands,
@@ -32,9 +24,12 @@ from bayescal._cli.options import (
     ReadRequest,
     named_numbers,
     named_values,
+    names_in,
 )
 from bayescal._core.as_json import write_json
+from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
+from bayescal._report.whole_folder import MANIFEST, drawing, files_of, list_files, whole_folder
 
 if TYPE_CHECKING:
     from bayescal._tables.raw_table import Problem
@@ -48,20 +43,20 @@ SENSORS = {
 }
 FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
 REPORT = "report.html"
+DCC = "dcc"  # the format of a digital calibration certificate
 
 
-def exit_unless_reliable(given: Mapping[str, bc.Compensator | bc.VectorCorrection]) -> None:
-    """Leave with status 1 if what was written is of a result that is not to be used."""
+def reliable(given: Mapping[str, bc.Compensator | bc.VectorCorrection]) -> dict[str, Any]:
+    """Of what was written, whether it is of results that may be used, as an `Answer` has it."""
     told = [f"{name} {one.why_not}".strip() for name, one in given.items() if one.why_not]
-    exit_unless(not told, "; ".join(told))
+    return {"ok": not told, "why": "; ".join(told)}
 
 
-def exit_unless_conforms(found: bc.Decisions) -> None:
-    """Leave with status 1 where a limit is not met, or that is undecided."""
-    open_ = [f"{d.limit} ({d.decision})" for d in found.decisions if d.decision != "accept"]
-    if open_:
-        print_notes([f"not shown to conform: {', '.join(open_)}"])
-        raise typer.Exit(1)
+def not_shown(found: bc.Decisions | None) -> str:
+    """Which limits are not met, or undecided; empty where none is."""
+    decisions = () if found is None else found.decisions
+    open_ = [f"{d.limit} ({d.decision})" for d in decisions if d.decision != "accept"]
+    return f"not shown to conform: {', '.join(open_)}" * bool(open_)
 
 
 @commands.example('bayescal plan result --limit "corrected reading: ±0.1 °/s over -20..60 °C"')
@@ -71,16 +66,10 @@ def plan(
     limit: str,
     count: int = 12,
     member: list[str] | None = None,
-    json_: bool = False,
-) -> None:
+) -> Answer:
     """Where to measure next: campaigns, and their readings, by the uncertainty that they would leave."""
-    from bayescal._cli import saved
-
-    members = named_values(member, "--member")
-    found = bc.plan_readings(
-        saved.load_saved(calibration, own), limit, count=count, members=members
-    )
-    print_result(found.data() if json_ else found)
+    members, loaded = named_values(member, "--member"), saved.load_saved(calibration, own)
+    return Answer(bc.plan_readings(loaded, limit, count=count, members=members))
 
 
 @dataclass(frozen=True)
@@ -106,13 +95,13 @@ def triad(
     instrument: str = "accelerometer_triad",
     poses: bool = False,
     dry_run: bool = False,
-) -> None:
+) -> Answer:
     """Calibrate three axes by poses at rest or known rates; corrections as C99, Python, JSON and YAML."""
-    from bayescal._cli.request import open_request
     from bayescal._use.correction_files import sensor_name
 
     sensor_name(asked.name, "")  # refused before anything takes time
-    chosen, model, readings = open_request(ReadRequest(instrument, files, columns, ModelOptions()))
+    given = ReadRequest(instrument, files, columns, ModelOptions())
+    chosen, model, readings = request.open_request(given)
     if chosen.vector is None:
         raise InputError(
             f"--instrument {instrument}: it has one output; `bayescal calibrate` is for it"
@@ -124,25 +113,16 @@ def triad(
             print_notes(readings.flags)
         untold = bc.undetermined(model, readings)
         if dry_run:
-            print(untold)
-            return
+            return Answer(str(untold))
         if untold.add:
             print_notes([str(untold)])
         # Where poses leave directions open, chains would go through the priors of these for minutes.
         method = bc.Marginal(chains=not untold.add)
         trail, correction = _calibrated(model, readings, asked, method=method)
         if folder is not None:
-            from bayescal._report.whole_folder import whole_folder
-
             with whole_folder(folder) as hidden:
                 _write(hidden, trail, correction, readings, asked.name)
-        if asked.json_:
-            print_result(correction.data())
-        made = folder is None or _draw({"": trail}, folder)
-        if folder is not None and not asked.json_:
-            print(_written(folder))
-    exit_unless(trail.ok, trail.gate.reason)
-    exit_unless_drawn(made)
+        return _answer({"": trail}, correction.data(), folder, asked)
 
 
 @commands.example("bayescal imu log.csv --accelerometers ax,ay,az --gyroscopes gx,gy,gz --out unit")
@@ -153,9 +133,8 @@ def imu(
     accelerometers: str | None = None,
     gyroscopes: str | None = None,
     magnetometers: str | None = None,
-) -> None:
+) -> Answer:
     """Calibrate accelerometers by poses, gyroscopes by moves between them, magnetometers: one log, one frame."""
-    from bayescal._cli.request import instrument_named
     from bayescal._tables.raw_table import Problems
     from bayescal._use.correction_files import names_in_unit, sensor_name
 
@@ -167,7 +146,7 @@ def imu(
         )
     given = dict(zip(SENSORS, (accelerometers, gyroscopes), strict=False))
     given |= {"magnetometer_triad": magnetometers} if magnetometers else {}
-    instruments = {name: instrument_named(name) for name in given}
+    instruments = {name: request.instrument_named(name) for name in given}
     logs, problems = {}, Problems()
     for name, three in given.items():
         named = {**how, "columns": _three(three) | how["columns"]}
@@ -200,8 +179,6 @@ def imu(
             its = bc.poses(log, field, **long)
             found["magnetometer"] = (*_calibrated(field.baseline(), its, asked, turned), its)
         if folder is not None:
-            from bayescal._report.whole_folder import whole_folder
-
             each = [correction for _, correction, _ in found.values()]
             named = names_in_unit(asked.name, each)
             with whole_folder(folder) as hidden:
@@ -210,16 +187,25 @@ def imu(
                 for file in ("imu.h", "imu.py"):
                     bc.export_vector(first, hidden / file, others=each[1:], name=asked.name)
                 bc.export_vector(first, hidden / "imu.yaml", others=each[1:2])
-        if asked.json_:
-            print_result({name: correction.data() for name, (_, correction, _) in found.items()})
-        trails = {name: trail for name, (trail, _, _) in found.items()}
+        data = {name: correction.data() for name, (_, correction, _) in found.items()}
+        return _answer({name: trail for name, (trail, _, _) in found.items()}, data, folder, asked)
+
+
+def _answer(
+    trails: Mapping[str, Any], data: Any, folder: Path | None, asked: TriadOptions
+) -> Answer:
+    """What was found of three axes, by the folder in this one: its words are printed already."""
+
+    def pictures() -> bool:
         made = folder is None or _draw(trails, folder)
-        if folder is not None and not asked.json_:
-            for place in (*found, ""):
-                print(_written(folder / place))
-    for trail in trails.values():
-        exit_unless(trail.ok, trail.gate.reason)
-    exit_unless_drawn(made)
+        for place in dict.fromkeys((*trails, "")) if folder is not None and not asked.json_ else ():
+            names = (*files_of(folder / place), MANIFEST)
+            print(f"written: {folder / place}/{', '.join(names)}")
+        return made
+
+    why = [trail.gate.reason for trail in trails.values() if not trail.ok]
+    shown = data if asked.json_ else None
+    return Answer(shown, ok=not why, why="; ".join(why[:1]), pictures=pictures)
 
 
 def _three(given: str | None) -> dict[str, str]:
@@ -228,7 +214,7 @@ def _three(given: str | None) -> dict[str, str]:
     Raises:
         InputError: these are not three.
     """
-    names = [name.strip() for name in given.split(",")] if given else []
+    names = names_in(given)
     if len(names) not in (0, 3):
         raise InputError(f"{given!r} names {len(names)} columns: give three, as ax,ay,az")
     return dict(zip((f"output_{a}" for a in "xyz"), names, strict=False))
@@ -288,7 +274,6 @@ def triad_text(trail: bc.SearchPath, correction: bc.VectorCorrection) -> str:
 def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str | None) -> None:
     """All that there is of three axes but what is drawn, to a folder that is not seen yet."""
     from bayescal._report.save_search import write_search
-    from bayescal._report.whole_folder import list_files
     from bayescal._use.vector_parameters import left_out
 
     write_search(trail, folder)
@@ -307,7 +292,6 @@ def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
         Whether all could be made; what could not is said.
     """
     from bayescal._report.save_search import draw_search
-    from bayescal._report.whole_folder import drawing, list_files, whole_folder
 
     made = [drawn(draw_search, trails, folder)]
 
@@ -322,12 +306,6 @@ def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
     return all((drawn(reports), *made))
 
 
-def _written(folder: Path) -> str:
-    from bayescal._report.whole_folder import MANIFEST, files_of
-
-    return f"written: {folder}/{', '.join((*files_of(folder), MANIFEST))}"
-
-
 @commands.example("bayescal compensate result/calibration.nc flight.csv --out done.csv")
 def compensate(
     *,
@@ -338,22 +316,14 @@ def compensate(
     without_noise: bool = False,
     columns: ColumnOptions,
     own: InUse,
-    json_: bool = False,
-) -> None:
+) -> Answer:
     """Turn readings back into what was measured, with standard uncertainty: two columns more."""
-    from bayescal._cli.saved import compensator_from
     from bayescal._use.compensate_file import compensate_file
 
-    chosen = compensator_from(calibration, own)
+    chosen = saved.compensator_from(calibration, own)
     how = {**columns.for_read(), "missing": columns.missing or "drop"}
-    done = compensate_file(
-        chosen,
-        file,
-        out,
-        **how,
-        method="first order" if first_order else None,
-        noise=not without_noise,
-    )
+    method = "first order" if first_order else None
+    done = compensate_file(chosen, file, out, **how, method=method, noise=not without_noise)
     columns.keep()
     beyond = (
         f"{name} is outside its calibrated range in {count} of {done.rows} readings: an extrapolation there"
@@ -365,16 +335,16 @@ def compensate(
         f"{out}: {done.rows} readings, columns {' and '.join(done.columns)} [{chosen.unit}] added"
     )
     gaps = f"; {done.missing} rows are empty, where a reading is missing" * bool(done.missing)
-    said = {"file": str(out), "rows": done.rows, "columns": list(done.columns), "unit": chosen.unit}
-    counts = {"outside": done.outside, "unsolved": done.unsolved, "missing": done.missing}
-    print_result({**said, **counts} if json_ else text + gaps)
-    exit_unless(
-        done.unsolved == 0, f"{done.unsolved} readings have no solution and are written empty"
-    )
-    exit_unless_reliable({"": chosen})
+    data = {"file": str(out), "rows": done.rows, "columns": list(done.columns), "unit": chosen.unit}
+    data |= {"outside": done.outside, "unsolved": done.unsolved, "missing": done.missing}
+    judged = reliable({"": chosen})
+    if done.unsolved:
+        why = f"{done.unsolved} readings have no solution and are written empty"
+        judged = {"ok": False, "why": why}
+    return Answer(text + gaps, data, **judged)
 
 
-@commands.example("bayescal export result/calibration.nc --format c --out gyro.h")
+@commands.example("bayescal export result/calibration.nc --format c --out gyro.h", data=False)
 def export(
     *,
     calibrations: list[Path] | None = None,
@@ -389,72 +359,63 @@ def export(
     own: InUse,
     name: str | None = None,
     without_uncertainty: bool = False,
-) -> None:
+) -> Answer:
     """Write the calibration for use elsewhere: C99, Python, JSON, a page, autopilot parameters, a certificate.
 
     Of three axes too, also YAML; those of a unit together in one file.
     """
-    from bayescal._cli import saved
-    from bayescal._core.atomic_file import write_text
     from bayescal._data.unit_conversion import STANDARD_GRAVITY
+    from bayescal._use import correction_files as files
+    from bayescal._use.autopilot import AUTOPILOTS
+    from bayescal._use.vector_parameters import left_out
 
-    known, paths = ", ".join(saved.KNOWN), calibrations or []
+    known, paths = ", ".join((*files.OF_ONE_OUTPUT, "yaml", *AUTOPILOTS, DCC)), calibrations or []
     if format_ is None and out is None:
         raise InputError(f"say which format: --format {known}")
-    if format_ not in (None, *saved.KNOWN):
+    if format_ not in (None, *known.split(", ")):
         raise InputError(f"--format {format_!r} is not one of {known}")
     gravity = local_gravity or STANDARD_GRAVITY
-    several = saved.of_units(paths, saved.CALIBRATION) if format_ in saved.PARAMETERS else paths
-    loaded, triads = saved.corrections_from([] if format_ == saved.DCC else several, own)
+    several = saved.of_units(paths, saved.CALIBRATION) if format_ in AUTOPILOTS else paths
+    loaded = [(p, saved.correction_from(p, own)) for p in several if format_ != DCC]
+    triads = [one for _, one in loaded if isinstance(one, bc.VectorCorrection)]
+    single = [(path, one) for path, one in loaded if isinstance(one, bc.Compensator)]
+    if single and triads:
+        raise InputError(
+            f"{single[0][0]} is of one output, and others are of three axes: give it alone"
+        )
     how: dict[str, Any] = {"name": name, "uncertainty": not without_uncertainty}
     if triads:
-        _export_triads(triads, format_, out, **how)
-        return
-    if format_ in saved.PARAMETERS:
-        given = saved.by_axis(loaded, axis, own)
-        found = saved.parameters(given, str(format_), device_id, gravity)
+        how["others"] = triads[1:]
+        format_ = files.format_of(out, format_)
         if out is None:
-            print(found.text(), end="")
+            text = files.as_text(triads[0], format_, **how)
         else:
-            print(f"{found}\n\nwritten: {found.write(out)}")
-        exit_unless_reliable(given)
-        return
-    if len(paths) != 1 or axis or device_id:
+            text = f"written: {bc.export_vector(triads[0], out, format_, **how)}"
+        said = ((c.instrument, left_out(c, format_)) for c in triads)
+        print_notes([f"{name}: {words}" for name, words in said if words])
+        given = {f"{c.instrument}:": c for c in triads}
+    elif format_ in AUTOPILOTS:
+        given = saved.by_axis(single, axis, own)
+        numbers = saved.device_numbers(device_id)
+        found = bc.firmware_parameters(given, format_, devices=numbers, local_gravity=gravity)
+        text = found.text() if out is None else f"{found}\n\nwritten: {found.write(out)}"
+    elif len(paths) != 1 or axis or device_id:
         raise InputError(
             f"a program is of one calibration, {len(paths)} were given"
             + (", and --axis or --device-id" if axis or device_id else "")
-            + f": several, by axis, make parameters (--format {' or '.join(saved.PARAMETERS)})"
+            + f": several, by axis, make parameters (--format {' or '.join(AUTOPILOTS)})"
         )
-    if format_ == saved.DCC:
-        text = saved.certified(paths[0], own, certificate, gravity, limit, by)
-        print(text.rstrip("\n") if out is None else f"written: {write_text(text, out)}")
-        return
-    ((_, chosen),) = loaded
-    if out is None:
-        from bayescal._use.correction_files import as_text
-
-        print(as_text(chosen.program, str(format_), **how), end="")
+    elif format_ == DCC:
+        given, text = {}, saved.certified(paths[0], own, certificate, gravity, limit, by)
+        text = text if out is None else f"written: {write_text(text, out)}"
     else:
-        print(f"written: {chosen.export(out, format_, **how)}")
-    exit_unless_reliable({"": chosen})
-
-
-def _export_triads(
-    triads: Sequence[bc.VectorCorrection], format: str | None, out: Path | None, **how: Any
-) -> None:
-    """Write what corrects three axes, or those of a unit, to a file or on standard output."""
-    from bayescal._use.correction_files import as_text, format_of
-    from bayescal._use.vector_parameters import left_out
-
-    how["others"] = triads[1:]
-    format = format_of(out, format)
-    if out is None:
-        print(as_text(triads[0], format, **how), end="")
-    else:
-        print(f"written: {bc.export_vector(triads[0], out, format, **how)}")
-    said = ((c.instrument, left_out(c, format)) for c in triads)
-    print_notes([f"{name}: {words}" for name, words in said if words])
-    exit_unless_reliable({f"{c.instrument}:": c for c in triads})
+        ((_, chosen),) = single
+        given = {"": chosen}
+        if out is None:
+            text = files.as_text(chosen.program, str(format_), **how)
+        else:
+            text = f"written: {chosen.export(out, format_, **how)}"
+    return Answer(text.removesuffix("\n"), **reliable(given))
 
 
 @commands.example("bayescal budget result/calibration.nc --at temperature=60")
@@ -465,25 +426,18 @@ def budget(
     k: float = 2.0,
     prior_sensitivity: bool = False,
     own: InUse,
-    json_: bool = False,
-) -> None:
+) -> Answer:
     """The uncertainty budget of a compensated value (JCGM 100): who contributes how much."""
-    from bayescal._calibration import prior_influence
-    from bayescal._cli.saved import compensator_from
+    from bayescal._calibration.prior_influence import prior_sensitivity as influence
 
-    chosen = compensator_from(calibration, own)
+    chosen = saved.compensator_from(calibration, own)
     found = bc.budget(chosen, named_numbers(at, "--at"), k=k)
-    priors = None
+    text, data = str(found), found.data()
     if prior_sensitivity and chosen.calibration is not None:
-        priors = prior_influence.prior_sensitivity(chosen.calibration)
-    if json_:
-        more = {} if priors is None else {"prior_sensitivity": priors.to_dict("index")}
-        print_result({**found.data(), **more})
-    else:
-        print_result(found)
-    if priors is not None and not json_:
-        print(f"\nPrior sensitivity (above 0.05 it matters):\n{priors}")
-    exit_unless_reliable({"": chosen})
+        priors = influence(chosen.calibration)
+        text += f"\n\nPrior sensitivity (above 0.05 it matters):\n{priors}"
+        data = {**data, "prior_sensitivity": priors.to_dict("index")}
+    return Answer(text, data, **reliable({"": chosen}))
 
 
 @commands.example('bayescal decide result --limit "bias: ±0.5 °/s"')
@@ -498,13 +452,11 @@ def decide(
     out: Path | None = None,
     local_gravity: float | None = None,
     own: InUse,
-    json_: bool = False,
-) -> None:
+) -> Answer:
     """Does it conform? Decisions about limits, with guard bands, risks and when to calibrate again.
 
     Exit status: 0 where every limit is met; 1 where one is not, or is undecided.
     """
-    from bayescal._cli import saved
     from bayescal._data.unit_conversion import STANDARD_GRAVITY
 
     found = bc.decide(
@@ -517,10 +469,9 @@ def decide(
         members=own.members,
         local_gravity=local_gravity or STANDARD_GRAVITY,
     )
-    print_result(found.data() if json_ else found)
     if out is not None:
         write_json(found.data(), out, indent=1)
-    exit_unless_conforms(found)
+    return Answer(found, doubt=not_shown(found))
 
 
 @commands.example("bayescal report result -o report.html")
@@ -534,10 +485,8 @@ def report(
     by: DecisionRule,
     output_unit: str | None = None,
     own: OwnParts,
-    json_: bool = False,
-) -> None:
+) -> Answer:
     """Write the report for sign-off: a one-page summary with appendices, in one HTML file."""
-    from bayescal._cli import saved
     from bayescal._report.certificate import read_certificate
 
     stated = read_certificate(certificate) if certificate else None
@@ -551,9 +500,12 @@ def report(
         decided = bc.decide(given[0].used, limit, **vars(by))
     how = {"title": title, "certificate": stated, "output_unit": output_unit}
     made = drawn(partial(bc.report, given, out, decisions=decided, **how))
-    reasons = [reason for c in given for reason in c.data["verdict"]["reasons"]]
-    print_result({"file": str(out), "chapters": len(given)} if json_ else f"written: {out}")
-    exit_unless(all(c.data["verdict"]["ok"] for c in given), " ".join(reasons))
-    exit_unless_drawn(made)
-    if decided is not None:
-        exit_unless_conforms(decided)
+    verdicts = [c.data["verdict"] for c in given]
+    return Answer(
+        f"written: {out}",
+        {"file": str(out), "chapters": len(given)},
+        ok=all(v["ok"] for v in verdicts),
+        why=" ".join(reason for v in verdicts for reason in v["reasons"]),
+        doubt=not_shown(decided),
+        pictures=lambda: made,
+    )

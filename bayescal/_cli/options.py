@@ -1,6 +1,6 @@
 """What every option says, in one table by its parameter's name, and options that several commands share in groups.
 
-A command's parameters have a type and a default, no more; `with_groups` shows them to typer with their words, and in
+A command's parameters have a type and a default, no more; `answering` shows them to typer with their words, and in
 place of a parameter of a group (a data class) the fields of the group. Light: `bayescal --help` reads it.
 """
 
@@ -11,13 +11,15 @@ import inspect
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from bayescal._cli.console import Answer
+from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.progress import EVERY, stage
 from bayescal._tables.mapping_file import load_mapping, save_mapping
@@ -57,14 +59,19 @@ def named_numbers(given: list[str] | None, option: str) -> dict[str, float]:
     return numbers
 
 
-def channel_names(given: str) -> list[str]:
-    """The names between commas.
+def names_in(given: str | None) -> list[str]:
+    """The names between commas."""
+    return [name for part in (given or "").split(",") if (name := part.strip())]
+
+
+def channel_names(given: str | None) -> list[str]:
+    """Those of --channels; none where it is not given.
 
     Raises:
         InputError: fewer than two, or one twice.
     """
-    names = [name for part in given.split(",") if (name := part.strip())]
-    if len(names) < 2 or len(set(names)) < len(names):
+    names = names_in(given)
+    if given is not None and (len(names) < 2 or len(set(names)) < len(names)):
         raise InputError(
             f"--channels {given!r}: give two names or more, each once, as gyro_x,gyro_y"
         )
@@ -73,7 +80,7 @@ def channel_names(given: str) -> list[str]:
 
 def causes(ignore: list[str] | None, covariates: str | None) -> dict[str, Any]:
     """--ignore and --covariates as `calibrate` and `discover` take them."""
-    named = None if covariates is None else [n for p in covariates.split(",") if (n := p.strip())]
+    named = None if covariates is None else names_in(covariates)
     return {"ignore": tuple(ignore or ()), "covariates": named}
 
 
@@ -115,6 +122,7 @@ def _refuse_no_duration(text: str | None) -> str | None:
     return text
 
 
+BY_NAME = inspect.Parameter.KEYWORD_ONLY  # so that a required one may follow others
 ENDLESS = ("workbench",)  # commands that say themselves what they do
 ARGUMENTS = ("files", "file", "calibration", "calibrations")  # which are no options
 
@@ -333,25 +341,12 @@ class ColumnOptions:
         from bayescal._data.unit_conversion import STANDARD_GRAVITY  # loads NumPy
 
         saved = {} if self.mapping is None else load_mapping(self.mapping)
-        names = (
-            "local_gravity",
-            "local_field",
-            "missing",
-            "decimal",
-            "date_order",
-            "nominal_scale",
-        )
-        single = {name: getattr(self, name) for name in (*names, "nominal_zero", "ignore")}
+        given = {n: v for n, v in vars(self).items() if v is not None and "mapping" not in n}
+        for option, name in {"columns": "columns", "unit": "units", "unwrap": "unwrap"}.items():
+            own = named_values(given.pop(option, None), f"--{option}")
+            saved[name] = saved.get(name, {}) | own
         usual = {"local_gravity": STANDARD_GRAVITY, "missing": "refuse", "decimal": ""}
-        given = {name: value for name, value in single.items() if value is not None}
-        return {
-            "columns": saved.pop("columns", {}) | named_values(self.columns, "--columns"),
-            "units": saved.pop("units", {}) | named_values(self.unit, "--unit"),
-            "unwrap": saved.pop("unwrap", {}) | named_values(self.unwrap, "--unwrap"),
-            **usual,
-            **saved,
-            **given,
-        }
+        return {**usual, **saved, **given}
 
     def keep(self) -> None:
         """Save the mapping, where that is asked for, once the files have been read with it.
@@ -448,22 +443,43 @@ class SearchRequest(ReadRequest):
 class Commands(typer.Typer):
     """Commands, each with a line of its use, whose options have their words from the table here."""
 
-    def example(self, line: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-        """A command, as `typer.Typer.command` takes it; `line`: how it is called, for the end of its help."""
-        return lambda command: self.command(epilog=f"Example: {line}")(with_groups(command))
+    def example(
+        self, line: str, *, data: bool = True
+    ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+        """A command, as `typer.Typer.command` takes it.
+
+        Args:
+            line: how it is called, for the end of its help.
+            data: whether its answer is printed as JSON with --json, an option that it need not declare.
+        """
+        return lambda command: self.command(epilog=f"Example: {line}")(answering(command, data))
 
 
-def with_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """The command as typer is to see it: each option with its words, those of a group in place of the group."""
+def answering(command: Callable[..., Answer | None], data: bool) -> Callable[..., None]:
+    """The command as typer is to see it: its options with their words, those of a group in place of the group.
+
+    What it answers is printed; its time limit, if it has one, is that of everything.
+    """
     declared = _parameters(command)
+    seen = [_told(p, command.__name__) for one in declared.values() for p in _single(one)]
+    if data and "json_" not in {p.name for p in seen}:
+        json_ = inspect.Parameter("json_", BY_NAME, default=False, annotation=bool)
+        seen.append(_told(json_, command.__name__))
 
     @functools.wraps(command)
     def run(**values: Any) -> None:
-        name = command.__name__
-        with nullcontext() if name in ENDLESS else stage(name, EVERY):
-            command(**{n: _taken(p.annotation, n, values) for n, p in declared.items()})
+        name, limit = command.__name__, values.get("time_limit")
+        with ExitStack() as during:
+            if name not in ENDLESS:
+                during.enter_context(stage(name, EVERY))
+                if "time_limit" in values:
+                    during.enter_context(deadline.until(limit, apart=True))
+            answer = command(**{n: _taken(p.annotation, n, values) for n, p in declared.items()})
+            if answer is None:
+                return
+            made = deadline.finish(lambda: answer.tell(values.get("json_", False)))
+        answer.leave(made)
 
-    seen = [_told(p, command.__name__) for one in declared.values() for p in _single(one)]
     run.__signature__ = inspect.Signature(seen)  # pyright: ignore[reportAttributeAccessIssue]
     return run
 
@@ -482,7 +498,7 @@ def _single(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
 
 
 def _told(parameter: inspect.Parameter, command: str) -> inspect.Parameter:
-    """A parameter with its words; by keyword alone, so that a required one may follow others."""
+    """A parameter with its words, by name alone."""
     name = own if (own := f"{command}.{parameter.name}") in HELP else parameter.name
     how = {"names": [f"--{parameter.name.strip('_').replace('_', '-')}"], **MORE.get(name, {})}
     names, required = how.pop("names"), parameter.default is parameter.empty
@@ -491,7 +507,7 @@ def _told(parameter: inspect.Parameter, command: str) -> inspect.Parameter:
         kind, names = typer.Argument, []
     told = kind(*names, help=HELP[name], show_default=not required, **how)
     shown = Annotated[parameter.annotation, told]
-    return parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=shown)
+    return parameter.replace(kind=BY_NAME, annotation=shown)
 
 
 def _taken(kind: Any, name: str, values: Mapping[str, Any]) -> Any:

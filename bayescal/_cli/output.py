@@ -29,64 +29,52 @@ from bayescal._search.channels import Channels
 from bayescal._search.draft_effect import draft_effect
 from bayescal._search.search_path import Step
 
-Kinds = Mapping[str, Sequence[Effect]]
 # Lines of a table without --verbose, so that a result is a screen.
 SHOWN_STRUCTURES = 2  # of those averaged over
 SHOWN_CHECKS = 3  # covariates that a first model is checked against, the worst
 
 
-def instruments_text(known: Mapping[str, Instrument]) -> str:
+def instruments_listed(known: Mapping[str, Instrument]) -> tuple[str, dict[str, Any]]:
+    """Installed instruments as text, and as data."""
     rows = [[name, unit_label(i.unit), i.title] for name, i in known.items()]
-    return str(plain_table(["instrument", "output", "measures"], rows, left=2, fold=40))
-
-
-def instruments_data(known: Mapping[str, Instrument]) -> dict[str, Any]:
-    return {
+    text = str(plain_table(["instrument", "output", "measures"], rows, left=2, fold=40))
+    data = {
         name: {
-            "title": i.title,
-            "source": i.source,
-            "unit": i.unit,
+            **{"title": i.title, "source": i.source, "unit": i.unit},
             "columns": [column.name for column in i.columns],
         }
         for name, i in known.items()
     }
+    return text, data
 
 
-def effects_text(kinds: Kinds) -> str:
-    """A table for each kind of effect ("baseline", …), then the source of each effect."""
-    tables, by_source = [], {}
-    for kind, effects in kinds.items():
-        rows = []
-        for e in effects:
-            first = e.coefficients[0]
-            size = f"{number(first.size)} {unit_label(first.unit)}".rstrip()
-            equation = e.equation.replace(",  ", ",\n")
-            rows.append([e.name, size, ", ".join(e.columns) or "–", equation])
-            by_source.setdefault(e.source, []).append(e.name)
-        if rows:
-            head = [kind, "plausible size", "needs", "equation"]
-            tables.append(str(plain_table(head, rows, left=3, fold=42)))
-    sources = (
-        textwrap.fill(f"{source}: {', '.join(names)}", WIDTH, subsequent_indent="  ")
-        for source, names in by_source.items()
-    )
-    return "\n\n".join([*tables, "\n".join(["sources", *sources])])
-
-
-def effects_data(kinds: Kinds) -> list[dict[str, Any]]:
-    return [
+def effects_listed(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dict[str, Any]]]:
+    """Effects as text, a table for each kind ("baseline", …), then the source of each; and as data."""
+    data = [
         {
-            "name": e.name,
-            "kind": kind,
-            "equation": e.equation,
-            "size": e.coefficients[0].size,
-            "unit": e.coefficients[0].unit,
-            "columns": list(e.columns),
-            "source": e.source,
+            **{"name": e.name, "kind": kind, "equation": e.equation},
+            **{"size": e.coefficients[0].size, "unit": e.coefficients[0].unit},
+            **{"columns": list(e.columns), "source": e.source},
         }
         for kind, effects in kinds.items()
         for e in effects
     ]
+    parts, by_source = [], dict[str, list[str]]()
+    for kind in kinds:
+        rows = []
+        for e in (one for one in data if one["kind"] == kind):
+            size = f"{number(e['size'])} {unit_label(e['unit'])}".rstrip()
+            equation = e["equation"].replace(",  ", ",\n")
+            rows.append([e["name"], size, ", ".join(e["columns"]) or "–", equation])
+            by_source.setdefault(e["source"], []).append(e["name"])
+        if rows:
+            head = [kind, "plausible size", "needs", "equation"]
+            parts.append(str(plain_table(head, rows, left=3, fold=42)))
+    sources = (
+        textwrap.fill(f"{source}: {', '.join(names)}", WIDTH, subsequent_indent="  ")
+        for source, names in by_source.items()
+    )
+    return "\n\n".join([*parts, "\n".join(["sources", *sources])]), data
 
 
 def fit_data(calibration: Calibration) -> dict[str, Any]:

@@ -6,19 +6,15 @@ A bad file is refused first, before the instrument loads, and JAX with it; no sa
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 import bayescal as bc
 from bayescal._cli.console import print_notes
 from bayescal._cli.options import METHODS, ModelOptions, ReadRequest, SearchRequest, named_numbers
 from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
-from bayescal._data.read import read
-from bayescal._model.installed import FileColumns, file_columns
 from bayescal._search.own_files import (
     in_a_file,
     instrument_named,
@@ -35,9 +31,7 @@ if TYPE_CHECKING:
     from bayescal._model.model import Model
     from bayescal._model.noise_law import Noise
 
-Early = tuple[
-    dict[str, Any] | None, FileColumns | None
-]  # readings; by which columns they were read
+Early = tuple[dict[str, Any] | None, Any]  # readings; by which columns they were read
 LONG_LOG = 20_000  # readings, beyond which means over short times say as much and are sooner done
 LONG_BYTES = 50_000_000  # bytes of files that take longer to read than an instrument takes to load
 
@@ -65,6 +59,8 @@ def open_channels(
     Raises:
         InputError, ModelError: something in it cannot be used; says what.
     """
+    from bayescal._model.installed import FileColumns
+
     # A file that cannot be used is refused before the instrument loads.
     found, holds = read_early(asked, names) if early is None else early
     general, choice = instrument_named(asked.instrument), asked.choice
@@ -101,7 +97,7 @@ def _read(
 ) -> dict[str, Measurements]:
     outputs: dict[str, Any] = {"outputs": list(names)} if names else {}
     with stage("reading"):
-        found = read(list(files), of, **asked.columns.for_read(), **outputs)
+        found = bc.read(list(files), of, **asked.columns.for_read(), **outputs)
     return found if names else {"": found}  # pyright: ignore[reportReturnType]
 
 
@@ -111,21 +107,12 @@ def read_early(asked: ReadRequest, names: Sequence[str] = ()) -> Early:
     Raises:
         InputError: a file cannot be used, or no instrument is of that name.
     """
-    holds = (
-        None if in_a_file(asked.instrument) else file_columns(known_instrument(asked.instrument))
-    )
+    from bayescal._model.installed import file_columns
+
+    name = asked.instrument
+    holds = None if in_a_file(name) else file_columns(known_instrument(name))
     short = sum(path.stat().st_size for path in asked.files if path.is_file()) <= LONG_BYTES
     return (_read(asked.files, holds, asked, names) if holds and short else None), holds
-
-
-def open_kept(
-    instrument: Instrument, asked: SearchRequest, names: Sequence[str] = ()
-) -> dict[str, Measurements]:
-    """Hold-out data of each channel, averaged as the others are; none where there are none."""
-    if not asked.holdout:
-        return {}
-    found = _read(asked.holdout, instrument, asked, names)
-    return {n: averaged(one, asked.average, asked.keep_spikes) for n, one in found.items()}
 
 
 def averaged(
@@ -143,6 +130,8 @@ def long_log(readings: Measurements) -> list[str]:
     """A sentence that proposes --average, where there are more readings than a calibration has use for."""
     if len(readings) <= LONG_LOG or not readings.has("time"):
         return []
+    import numpy as np
+
     steps = np.diff(readings["time"])
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     least = usual * max(10.0, len(readings) / LONG_LOG)  # ten readings to a mean, and a short log
@@ -156,29 +145,23 @@ def long_log(readings: Measurements) -> list[str]:
 
 
 def compose(instrument: Instrument, choice: ModelOptions, own: Sequence[Effect] = ()) -> Model:
-    """The model that is asked for: a structure or the baseline, effects added, coefficients fixed."""
+    """The model that is asked for: a structure or the baseline, effects added, coefficients fixed.
+
+    Raises:
+        InputError: the instrument has no structure of that name.
+    """
     known = {effect.name: effect for effect in own}
-    model = instrument.baseline()
-    if choice.structure:
-        model = structure_named(instrument, choice.structure)
+    structures = {"": instrument.baseline, **dict(instrument.structures)}
+    chosen = choice.structure or ""
+    if chosen not in structures:
+        raise InputError(
+            f"instrument {instrument.name!r} has no structure {chosen!r}; "
+            f"it has: {', '.join([*structures][1:])}"
+        )
+    model = structures[chosen]()
     for name in choice.add or []:
         model = model + known.get(name, name)
     return model.fix(named_numbers(choice.fix, "--fix"))
-
-
-def structure_named(instrument: Instrument, name: str) -> Model:
-    """A model structure of an instrument.
-
-    Raises:
-        InputError: it has none of that name.
-    """
-    structures = dict(instrument.structures)
-    if name not in structures:
-        raise InputError(
-            f"instrument {instrument.name!r} has no structure {name!r}; "
-            f"it has: {', '.join(structures)}"
-        )
-    return structures[name]()
 
 
 def structure_with(instrument: Instrument, text: str, own: Sequence[Effect]) -> Model:
@@ -222,10 +205,36 @@ def reference_of(given: list[str] | None, readings: Measurements) -> Reference:
 
     reference = named_numbers(given, "--reference")
     known = [n for n, value in constants_of(readings).items() if not isinstance(value, dict)]
-    for name in reference:
-        if name not in known:
-            raise InputError(
-                f"--reference {name}: the bases of these readings have no constant {name!r}; "
-                f"they have: {', '.join(known)}"
-            )
+    if unknown := [name for name in reference if name not in known]:
+        raise InputError(
+            f"--reference {unknown[0]}: the bases of these readings have no constant {unknown[0]!r}; "
+            f"they have: {', '.join(known)}"
+        )
     return dict(reference)
+
+
+def searched(
+    names: Sequence[str], asked: SearchRequest, early: Early | None = None
+) -> tuple[dict[str, Model], dict[str, Measurements], dict[str, Measurements]]:
+    """Models, readings and hold-out data by channel ("" where there is one output); what is to be noted is said."""
+    general, models, readings = open_channels(names, asked, early)
+    kept = {}
+    if asked.holdout:
+        of = general if names else models[""].instrument
+        found = _read(asked.holdout, of, asked, names)
+        kept = {n: averaged(one, asked.average, asked.keep_spikes) for n, one in found.items()}
+    print_notes(flags_of(readings))
+    return models, readings, kept
+
+
+def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
+    """Notes on the readings of channels: what holds for all once, the others with the channel's name."""
+    said = {
+        flag: [n for n, one in readings.items() if flag in one.flags]
+        for r in readings.values()
+        for flag in r.flags
+    }
+    return [
+        flag if len(names) == len(readings) else f"{', '.join(names)}: {flag}"
+        for flag, names in said.items()
+    ]

@@ -21,13 +21,13 @@ from bayescal._core.json_shape import read_json
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import FORMER, RESULT, SCHEMA, hashes, refuse_unfinished, result
-from bayescal._report.whole_folder import AVERAGED, files_of, refuse_mixed
+from bayescal._report.whole_folder import AVERAGED, CALIBRATION, files_of, refuse_mixed
 from bayescal._search.calibrate import step_of
 from bayescal._search.discover import discover
 from bayescal._search.gate import gate
 from bayescal._search.search_path import SearchPath
 
-CALIBRATION, PICTURE = "calibration.nc", "loop.png"
+PICTURE = "loop.png"
 PNG = b"\x89PNG\r\n\x1a\n"
 
 

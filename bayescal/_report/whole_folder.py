@@ -26,6 +26,7 @@ from bayescal._core.json_shape import OneOf, read_json
 
 MANIFEST = "manifest.json"
 CHANNELS = "channels.json"  # of a unit, whose channels have each a folder of its own
+CALIBRATION = "calibration.nc"  # of the structure that is shown
 AVERAGED = "averaged.nc"  # the calibration averaged over structures, beside that of the one shown
 SCHEMA = "bayescal.manifest/1"
 AGAIN = "Take a copy of the whole folder, or calibrate again"

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import typer
 from typer.testing import CliRunner
 
 import bayescal as bc
-from bayescal._cli.options import ColumnOptions, with_groups
+from bayescal._cli.options import ColumnOptions, Commands
 from bayescal._core.errors import InputError
 from bayescal._data.read import read
 from bayescal._model.frame import build_frame, reference_of
@@ -34,10 +33,9 @@ EXPORTS = lab_exports()
 def options_of(said: str) -> dict[str, object]:
     """Options as the command line hands them to `read`."""
     found: list[dict[str, object]] = []
-    app = typer.Typer()
+    app = Commands()
 
-    @app.command()
-    @with_groups
+    @app.example("", data=False)
     def taken(columns: ColumnOptions) -> None:
         found.append(columns.for_read())
 
