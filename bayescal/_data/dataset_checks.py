@@ -370,7 +370,8 @@ def _jumps(
 def _unexplained(values: np.ndarray, time: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
     """Of each change from one reading to the next, what neither the rate before it nor the rate after it explains.
 
-    These rates are medians of three changes, so that a corner of a profile, from one rate to another, is explained.
+    These rates are medians of three changes, so that a corner of a profile, from one rate to another, is explained; and
+        a third of it in a change next to it, so that a chamber's step that takes few readings is.
     """
     found = []
     for piece in own:
@@ -378,8 +379,10 @@ def _unexplained(values: np.ndarray, time: np.ndarray, own: Sequence[np.ndarray]
         rate = np.where(step > 0, change / np.where(step > 0, step, 1.0), 0.0)
         wide = np.pad(rate, BESIDE, mode="edge")
         around = np.median(np.lib.stride_tricks.sliding_window_view(wide, BESIDE), axis=1)
-        before, after = around[: len(rate)], around[BESIDE + 1 :]
-        found.append(np.minimum(abs(change - before * step), abs(change - after * step)))
+        next_to = END_RATIO * np.pad(rate, 1, mode="edge")
+        rates = [around[: len(rate)], around[BESIDE + 1 :], next_to[:-2], next_to[2:]]
+        low, high = np.min(rates, axis=0) * step, np.max(rates, axis=0) * step
+        found.append(np.maximum(np.maximum(change - high, low - change), 0.0))
     return np.concatenate(found)
 
 
