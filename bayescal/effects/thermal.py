@@ -26,14 +26,22 @@ WINDOWS = (
     120.0,
 )  # s, of a rate: from a reading or two to what a lag describes; -lag/w is the same function
 Modes = tuple[tuple[float, float], ...]  # of a body: multiples of τ, and their weights
-_SLAB = [8 / (math.pi * k) ** 2 for k in (1, 3, 5)]
+
+
+def _modes(*found: tuple[float, float]) -> Modes:
+    """Modes whose weights are one in sum, and whose τ is the time by which the body is behind a steady ramp."""
+    whole = sum(w for _, w in found)
+    behind = sum(m * w for m, w in found) / whole
+    return tuple((m / behind, w / whole) for m, w in found)
+
+
 BODIES: Mapping[str, Modes] = MappingProxyType(
     {
-        "body": ((1.0, 1.0),),
-        "two_stages": ((1.0, 2.0), (0.5, -1.0)),  # a body of τ/2 behind one of τ
-        # Mean temperature of a slab: modes of τ/k², weights 8/(π·k)², k odd, cut after three and scaled to one.
+        "body": _modes((1.0, 1.0)),
+        "two_stages": _modes((2.0, 2.0), (1.0, -1.0)),  # one body behind another twice as slow
+        # Mean temperature of a slab: modes as 1/k², weights as 1/k², k odd, cut after three.
         # Source: H. Carslaw and J. Jaeger, Conduction of Heat in Solids, 2nd ed. (1959), section 3.3.
-        "diffusion": tuple((k**-2, w / sum(_SLAB)) for k, w in zip((1, 3, 5), _SLAB, strict=True)),
+        "diffusion": _modes(*((k**-2.0, k**-2.0) for k in (1, 3, 5))),
     }
 )
 WIDTHS = (0.2, 5.0)  # °C, within which hysteresis turns round: a chamber that holds wanders by less
@@ -161,8 +169,8 @@ def body(
     """Every effect that depends on the temperature T acts at T̃, that of a body which lags T by τ.
 
     T̃ = Σ wₖ·T̃ₖ with mₖ·τ·dT̃ₖ/dt = T − T̃ₖ: one mode for a body of first order, two for one behind another, a series for
-    heat that diffuses into a slab. Where the body was not at T when a run began, Σ wₖ·exp(−t/(mₖ·τ)) remains: one
-    coefficient a run.
+    heat that diffuses into a slab. Σ wₖ = Σ wₖ·mₖ = 1, so that τ is in each the time by which it is behind a steady
+    ramp. Where the body was not at T when a run began, Σ wₖ·exp(−t/(mₖ·τ)) remains: one coefficient a run.
 
     Args:
         slot: that the initial state adds to.
