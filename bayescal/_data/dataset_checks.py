@@ -78,6 +78,8 @@ UNLIKE_RATIO = 5.0
 UNLIKE_DEGREES = 0.3
 # Share of all readings that distinct values are at most where values occur again by rounding.
 ROUNDED_SHARE = 0.5
+# Share of a record's outputs that are those of another, number for number: far beyond chance, and half of it is a copy.
+COPIED_SHARE = 0.5
 # Of a step, by which values on a grid may be off it; numbers are written with two digits more.
 OFF_GRID_STEPS = 0.01
 # Share of the readings that have the time of the one before, from which a clock is too coarse or has too few digits:
@@ -701,6 +703,11 @@ def flags_of(
         for name in one_plateau_a_run(columns, thermometers)
     ]
     flags += [
+        f"{names}: {share:.0%} of {output!r} in {last} are the very numbers of {first}: one record under two labels? "
+        "Leave one out: copied readings count twice"
+        for first, last, share in copied_records(columns, output)
+    ]
+    flags += [
         f"{names}: column {one.column!r} {one.said} (first at {where(int(one.rows[0]))})"
         for one in oddities(columns, thermometers, output)
     ]
@@ -734,6 +741,25 @@ def one_plateau_a_run(columns: Columns, thermometers: Collection[str]) -> list[s
         if apart > max(PLATEAU_SD * within, settings().temperature_span):
             found.append(name)
     return found
+
+
+def copied_records(columns: Columns, output: str) -> list[tuple[str, str, float]]:
+    """Records that hold the outputs of an earlier one, number for number: which it is, which they are, what share.
+
+    Noise does not repeat. Of an output so rounded that most numbers occur again, nothing can be said.
+    """
+    runs, values = _runs(columns), columns.get(output)
+    if values is None or len(runs) < 2 or rounding_step(values):
+        return []
+    names, of = list(runs), record_codes(columns)
+    _, first, same = np.unique(values, return_index=True, return_inverse=True)
+    found = []
+    for last, rows in enumerate(runs.values()):
+        counts = np.bincount(of[first[same[rows]]], minlength=len(names))
+        counts[last] = 0
+        if (share := counts.max() / len(rows)) > COPIED_SHARE:
+            found.append((names[counts.argmax()], names[last], share))
+    return [(f"record {a!r}", f"record {b!r}", s) for a, b, s in found]
 
 
 def stuck_rows(values: np.ndarray, thermometer: bool = False) -> tuple[int, int] | None:
