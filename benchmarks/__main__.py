@@ -41,6 +41,7 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "scaling": "speed.scaling.rows",
     "fleet": "fleet.measurement",
     "workbench": "speed.workbench",
+    "cores": "cores",
 }
 
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import os
 import platform
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,14 +23,37 @@ PACKAGES = ("bayescal", "jax", "jaxlib", "numpy", "scipy", "optimistix", "equino
 
 DECIDING = ("bayescal/_model", "bayescal/_inference", "bayescal/_calibration", "bayescal/_search")
 DECIDING = (*DECIDING, "bayescal/effects", "models")  # sources on which a result hangs
+WITHOUT = "0.2"  # rows that carry no digest: measured before there was one
 
 
+@cache
 def core() -> str:
-    """Digest of the sources that decide a result, which a row carries."""
+    """Digest of the sources that decide a result, which a row carries; comments and docstrings decide nothing."""
     found = hashlib.sha256()
     for path in sorted(p for folder in DECIDING for p in (ROOT / folder).rglob("*.py")):
-        found.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
+        tree = ast.parse(path.read_text("utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(body := getattr(node, "body", None), list):
+                node.body = [n for n in body if not _is_text(n)]  # pyright: ignore[reportAttributeAccessIssue]
+        found.update(path.relative_to(ROOT).as_posix().encode() + ast.dump(tree).encode())
     return found.hexdigest()[:12]
+
+
+def _is_text(node: ast.AST) -> bool:
+    value = node.value if isinstance(node, ast.Expr) else None
+    return isinstance(value, ast.Constant) and isinstance(value.value, str)
+
+
+def cores_of(rows: Iterable[Mapping[str, Any]]) -> str:
+    """By which code rows were measured: a sentence, the commonest digest first."""
+    count = Counter(row.get("core", WITHOUT) for row in rows)
+    named = (
+        (f"core `{c}`" if c != WITHOUT else "an older core", n) for c, n in count.most_common()
+    )
+    said = ", ".join(f"{n:,} by {which}" for which, n in named)
+    return (
+        f"*Rows measured: {said}. `python -m benchmarks cores` compares with the code as it is.*\n"
+    )
 
 
 def surroundings() -> dict[str, Any]:
@@ -34,6 +61,7 @@ def surroundings() -> dict[str, Any]:
     return {
         "python": platform.python_version(),
         "packages": {name: version(name) for name in PACKAGES},
+        "core": core(),
         "machine": {
             "system": platform.system(),
             "kind": platform.machine(),
@@ -77,7 +105,8 @@ def lines_of(kind: str) -> dict[str, list[dict[str, Any]]]:
 
 
 def add_line(path: Path, row: dict[str, Any]) -> None:
-    """Add a row to a file, so that a benchmark that is stopped goes on where it was."""
+    """Add a row to a file, with the digest of the code, so that a benchmark that is stopped goes on where it was."""
     path.parent.mkdir(exist_ok=True)
+    row = {**row, "core": row.get("core", core())}
     with path.open("a", encoding="utf-8") as out:
         out.write(json.dumps(row, ensure_ascii=False) + "\n")

@@ -27,6 +27,7 @@ from benchmarks.hidden_effects.outcomes import (
 )
 from benchmarks.intervals import by_stated, proportion
 from benchmarks.markdown import table
+from benchmarks.record import cores_of
 
 ALIKE = 0.7  # correlation from which an effect outside the catalogue looks like one of it
 HIDDEN = ("single", "pair", "several", "outside")
@@ -46,6 +47,7 @@ def write(banks: Banks, spoilt: dict[str, Any], path: Path) -> None:
         "structures, without the fits and checks around it. *Final*: the structure chosen. *Oracle*: log evidence of "
         "the true structure less the baseline's, both under white noise. Intervals are exact 95 % binomial ones.\n",
         _counts(banks),
+        cores_of(row for rows in banks.values() for row in rows),
         "Planned for each instrument: "
         + ", ".join(f"{kind} {count}" for kind, count in COUNTS.items())
         + " (single: for each candidate; several: where there is a long record). Kinds are measured in turn; what is "
@@ -106,9 +108,9 @@ def in_readme(banks: Banks, path: Path) -> None:
         for name in SELECTIONS
     ]
     made = table(["campaigns", "count"], _counted(claims))
-    text = path.read_text("utf-8")
+    text, cores = path.read_text("utf-8"), cores_of(row for rows in banks.values() for row in rows)
     before, after = text.partition(MARKS[0])[0], text.partition(MARKS[1])[2]
-    path.write_text(f"{before}{MARKS[0]}\n\n{made}\n{MARKS[1]}{after}", encoding="utf-8")
+    path.write_text(f"{before}{MARKS[0]}\n\n{made}\n{cores}\n{MARKS[1]}{after}", encoding="utf-8")
 
 
 def _counted(claims: list[tuple[str, list[bool]]]) -> list[list[str]]:

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.intervals import proportion
 from benchmarks.markdown import table
 from benchmarks.ordinary_test import naming
-from benchmarks.record import DOCS, RESULTS, core, read_lines
+from benchmarks.record import DOCS, RESULTS, cores_of, read_lines
 
 Rows = list[dict[str, Any]]
 CLEAR = 15.0  # nats, from which what is hidden must be said
@@ -49,18 +49,13 @@ def write() -> None:
         ("good_records", good_records),
     ):
         if rows[name]:
-            parts += [chapter(rows[name]), _of_core(rows[name])]
+            parts += [chapter(rows[name]), cores_of(rows[name])]
     (DOCS / "ordinary_test.md").write_text("\n".join(parts), "utf-8")
 
 
 def tables(path: Path) -> str:
     """The tables of the ordinary test from a file of rows, such as those of a part of it."""
     return ordinary(read_lines(path))
-
-
-def _of_core(rows: Rows) -> str:
-    own = sum(row["core"] == core() for row in rows)
-    return f"{own} of {len(rows)} rows are of this core, the others of an older one.\n"
 
 
 def lost(row: dict[str, Any], least: float = CLEAR) -> list[str]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.hidden_effects.resume import go_on
-from benchmarks.record import core, read_lines
+from benchmarks.record import read_lines
 
 ORDER = 20261126  # seed of every order, drawn before anything was measured
 TOLD = ("crash", "status", "final", "sets", "reason", "seconds")
@@ -49,13 +49,13 @@ def go_through(
     done = {tuple(row[f] for f in fields) for row in read_lines(given.out)}
     some = [c for c in cells if given.readings is None or c.readings in given.readings]
     missing = [c for c in some[: given.count] if tuple(c) not in done]
-    go_on(given.out, missing, partial(_row, measure=measure, code=core()), given.workers)
+    go_on(given.out, missing, partial(_row, measure=measure), given.workers)
     return given.out
 
 
-def _row(cell: NamedTuple, measure: Measure, code: str) -> tuple[dict[str, Any], str]:
+def _row(cell: NamedTuple, measure: Measure) -> tuple[dict[str, Any], str]:
     """A cell's row, and what is told of it; what ends in an error is a row of its own, and no right answer."""
-    row: dict[str, Any] = {**cell._asdict(), "core": code}
+    row: dict[str, Any] = cell._asdict()
     try:
         row |= measure(cell)
     except Exception as error:

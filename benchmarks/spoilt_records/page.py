@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmarks.intervals import proportion
 from benchmarks.markdown import table
+from benchmarks.record import cores_of
 from benchmarks.spoilt_records.judge import AWAY, WIDE, WORSE
 from benchmarks.spoilt_records.kinds import KINDS
 
@@ -60,7 +61,8 @@ def write(results: dict[str, Rows], anew: Rows, further: dict[str, Rows], path: 
         "Of each kind, the sentence heard most often, in short, and how many of those said name the cause.\n",
         _said(spoilt),
     ]
-    path.write_text("\n".join(parts), encoding="utf-8")
+    every = (row for some in (*results.values(), anew, *further.values()) for row in some)
+    path.write_text("\n".join([*parts, cores_of(every)]), encoding="utf-8")
 
 
 def _in_short(rows: Rows) -> str:

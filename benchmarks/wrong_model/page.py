@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.intervals import proportion
 from benchmarks.markdown import table
-from benchmarks.record import DOCS, RESULTS, read_lines
+from benchmarks.record import DOCS, RESULTS, cores_of, read_lines
 
 Rows = list[dict[str, Any]]
 BANDS = (0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0)
@@ -35,14 +35,14 @@ def write() -> None:
     parts = [HEAD]
     for name in ("mems_gyro", "quartz_beam_accelerometer", "inclinometer"):
         if rows := read_lines(RESULTS / f"wrong_model_{name}.jsonl"):
-            parts += [f"## {name}\n", _coverage(rows), _said(rows), _bands(rows)]
+            parts += [f"## {name}\n", cores_of(rows), _coverage(rows), _said(rows), _bands(rows)]
     for title, file, chapter in (
         ("Three runs of one profile", "one_profile", _profile),
         ("Hold-out data", "holdout", _holdout),
         ("One end from every start", "starts", _starts),
     ):
         if rows := read_lines(RESULTS / f"{file}.jsonl"):
-            parts += [f"## {title}\n", chapter(rows)]
+            parts += [f"## {title}\n", cores_of(rows), chapter(rows)]
     (DOCS / "wrong_model.md").write_text("\n".join(parts), "utf-8")
 
 
