@@ -19,7 +19,7 @@ from bayescal._inference.noise_on_record import (
     Whitening,
     bends,
     density_terms,
-    sloped_log_density,
+    sloped_log_densities,
     variance,
 )
 from bayescal._inference.products import DEGREES, Axes, Polynomials, Products, basis_of
@@ -56,6 +56,8 @@ class Density:
         noise, record = self.assembly.noise, self.assembly.record
         # One variance for all readings: products over them do not depend on it.
         self.even = noise.even(record.frame) and not len(self.assembly.row_sd)
+        # Without a coefficient the density is the noise law's own.
+        self.alone = not (self.even or self.assembly.terms)
         self._lines: dict[tuple[float, ...], tuple[Linearised, Gram | None]] = {}
         self._mode = self.point.x  # of x, where it was sought
         self._last: tuple[Values, tuple[float, dict[str, float]]] | None = None
@@ -124,19 +126,20 @@ class Density:
             shared, size = float(self.assembly.noise.shared_variance(hyper)), len(line.mean)
             jtj, jtr, rtr = (part / shared for part in gram[:3])
             return Gram(jtj, jtr, rtr, size * math.log(shared))
-        if not self.assembly.terms:
-            # Without a coefficient the density is the law's own: what stands for squares and log|Σ| is twice that.
-            value = self._of_noise(line, hyper)[0]
+        if self.alone:
+            # What stands for squares and log|Σ| is twice the density.
+            value = self._of_noise(hyper)[0]
             return Gram(np.zeros((0, 0)), np.zeros(0), -2 * value - len(line.mean) * LOG_2PI, 0.0)
         if not self.assembly.noise.gaussian:
             return self._about_the_mode(self._beside(line), hyper)
         return Gram.of(*self._white(line, hyper).gram(self._beside(line)))
 
-    def _of_noise(self, line: Linearised, hyper: Values) -> tuple[float, dict[str, float]]:
-        """Log density of what is left of the readings, and its slopes by the law's parameters; the last one is kept."""
+    def _of_noise(self, hyper: Values) -> tuple[float, dict[str, float]]:
+        """Log density of readings of which nothing is fitted, and its slopes by the parameters; the last is kept."""
         if self._last is None or self._last[0] != hyper:
             law, record = self.assembly.noise, self.assembly.record
-            self._last = hyper, sloped_log_density(law, record, self.residual(line), hyper)
+            value, slopes = sloped_log_densities(law, record, record.y, hyper)
+            self._last = hyper, (float(value[0]), {n: float(one[0]) for n, one in slopes.items()})
         return self._last[1]
 
     def _about_the_mode(self, table: Float[np.ndarray, "n q"], hyper: Values) -> Gram:
@@ -221,6 +224,12 @@ class Density:
 
     def values(self, vs: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k"]:
         """The log density at several coordinates."""
+        if self.alone:
+            assembly = self.assembly
+            found = sloped_log_densities(
+                assembly.noise, assembly.record, assembly.record.y, assembly.hyper(vs.T)
+            )[0]
+            return np.nan_to_num(found + assembly.log_priors(vs), nan=NOWHERE, neginf=NOWHERE)
         return np.array([self.at(v)[0] for v in vs])
 
     def slope(self, v: np.ndarray) -> tuple[float, np.ndarray]:
@@ -237,9 +246,8 @@ class Density:
             made[i] += excess @ log_sd
         if self.products is not None and self.products.reaches(v):
             made += self.products.slopes(v, hyper, prior, found)
-        elif not assembly.terms:
-            by_name = self._of_noise(self._line(v, hyper)[0], hyper)[1]
-            made += by_parameter(assembly, v, by_name)
+        elif self.alone:
+            made += by_parameter(assembly, v, self._of_noise(hyper)[1])
         elif assembly.noise.gaussian:
             made += self._slopes_by_readings(v, hyper, prior, found)
         else:

@@ -77,7 +77,7 @@ class Whitening(NamedTuple):
         extra = np.broadcast_to(np.asarray(self.extra, float), (record.size,))
         extra = record.longer(_forth(law, record, extra, 0))
         own = {name: np.float64(self.values[name]) for name in law.parameters()}
-        return law.plain, record.padded_for(law), _padded(law, record, table), extra, own
+        return *record.for_law(law), _padded(law, record, table), extra, own
 
 
 class Independent(NamedTuple):
@@ -205,7 +205,7 @@ def grams(
         pick = np.minimum(start + np.arange(together), count - 1)
         own = {name: np.asarray(hyper[name])[pick] for name in law.parameters()}
         some = single[None] if single is not None else _stacked(law, record, tables[pick])
-        made, log_sd = _grams(law.plain, record.padded_for(law), some, own)
+        made, log_sd = _grams(*record.for_law(law), some, own)
         stop = min(start + together, count)
         found[start:stop] = np.asarray(made)[: stop - start, :m, :m]
         volume[start:stop] = 2 * np.sum(np.asarray(log_sd)[: stop - start, :n], axis=1)
@@ -219,7 +219,7 @@ def _stacked(law: Noise, record: Record, tables: Float[np.ndarray, "b n m"]) -> 
 def _of_readings(what, law: Noise, values: Values, record: Record, *arrays: np.ndarray) -> Any:
     """What a program gives for each reading at one φ, without those that pad the record."""
     own = {name: np.float64(values[name]) for name in law.parameters()}
-    made = what(law.plain, record.padded_for(law), *map(record.longer, arrays), own)
+    made = what(*record.for_law(law), *map(record.longer, arrays), own)
     return jax.tree.map(lambda a: np.asarray(a)[..., : record.size], made)
 
 
@@ -416,7 +416,7 @@ def _by_draws(
         some = [record.longer(a[pick if len(a) > 1 else 0 * pick]) for a in arrays]
         some += [p[pick] for p in plain]
         values = {n: v[pick] for n, v in own.items()}
-        made = np.asarray(what(law.plain, record.padded_for(law), *fixed, *some, values))
+        made = np.asarray(what(*record.for_law(law), *fixed, *some, values))
         stop = min(start + together, count)
         found[:, start:stop] = made[: stop - start, : record.size].T
     return _back(law, record, found).T
@@ -426,20 +426,38 @@ def _by_draws(
 def _sloped(law: Noise, frame: Frame, y, left, values, size):
     counted = jnp.arange(frame.size) < size
 
-    def value(values):
-        return jnp.sum(jnp.where(counted, law.log_density(y, y - left, values, frame), 0.0))
+    def value(own):
+        return jnp.sum(jnp.where(counted, law.log_density(y, y - left, own, frame), 0.0))
 
-    return jax.value_and_grad(value)(values)
+    if len(next(iter(values.values()))) == 1:
+        one = jax.value_and_grad(value)({name: v[0] for name, v in values.items()})
+        return jax.tree.map(lambda a: a[None], one)
+    return jax.vmap(jax.value_and_grad(value))(values)
 
 
-def sloped_log_density(
-    law: Noise, record: Record, left: Float[np.ndarray, "n"], values: Values
-) -> tuple[float, dict[str, float]]:
-    """Log density of all readings together at what is left of them, and its slopes by the law's parameters."""
-    own = {name: np.float64(values[name]) for name in law.parameters()}
-    arrays = (record.longer(_forth(law, record, a, 0)) for a in (record.y, left))
-    made = _sloped(law.plain, record.padded_for(law), *arrays, own, np.float64(record.size))
-    return float(made[0]), {name: float(slope) for name, slope in made[1].items()}
+def sloped_log_densities(
+    law: Noise, record: Record, left: Float[np.ndarray, "n"], hyper: Each
+) -> tuple[Float[np.ndarray, "b"], dict[str, Float[np.ndarray, "b"]]]:
+    """Log density of all readings together at what is left of them, and its slopes by the law's parameters.
+
+    Args:
+        law: which.
+        record: the readings.
+        left: of them, output unit.
+        hyper: φ by name, one value a draw.
+    """
+    what, frame = record.for_law(law)
+    arrays = [record.longer(_forth(law, record, a, 0)) for a in (record.y, left)]
+    own = {name: np.atleast_1d(hyper[name]).astype(float) for name in law.parameters()}
+    count = max(map(len, own.values()))
+    # A call costs as much as a few values of a short record: one program serves one value and some.
+    together = FEWEST_DRAWS_TOGETHER if law.independent and not frame.long else 1
+    found = []
+    for start in range(0, count, together):
+        pick = np.minimum(start + np.arange(together), count - 1)
+        some = {name: v[pick] for name, v in own.items()}
+        found.append(_sloped(what, frame, *arrays, some, np.float64(record.size)))
+    return jax.tree.map(lambda *a: np.concatenate([np.asarray(b) for b in a])[:count], *found)
 
 
 def total_log_density(
@@ -461,7 +479,7 @@ def total_log_density(
         pick = np.minimum(start + np.arange(together), count - 1)
         some = record.longer(left[pick]) if single is None else single
         values = {n: v[pick] for n, v in own.items()}
-        made = _totals(law.plain, record.padded_for(law), y, some, values, np.float64(record.size))
+        made = _totals(*record.for_law(law), y, some, values, np.float64(record.size))
         stop = min(start + together, count)
         found[start:stop] = np.asarray(made)[: stop - start]
     return found

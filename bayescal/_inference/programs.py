@@ -149,6 +149,13 @@ def columns_along(basis: Basis, frame: Frame, shapes: ByName, moves: ByName) -> 
 
 
 @program
+def several_along(bases: tuple[Basis, ...], frame: Frame, shapes: list[ByName]) -> list[Array]:
+    """Columns (s, n, k) of several effects, each at several values of its shapes."""
+    each = zip(bases, shapes, strict=True)
+    return [jax.vmap(partial(matrix, *basis, frame))(own) for basis, own in each]
+
+
+@program
 def responses(
     response: Callable[..., Any], frame: Frame, slots: ByName, moves: ByName
 ) -> Float[Array, "b n"]:

@@ -79,7 +79,7 @@ class Record:
     _bases: dict[Any, Basis | None] = field(default_factory=dict)
     _bytes: int = 0
     _last: tuple[Any, Any] | None = None  # slots, and what the instrument responded to them
-    _for_laws: dict[Any, programs.Leaves] = field(default_factory=dict)
+    _for_laws: dict[Noise, tuple[Noise, programs.Leaves]] = field(default_factory=dict)
     plain: dict[Any, Any] = field(default_factory=dict)  # what assemblies know of a coefficient
     of: Any = None  # what it was made of, held
 
@@ -91,18 +91,16 @@ class Record:
     def padded(self) -> programs.Leaves:
         return programs.Leaves.of(programs.padded(self.frame))
 
-    def padded_for(self, law: Noise) -> programs.Leaves:
-        """What a noise law takes of the readings: the columns that it needs, in the order of time where that matters.
+    def for_law(self, law: Noise) -> tuple[Noise, programs.Leaves]:
+        """A noise law as its programs have it, and what it takes of the readings, in the order of time if that matters.
 
         Each array that is handed to a program costs as much as small programs compute in.
         """
-        key = law.needs, law.independent
-        if key not in self._for_laws:
-            frame = self.frame.only(law.needs)
-            self._for_laws[key] = programs.Leaves.of(
-                programs.padded(frame if law.independent else frame.in_time())
-            )
-        return self._for_laws[key]
+        if law not in self._for_laws:
+            plain, frame = law.on(self.frame)
+            frame = programs.padded(frame if law.independent else frame.in_time())
+            self._for_laws[law] = plain, programs.Leaves.of(frame)
+        return self._for_laws[law]
 
     def of_noise(self, left: Float[np.ndarray, "n"]) -> Record:
         """What a model leaves of the readings, as the output of a channel at rest: a fit of noise alone."""
@@ -165,17 +163,35 @@ class Record:
         """Columns as sums of a few along one shape; None where they run too sharply, or along several shapes."""
         if not effect.shapes:
             return Basis(self.columns(effect, ())[:, :, None], None)
-        if len(effect.shapes) > 1:
+        if len(effect.shapes) > 1 or effect.ragged:
             return None
-        key = effect.key
-        if key not in self._bases:
-            self._bases[key] = self._interpolated(effect)
-        return self._bases[key]
+        if effect.key not in self._bases:
+            self._interpolate(effect)
+        return self._bases[effect.key]
 
     @on_one_thread
-    def _interpolated(self, effect: ColumnsOf) -> Basis | None:
-        """The singular vectors of the columns at the nodes, where they interpolate between some of these."""
-        found = self._computed(effect, [effect.priors[0].value(np.append(NODES, BETWEEN))], {})
+    def _interpolate(self, effect: ColumnsOf) -> None:
+        """Columns at the nodes; of a short record those of the whole library, in one program."""
+
+        def at_nodes(of: ColumnsOf) -> Float[np.ndarray, "s"]:
+            return of.priors[0].value(np.append(NODES, BETWEEN))
+
+        if effect.corrections or self.padded.long:
+            self._bases[effect.key] = self._summed(self._computed(effect, [at_nodes(effect)], {}))
+            return
+        every = {of.key: of for of in (effect, *map(ColumnsOf.of, self.library))}
+        some = [
+            of
+            for key, of in every.items()
+            if len(of.shapes) == 1 and not (of.corrections or of.ragged or key in self._bases)
+        ]
+        shapes = [{of.own[0]: at_nodes(of)} for of in some]
+        made = programs.several_along(tuple(of.basis for of in some), self.padded, shapes)
+        for of, columns in zip(some, made, strict=True):
+            self._bases[of.key] = self._summed(np.asarray(columns)[:, : self.size])
+
+    def _summed(self, found: Float[np.ndarray, "s n k"]) -> Basis | None:
+        """The singular vectors of columns at the nodes, where they interpolate between some of these."""
         count = found.shape[2]
         found = found.reshape(len(found), -1)
         nodes, there = found[: len(NODES)], found[len(NODES) :]

@@ -104,7 +104,8 @@ class Frame(eqx.Module):
         column = name.removesuffix(" rate")
         values = self.columns[name] if name in self.columns else self.rates[column]
         low, high = self.reference[f"{name}_low"], self.reference[f"{name}_high"]
-        return (values - low) / jnp.where(high > low, high - low, 1.0)
+        span = high - low
+        return (values - low) / (span + (span <= 0))  # one, where it does not vary
 
     def rate(self, name: str = "temperature") -> Float[Array, "n"]:
         """dT/dt, causal least-squares slope within the run, °C/s."""

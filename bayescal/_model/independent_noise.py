@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import ClassVar
 
 import jax
@@ -22,6 +23,9 @@ from bayescal._model.noise_law import (
 )
 from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 
+FOLLOWED = (
+    "followed"  # column of a frame that holds where readings stand along what scatter follows
+)
 SLOPE, CURVATURE = "noise.slope", "noise.curvature"
 FREEDOM = "noise.freedom"
 LEAST_FREEDOM = 2.1  # below 2 the variance does not exist
@@ -93,6 +97,16 @@ class Heteroscedastic(Noise):
     @property
     def amplitudes(self) -> tuple[str, ...]:
         return (WHITE,)
+
+    def on(self, frame: Frame) -> tuple[Noise, Frame]:
+        """The law along a column that is its own column's place: one program serves all columns."""
+        place, (law, own) = frame.position(self.column), (self.plain, frame.only(()))
+        own = replace(
+            own,
+            columns={**own.columns, FOLLOWED: place},
+            reference={**own.reference, f"{FOLLOWED}_low": 0.0, f"{FOLLOWED}_high": 1.0},
+        )
+        return replace(law, column=FOLLOWED), own
 
     def parameters(self) -> dict[str, Positive | Normal]:
         return {WHITE: self.scale, SLOPE: self.slope, CURVATURE: self.curvature}

@@ -125,6 +125,10 @@ class Noise(abc.ABC):
         """The law with the priors that it has if none is given: laws of one `plain` share their compiled programs."""
         return _with_usual_priors(self)
 
+    def on(self, frame: Frame) -> tuple[Noise, Frame]:
+        """The law with its usual priors and what it takes of readings: those of one form share compiled programs."""
+        return self.plain, frame.only(self.needs)
+
     def derived(self, values: Parameters) -> dict[str, Any]:
         """Further numbers that its parameters come to, by name, output unit."""
         return {}

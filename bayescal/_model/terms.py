@@ -21,12 +21,14 @@ class ColumnsOf(NamedTuple):
         shapes: that this takes, then those of the corrections.
         priors: of the shapes.
         corrections: of columns of the readings, by effects without an unknown but their shapes.
+        ragged: whether they run too sharply along a shape to be interpolated, as a step does.
     """
 
     basis: Basis
     shapes: tuple[str, ...]
     priors: tuple[Any, ...]
     corrections: tuple[Correction, ...] = ()
+    ragged: bool = False
 
     def on(self, corrections: Sequence[Correction]) -> ColumnsOf:
         """The same where columns of the readings are corrected."""
@@ -47,8 +49,9 @@ class ColumnsOf(NamedTuple):
 
     @classmethod
     def of(cls, effect: Effect) -> ColumnsOf:
-        names = tuple(s.name for s in effect.column_shapes)
-        return cls(basis_of(effect), names, tuple(s.prior for s in effect.column_shapes))
+        shapes = effect.column_shapes
+        names, priors = tuple(s.name for s in shapes), tuple(s.prior for s in shapes)
+        return cls(basis_of(effect), names, priors, ragged=any(s.ragged for s in shapes))
 
 
 class Correction(NamedTuple):

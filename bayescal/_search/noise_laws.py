@@ -18,7 +18,6 @@ from bayescal._core.settings import settings
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import at_mode, climb
-from bayescal._inference.noise_on_record import total_log_density
 from bayescal._inference.record import Record
 from bayescal._model.channel_at_rest import CHANNEL
 from bayescal._model.frame import Frame
@@ -108,15 +107,10 @@ def on_residuals(
     )
     if not len(starts):
         return NO_FIT
-    hyper = {name: p.value(starts[:, i]) for i, (name, p) in enumerate(priors.items())}
-    there = total_log_density(law, record, left[None], hyper)
-    there += sum(np.asarray(p.log_density(starts[:, i])) for i, p in enumerate(priors.values()))
     alone = Assembly(Layout(Model(CHANNEL, (), law), ()), record.of_noise(left))
     density = Density(alone, alone.start, np.ones(0))
-    begin = starts[[int(np.argmax(there))]]
-    mode = at_mode(
-        density, climb(density, begin, near.covariance, CLIMBED_NATS)[0], 0.0, quick=True
-    )
+    v, _ = climb(density, starts, near.covariance, CLIMBED_NATS)
+    mode = at_mode(density, v, 0.0, quick=True)
     hint = dict(zip(priors, mode.v.tolist(), strict=True))
     return OnResiduals(float(mode.log_evidence), hint, mode.covariance)
 
