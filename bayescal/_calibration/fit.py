@@ -71,12 +71,15 @@ def fit(
     model.require(readings)
     _refuse_stuck(readings)
     reference = with_origin(model, readings, _reference(readings, reference))
-    record = record_of(model.instrument, readings, reference, model.effects)
-    model = sized(model, readings, record.frame)
+    record = record_of(model.instrument, readings, reference)
+    record.library = model.instrument.shown_by(record.frame, model.effects)
+    model = sized(model, readings, record)
     layout, levels = bind(model, readings, reference=reference)
 
+    assembly = Assembly(layout, record)
+
     def run() -> Outcome:
-        return method.run(Assembly(layout, record), seed, start)
+        return method.run(assembly, seed, start)
 
     with deadline.until(time_limit):
         outcome = deadline.within(run)
@@ -94,6 +97,8 @@ def fit(
         log_evidence=outcome.log_evidence,
         start=dict(start),
     )
+    if outcome.layout is layout:
+        vars(calibration)["assembly"] = assembly
     _refuse_nothing(calibration)
     if strict and not calibration.verdict.ok:
         raise NotConverged(

@@ -97,14 +97,17 @@ class Fitted:
 
     def assembly_on(self, frame: Frame) -> Assembly:
         """The fitted structure on other readings; columns are computed in the fit's own program where it fits."""
-        fitted = self.assembly.record
+        fitted, counts = self.assembly.record, dict(self.layout.counts)
+        if frame is fitted.frame:
+            return self.assembly
+        if all(frame.columns[n] is column for n, column in fitted.frame.columns.items()):
+            return Assembly(self.layout, fitted.beside(fitted.library, frame))
         alike = (
             padded_length(frame.size) == padded_length(fitted.size)
             and set(frame.columns) == set(fitted.frame.columns)
             and set(frame.labels) == set(fitted.frame.labels)
         )
-        counts = {**dict(self.layout.counts), "reading": frame.size}
-        layout = replace(self.layout, counts=tuple(counts.items()))
+        layout = replace(self.layout, counts=tuple({**counts, "reading": frame.size}.items()))
         library = fitted.library if alike else ()
         return Assembly(
             layout, Record(self.model.instrument, frame, np.asarray(frame["output"]), library)
@@ -132,6 +135,8 @@ class Fitted:
 
     def frame_of(self, readings: Measurements) -> Frame:
         """Other readings as this calibration sees them: its T0, its run starts, its groups."""
+        if readings is self.readings:
+            return self.frame
         return build_frame(readings, self.reference, self.levels)
 
     def draws(self, limit: int | None = None) -> Vectors:

@@ -47,7 +47,7 @@ from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
-from bayescal._inference.record import Record
+from bayescal._inference.record import Record, record_of
 from bayescal._inference.sampling import WeightedDraws, weighted_draws
 from bayescal._model import forward
 from bayescal._model.frame import (
@@ -559,8 +559,8 @@ def sized_for(model: Model, readings: Measurements, reference: Reference) -> Mod
     """Plausible amplitudes of what no named effect describes, where they are open: one device's, for all."""
     if not any(e.open for e in model.effects):
         return model
-    frame = build_frame(readings, {**reference_of(readings), **reference})
-    return sized(model, readings, frame)
+    own = {**reference_of(readings), **reference}
+    return sized(model, readings, record_of(model.instrument, readings, own))
 
 
 class _Solved(NamedTuple):

@@ -25,7 +25,6 @@ from bayescal._inference.noise_on_record import (
 from bayescal._inference.record import Record
 from bayescal._model.composition import Linearised
 from bayescal._model.effect import Effect
-from bayescal._model.frame import Frame
 from bayescal._model.model import Model
 from bayescal._model.parameters import bind
 
@@ -274,7 +273,7 @@ def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
     )
 
 
-def sized(model: Model, readings: Measurements, frame: Frame) -> Model:
+def sized(model: Model, readings: Measurements, record: Record) -> Model:
     """The model with the amplitudes of what no named effect describes, where these are open.
 
     They plausibly lie between what the readings could just show, their noise over √n, and an order of magnitude more
@@ -294,15 +293,15 @@ def sized(model: Model, readings: Measurements, frame: Frame) -> Model:
     named = Model(
         model.instrument, tuple(e for e in model.effects if not e.open), model.noise, model.fixed
     )
-    low, high = amplitudes(named, readings, frame)
+    low, high = amplitudes(named, readings, record)
     effects = tuple(e.sized(low, high) if e.open else e for e in model.effects)
     return Model(model.instrument, effects, model.noise, model.fixed)
 
 
-def amplitudes(model: Model, readings: Measurements, frame: Frame) -> tuple[float, float]:
+def amplitudes(model: Model, readings: Measurements, record: Record) -> tuple[float, float]:
     """Plausible amplitudes of what a model lacks, output unit: see `sized`."""
-    layout, y = bind(model, readings)[0], np.asarray(frame["output"])
-    left = _left(Assembly(layout, Record(model.instrument, frame, y, model.effects)))
+    frame, y = record.frame, record.y
+    left = _left(Assembly(bind(model, readings)[0], record.beside(model.effects)))
     # Neighbours differ by √2 of white noise's standard deviation, which is 1.4826 times its median absolute value;
     # what the model lacks hardly changes from one reading to the next.
     change, step = np.diff(left[np.asarray(frame.order)]), np.asarray(frame.step)[1:]

@@ -21,8 +21,9 @@ from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Draws, Method, Outcome
 from bayescal._inference.nuts_chains import Chains, Plan, iterate
+from bayescal._inference.record import record_of
 from bayescal._model import forward
-from bayescal._model.frame import Frame, build_frame, reference_of
+from bayescal._model.frame import Frame, reference_of
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, bind
 from bayescal._model.prior import (
@@ -107,8 +108,8 @@ def numpyro_program(model: Model, readings: Measurements) -> Callable[[Array], N
         ModelError: readings lack a column, or have too few rows for the coefficients with a flat prior.
     """
     model.require(readings)
-    frame = build_frame(readings, reference_of(readings))
-    return program(bind(sized(model, readings, frame), readings)[0], frame)
+    record = record_of(model.instrument, readings, reference_of(readings))
+    return program(bind(sized(model, readings, record), readings)[0], record.frame)
 
 
 def program(layout: Layout, frame: Frame) -> Callable:

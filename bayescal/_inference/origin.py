@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._data.measurements import Measurements
-from bayescal._inference.record import AFFINE, Record
-from bayescal._model.frame import Frame, Reference, build_frame, origins, reference_name
+from bayescal._inference.record import AFFINE, Record, record_of
+from bayescal._model.frame import Reference, origins, reference_name
 from bayescal._model.instrument import factor_of
 from bayescal._model.model import Model
 from bayescal._model.terms import ColumnsOf
@@ -36,12 +36,17 @@ def with_origin(model: Model, readings: Measurements, reference: Reference) -> R
         readings: that the model is fitted to.
         reference: of their frame.
     """
-    plain = {name: v for name, v in reference.items() if name not in origins(reference)}
+    known = origins(reference)
+    plain = {name: v for name, v in reference.items() if name not in known}
     far = {n: _far(readings[n]) for n in model.instrument.outputs or ("output",)}
     if not any(far.values()):
         return plain
-    frame = build_frame(readings, plain)
-    constants = [_constant(model, frame, i) for i in range(len(far))]
+    own = {n: [*known.get(reference_name(n), {}).items()] for n in far}
+    there = {e.coefficient_name(i) for e in model.effects for i in range(len(e.coefficients))}
+    if all(len(o) == 1 and o[0][0] in there and o[0][1] == far[n] for n, o in own.items()):
+        return dict(reference)  # of these readings, as a smaller model was counted from
+    record = record_of(model.instrument, readings, plain, model.effects)
+    constants = [_constant(model, record, i) for i in range(len(far))]
     if None in constants:
         return plain
     own = {reference_name(n): {c: o} for (n, o), c in zip(far.items(), constants, strict=True)}
@@ -54,11 +59,9 @@ def _far(values: Float[np.ndarray, "n"]) -> float:
     return step * round(float(np.median(values)) / step)
 
 
-def _constant(model: Model, frame: Frame, output: int) -> str | None:
+def _constant(model: Model, record: Record, output: int) -> str | None:
     """The coefficient of the widest prior that moves an output by itself in every reading, whatever all else is."""
-    instrument = model.instrument
-    record = Record(instrument, frame, np.asarray(frame["output"]))
-    found: dict[str, float] = {}
+    instrument, found = model.instrument, dict[str, float]()
     for effect in model.effects:
         for i, c in enumerate(effect.coefficients):
             slot = c.slot or effect.slot

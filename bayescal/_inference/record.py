@@ -102,6 +102,14 @@ class Record:
             self._for_laws[law] = plain, programs.Leaves.of(frame)
         return self._for_laws[law]
 
+    def beside(self, library: tuple[Effect, ...] = (), frame: Frame | None = None) -> Record:
+        """The same readings once more, with columns that no shape moves, or those of another membership in groups."""
+        own = {"_fixed": self._fixed, "_bases": self._bases, "library": library, "of": self}
+        made = Record(self.instrument, self.frame if frame is None else frame, self.y, **own)
+        if frame is None:
+            vars(made).update(padded=self.padded, codes=self.codes, _for_laws=self._for_laws)
+        return made
+
     def of_noise(self, left: Float[np.ndarray, "n"]) -> Record:
         """What a model leaves of the readings, as the output of a channel at rest: a fit of noise alone."""
         made = Record(CHANNEL, self.frame, left, _for_laws=self._for_laws)
@@ -211,7 +219,8 @@ class Record:
         if key not in self._fixed:
             of_library = (ColumnsOf.of(e) for e in self.library)
             wanted = {c.basis: None for c in of_library if not c.shapes}
-            bases = tuple(wanted) if key in wanted else (key,)
+            left = tuple(basis for basis in wanted if basis not in self._fixed)
+            bases = left if key in wanted else (key,)
             made = programs.columns_or_refusal(bases, self.padded, self.frame)
             for basis, columns in zip(bases, made, strict=True):
                 self._fixed[basis] = np.asarray(columns)[: self.size]
@@ -221,10 +230,7 @@ class Record:
         self, effect: ColumnsOf, values: tuple[float, ...], moves: Mapping[str, np.ndarray]
     ) -> tuple[Float[np.ndarray, "n k"], dict[str, Float[np.ndarray, "n k"]]]:
         """Columns where columns of the readings are corrected by `moves`, and their slopes by these moves."""
-        by_correction = {
-            n: m[0] for n, m in self._corrected(effect, [np.array([v]) for v in values]).items()
-        }
-        moves = {**moves, **by_correction}
+        moves = {**moves, **self._corrected(effect, values)}
         named = {name: np.float64(v) for name, v in zip(effect.own, values, strict=False)}
         made = programs.shaped_columns(effect.basis, self.padded, named, self._longer(moves))
         return jax.tree.map(lambda a: np.asarray(a)[: self.size], made)
@@ -256,6 +262,8 @@ class Record:
 
         Tried at two random sets of slots, the size of each by what moves the output as much as it varies.
         """
+        if isinstance(self.of, Record):
+            return self.of.affine
         base, slopes = self._response({}, {})
         # An affine function has one slope everywhere: two random places tell it from all others but for a null set.
         random = np.random.default_rng(0)
@@ -309,13 +317,16 @@ class Record:
         return self._together(program, effect.basis, count, shapes, moves)
 
     def _corrected(
-        self, effect: ColumnsOf, values: Sequence[np.ndarray]
-    ) -> dict[str, Float[np.ndarray, "b n"]]:
-        """What the columns are corrected by that an effect depends on, at several values of its shapes."""
+        self, effect: ColumnsOf, values: Sequence[Any]
+    ) -> dict[str, Float[np.ndarray, "*b n"]]:
+        """What the columns are corrected by that an effect depends on, at values of its shapes."""
         found, at = dict[str, np.ndarray](), len(effect.own)
         for c in effect.corrections:
             own, at = values[at : at + len(c.of.shapes)], at + len(c.of.shapes)
-            shift = c.factor * self.columns_of_draws(c.of, own, {})[..., c.index]
+            # One draw is no stretch of draws: it would be computed as often as these are.
+            of_draws = any(np.ndim(v) for v in own)
+            made = self.columns_of_draws(c.of, own, {}) if of_draws else self.columns(c.of, own)
+            shift = c.factor * made[..., c.index]
             found[c.column] = found.get(c.column, 0.0) + shift
         return found
 
@@ -406,13 +417,9 @@ def record_of(
     base = _LIVE.get(key)
     if base is None:
         frame = build_frame(readings, reference)
-        base = Record(instrument, frame, np.asarray(frame["output"]))
+        base = _LIVE[key] = Record(instrument, frame, np.asarray(frame["output"]))
         base.of = readings  # held: no others take their place in memory while this lives
-        _LIVE[key] = base
-    own = {"library": library, "of": base, "_fixed": base._fixed, "_bases": base._bases}
-    made = Record(instrument, base.frame, base.y, **own)
-    vars(made).update(padded=base.padded, codes=base.codes)
-    return made
+    return base.beside(library)
 
 
 def _as_value(of: Any) -> Any:

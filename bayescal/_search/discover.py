@@ -260,9 +260,9 @@ def structures_over(
             shut.setdefault(family, Candidate(family, kind="not testable", reason=reason))
     record = record_of(instrument, readings, reference)
     frame = record.frame
-    model = sized(model, readings, frame)
+    model = sized(model, readings, record)
     if any(e.open for e in open_.values()):
-        plausible = amplitudes(model, readings, frame)
+        plausible = amplitudes(model, readings, record)
         open_ = {n: e.sized(*plausible) for n, e in open_.items()}
     record.library = instrument.shown_by(frame, (*open_.values(), *model.effects))
     laws = laws_over(model, frame) if widen_noise else {}

@@ -23,7 +23,6 @@ from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.least_squares import solution_on
 from bayescal._inference.linear_model import LinearModel, learned_size, linear_model, sized
-from bayescal._inference.record import Record
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
@@ -124,8 +123,7 @@ class Previews:
         library = model.instrument.shown_by(
             calibration.frame, (*self.effects.values(), *model.effects)
         )
-        frame = calibration.frame
-        self.record = Record(model.instrument, frame, np.asarray(frame["output"]), library)
+        self.record = calibration.assembly.record.beside(library)
         self._made: dict[str, tuple[Effect, Preview]] = {}
 
     def of(self, effect: Effect | str) -> Preview:
@@ -188,7 +186,7 @@ class Previews:
     ) -> tuple[LinearModel, np.ndarray, float | None]:
         """A model fitted by least squares to the calibration's readings: about its mode, covariance, log evidence."""
         before = self.calibration
-        model = sized(model, before.readings, before.frame)
+        model = sized(model, before.readings, self.record)
         assembly = Assembly(
             bind(model, before.readings, reference=before.reference)[0], self.record
         )
