@@ -59,6 +59,7 @@ class Density:
         # Without a coefficient the density is the noise law's own.
         self.alone = not (self.even or self.assembly.terms)
         self._lines: dict[tuple[float, ...], tuple[Linearised, Gram | None]] = {}
+        self._kept: dict[bytes, tuple[float, Values, Prior, Conditional | None]] = {}
         self._mode = self.point.x  # of x, where it was sought
         self._last: tuple[Values, tuple[float, dict[str, float]]] | None = None
 
@@ -199,7 +200,16 @@ class Density:
     # the density ------------------------------------------------------------------------------------------------
 
     def _given(self, v: np.ndarray) -> tuple[float, Values, Prior, Conditional | None]:
-        """The log density, φ by name, the prior of x and x itself; coefficients that products hold are among x."""
+        """The log density, φ by name, the prior of x and x itself; coefficients that products hold are among x.
+
+        The last one is kept: where a climb ends, its value, slope and curvature are asked for in turn.
+        """
+        key = v.tobytes()
+        if key not in self._kept:
+            self._kept = {key: self._found(v)}
+        return self._kept[key]
+
+    def _found(self, v: np.ndarray) -> tuple[float, Values, Prior, Conditional | None]:
         hyper = self.assembly.hyper(v)
         prior, at = self.assembly.prior(hyper, self.flat), self.point.x
         products = self.products

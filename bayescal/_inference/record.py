@@ -134,6 +134,8 @@ class Record:
     @cached_property
     def read(self) -> frozenset[str]:
         """Columns that the response takes itself."""
+        if isinstance(self.of, Record):
+            return self.of.read
         return columns_read(self.instrument, self.frame)
 
     @cached_property

@@ -18,7 +18,7 @@ from bayescal._inference.gaussian import LOG_2PI, column_scale
 from bayescal._inference.laplace import across, find_mode
 from bayescal._inference.linear_model import sized
 from bayescal._inference.noise_on_record import total_log_density, whitening
-from bayescal._inference.record import INTERPOLATED, Record
+from bayescal._inference.record import INTERPOLATED, Record, record_of
 from bayescal._inference.sampling import ManyPhi, weighted_draws
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
@@ -100,11 +100,10 @@ def assembled(case: str, *promoted: str) -> Assembly:
     model, simulate = CASES[case]
     readings = simulate()
     model = model if isinstance(model, bc.Model) else model(readings)
-    frame = build_frame(readings, reference_of(readings))
-    model = sized(model, readings, frame)
+    record = record_of(model.instrument, readings, reference_of(readings))
+    model = sized(model, readings, record)
     layout = bind(model, readings)[0].promote(*promoted)
-    library = model.instrument.shown_by(frame, model.effects)
-    return Assembly(layout, Record(model.instrument, frame, readings["output"], library))
+    return Assembly(layout, record.beside(model.instrument.shown_by(record.frame, model.effects)))
 
 
 def somewhere(a: Assembly, seed: int = 0) -> tuple[Point, np.ndarray]:
@@ -267,9 +266,8 @@ def stepped(place: float) -> Assembly:
         output=output,
     )
     model = (still(readings) + "unknown(time, jump)").with_noise(WANDER)
-    frame = build_frame(readings, reference_of(readings))
-    layout = bind(sized(model, readings, frame), readings)[0]
-    return Assembly(layout, Record(model.instrument, frame, readings["output"]))
+    record = record_of(model.instrument, readings, reference_of(readings))
+    return Assembly(bind(sized(model, readings, record), readings)[0], record)
 
 
 @pytest.mark.parametrize("place", [0.23, 0.61, 0.88])
