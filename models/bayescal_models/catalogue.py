@@ -3,19 +3,24 @@
     EFFECTS = EffectTable.of(
         "data sheet of the sensor; size ours",
         baseline=(("bias.constant", constant, 50.0, "deg/s"), ("bias.temperature", linear, 0.05, "deg/s/degC")),
-        candidates=(("bias.warm_up", warm_up(2 * MINUTE, 40 * MINUTE), 0.5, "deg/s"),),
+        candidates=(
+            ("bias.warm_up", warm_up(2 * MINUTE, 40 * MINUTE), 0.5, "deg/s"),
+            *recorded("bias", "deg/s", size=0.6, span=25.0, pace=1.0),
+        ),
     )
 
 A row holds the canonical name, `slot.cause`; the family, which is a maker; the plausible size, a prior standard
 deviation (of a learned spread: its prior's scale), with its unit; and the source, where it is not that of the table.
+`recorded` has the families of what any test records: a thermometer, a clock, the supply's voltage. A row of the
+instrument's own, further up in its table, stands in the place of the one of the same name there.
 What is particular to one instrument is made of a basis by `effect`, or by `family` where several slots have it alike;
 an effect whose coefficients have sizes of their own stands in the table as it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -26,6 +31,7 @@ from bayescal import effects
 from bayescal.effects.constant import one as one
 from bayescal_models.simulated import HOUR as HOUR
 from bayescal_models.simulated import MINUTE as MINUTE
+from bayescal_models.supply import SUPPLY
 
 SIGNS = ("", "²", "³", "⁴", "⁵")
 
@@ -56,10 +62,17 @@ class EffectTable:
         candidates: Iterable[Row] = (),
         others: Iterable[Row] = (),
     ) -> EffectTable:
-        """The effects of these rows; `source` is that of rows which name none."""
+        """The effects of these rows; `source` is that of rows which name none. Of a name the first row counts."""
+        taken: set[str] = set()
 
         def made(rows: Iterable[Row]) -> tuple[bc.Effect, ...]:
-            return tuple(row if isinstance(row, bc.Effect) else _made(source, *row) for row in rows)
+            own: dict[str, bc.Effect] = {}
+            for row in rows:
+                e = row if isinstance(row, bc.Effect) else _made(source, *row)
+                own.setdefault(e.name, e)
+            found = tuple(e for name, e in own.items() if name not in taken)
+            taken.update(own)
+            return found
 
         return cls(made(baseline), made(candidates), made(others))
 
@@ -98,9 +111,9 @@ def warm_up(low: float, high: float) -> Maker:
     return _general(effects.warm_up, low=low, high=high)
 
 
-def temperature_x_lag(low: float, high: float) -> Maker:
+def temperature_x_lag(low: float, high: float, column: str = "temperature") -> Maker:
     """A lag that grows with the temperature, of a time between these, s."""
-    return _general(effects.temperature_x_lag, low=low, high=high)
+    return _general(effects.temperature_x_lag, low=low, high=high, column=column)
 
 
 def thermal_lag(
@@ -127,6 +140,88 @@ def thermal_lag(
         return effects.thermal_lag(slot, size, unit, source=source, **own, **more)
 
     return made
+
+
+# What every test records: its families, for a slot of any instrument.
+
+SHORT, LONG = (MINUTE, 20 * MINUTE), (20 * MINUTE, 180 * MINUTE)  # s, in which a body lags
+LAG, SLOW = 5.0, 40.0  # min, of bodies whose lag would show a quarter of the size
+
+
+def recorded(
+    slot: str,
+    unit: str,
+    *,
+    size: float,
+    span: float,
+    pace: float,
+    column: str = "temperature",
+    causes: Collection[str] = (),
+    per: str | None = None,
+    source: str = "",
+) -> tuple[bc.Effect, ...]:
+    """The families of a thermometer, a clock and a supply's voltage, sized by what the slot plausibly does.
+
+    Args:
+        slot: that they add to.
+        unit: of `size`, and of the coefficients.
+        size: how much the slot plausibly changes over a test.
+        span: half the range of the temperature, °C.
+        pace: plausible rate of the temperature, °C/min.
+        column: of the thermometer.
+        causes: the families wanted, as they are called behind the slot's name; all if empty.
+        per: group whose members have coefficients each; none for one in all.
+        source: of a coefficient, with places for its share of `size` and for where that is reached; ours if empty.
+    """
+    source = source or f"ours: {{:g}} of {size:g} {unit}{{}}"
+    half, q, of = 0.5 * size, 0.25 * size, f"{unit}/degC"
+    at_end = ", from the middle to an end of the temperatures"
+    at_pace = " at the mean rate of the temperature"
+    lags, lags_slowly = (f"{at_pace} and a lag of {t:g} min" for t in (LAG, SLOW))
+    rate = (q / pace, f"{unit}/(degC/min)", source.format(0.25, at_pace))
+    short = thermal_lag(*SHORT, q, unit, rate=rate, column=column)
+    power = partial(_general, column=column, name=column)
+    slow, grows = thermal_lag(*LONG, q, unit, column=column), temperature_x_lag(*SHORT, column)
+    supplied = effect(_supply, "c·(V − V0),  V0 amid those of the fit", SUPPLY.name)
+    product = effect(partial(_by_supply, column), "c·(T − T0)·(V − V0)", column, SUPPLY.name)
+    rows: tuple[tuple[str, Maker, float, str, float, str], ...] = (
+        (column, power(effects.linear), size / span, of, 1.0, at_end),
+        (f"{column}_quadratic", power(effects.quadratic), half / span**2, f"{of}^2", 0.5, at_end),
+        (f"{column}_cubic", power(effects.cubic), q / span**3, f"{of}^3", 0.25, at_end),
+        (f"{column}_quartic", power(effects.quartic), q / span**4, f"{of}^4", 0.25, at_end),
+        ("thermal_lag", short, q / (pace * LAG), of, 0.25, lags),
+        ("thermal_lag_slow", slow, q / (pace * SLOW), of, 0.25, lags_slowly),
+        ("temperature_x_lag", grows, q / (pace * LAG * span), f"{of}^2", 0.25, lags),
+        ("hysteresis", _general(effects.hysteresis, column=column), q, unit, 0.25, ""),
+        ("warm_up", warm_up(2 * MINUTE, 40 * MINUTE), half, unit, 0.5, ""),
+        ("drift", drift, half, unit, 0.5, ""),
+        ("run", deviation, q, unit, 0.25, ""),
+        ("supply", supplied, size, f"{unit}/V", 1.0, " at 1 V"),
+        ("temperature_x_supply", product, half / span, f"{of}/V", 0.5, f" at 1 V{at_end}"),
+    )
+    return tuple(
+        _of_each(maker(f"{slot}.{cause}", own, its, source.format(share, where)), per)
+        for cause, maker, own, its, share, where in rows
+        if not causes or cause in causes
+    )
+
+
+def _supply(r: bc.Frame) -> Any:
+    low, high = (r.reference[f"{SUPPLY.name}_{end}"] for end in ("low", "high"))
+    return r[SUPPLY.name] - 0.5 * (low + high)
+
+
+def _by_supply(column: str, r: bc.Frame) -> Any:
+    return r.centred(column) * _supply(r)
+
+
+def _of_each(made: bc.Effect, group: str | None) -> bc.Effect:
+    """The effect, and its forms, with a coefficient for each member of a group in place of one in all."""
+    if group is None:
+        return made
+    own = (c if c.per or c.known else replace(c, per=group) for c in made.coefficients)
+    forms = tuple(_of_each(form, group) for form in made.forms)
+    return replace(made, coefficients=tuple(own), forms=forms)
 
 
 # What one instrument has.

@@ -138,6 +138,29 @@ def correlated(
     return np.asarray(lfilter([1.0], [1.0, -decay], kicks))
 
 
+SLIPS = (0.3, 0.6, 1.0, 1.5)  # °C, thresholds of joints that stick and slip; ours
+SUPPLY, SUPPLY_WANDER, SUPPLY_TIME = 5.0, 0.1, 1200.0  # V, V and s, of a supply that wanders; ours
+
+
+def sticking(temperature: Array) -> Array:
+    """Joints stick, each up to its own strain, then slip along: plays of several widths (Prandtl, Ishlinskii)."""
+    total = np.zeros(temperature.size)
+    for width in SLIPS:
+        seat, strain = float(temperature[0]), np.empty(temperature.size)
+        for i, here in enumerate(temperature.tolist()):
+            seat = min(max(seat, here - width), here + width)
+            strain[i] = (here - seat) / width
+        total += strain / len(SLIPS)
+    return total
+
+
+def wandering_supply(
+    generator: np.random.Generator, shape: int | tuple[int, int], step: float
+) -> Array:
+    """Voltage of a supply that wanders about 5 V, V, over a grid of this step, s."""
+    return SUPPLY + SUPPLY_WANDER * correlated(generator, shape, SUPPLY_TIME, step)
+
+
 def experiments(
     columns: Callable[..., dict[str, Any]], campaigns: Mapping[str, Any]
 ) -> tuple[tuple[str, Callable[[], dict[str, Any]]], ...]:

@@ -7,6 +7,7 @@ on first use.
 import lazy_loader
 
 import bayescal as bc
+from bayescal_models.supply import SUPPLY
 
 COLUMNS = (
     bc.Column("device", None, "label of the device"),
@@ -14,6 +15,7 @@ COLUMNS = (
     bc.Column("time", "s", "the same for every device"),
     bc.Column("acceleration", "ug", "commanded, outward along the arm", low=0.0),
     bc.Column("temperature", "degC", "of the fixture", required=False, low=-273.15, high=250.0),
+    SUPPLY,
     bc.Column("output", "ug", "output, or V with a nominal scale"),
 )
 NOMINAL_SCALE = bc.NominalScale("V", gain=1e-6, offset=0.0)

@@ -130,6 +130,10 @@ EFFECTS = EffectTable.of(
         ("timing.skew", LATE, 10.0, "ms"),
         ("bias.drift", AGEING, 100.0, "ug"),
         ("bias.device", catalogue.deviation, 10000.0, "ug"),
+        # What lags or warms up is part of the shared disturbance, a free function of time.
+        *catalogue.recorded(
+            *("bias", "ug"), size=1000.0, span=5.0, pace=1.0, causes=("supply",), per="device"
+        ),
     ),
 )
 

@@ -9,6 +9,7 @@ import math
 import lazy_loader
 
 import bayescal as bc
+from bayescal_models.supply import SUPPLY
 
 COLUMNS = (
     bc.Column("device", None, "label of the inclinometer", required=False),
@@ -27,6 +28,7 @@ COLUMNS = (
     bc.Column(
         "temperature", "degC", "of the inclinometer", required=False, low=-273.15, high=250.0
     ),
+    SUPPLY,
     bc.Column("time", "s", "one origin over all runs", required=False),
     bc.Column("direction", None, "of the sweep", required=False, allowed=("forward", "backward")),
     bc.Column("output", "arcsec", "reading; at no tilt the zero offset", also=("zero_offset",)),

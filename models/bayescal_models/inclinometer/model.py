@@ -48,7 +48,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 import bayescal as bc
-from bayescal_models.catalogue import EffectTable, Maker, centred, effect, one, progress
+from bayescal_models.catalogue import EffectTable, Maker, centred, effect, one, progress, recorded
 from bayescal_models.inclinometer import COLUMNS
 from bayescal_models.inclinometer.campaign import Campaign
 from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement, sensed
@@ -210,6 +210,21 @@ EFFECTS = EffectTable.of(
         ("dividing.wobble", SPINDLE, 2.0, "arcsec", FACE),
         ("dividing.face", effect(one, "c"), 2.0, "arcsec", FACE),
         ("base_tilt.drift", SETTLING, 2.0, "arcsec"),
+        # A laboratory's temperature goes no way far enough for a cubic; a drift of the zero is one of the base.
+        *recorded(
+            *("zero", "arcsec"),
+            size=10.0,
+            span=5.0,
+            pace=0.25,
+            causes=(
+                "temperature_quadratic",
+                "thermal_lag",
+                "warm_up",
+                "supply",
+                "temperature_x_supply",
+            ),
+            per="axis",
+        ),
     ),
     others=(
         ("zero.placement_cubic", _each(*_of_placement(3)), 1e-4, "arcsec/deg^3"),

@@ -9,6 +9,7 @@ import math
 import lazy_loader
 
 import bayescal as bc
+from bayescal_models.supply import SUPPLY
 
 SENSITIVITY = 0.83e-3  # V per °/s, source 1
 CONVERTER_STEP = 0.0311e-3 / SENSITIVITY  # °/s, source 1
@@ -26,6 +27,7 @@ COLUMNS = (
         high=250.0,
         known=(("thermometer", THERMOMETER_SD),),
     ),
+    SUPPLY,
     bc.Column("board_temperature", "degC", "electronics", required=False, low=-273.15, high=250.0),
     bc.Column("rate_input", "deg/s", "rate of the table about the input axis", required=False),
     bc.Column(

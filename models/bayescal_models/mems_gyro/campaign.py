@@ -50,6 +50,7 @@ class Campaign:
             their leading terms, numbers between or beyond a mixture.
         package_time: time constant of the package, through which heat flows, s.
         lag_time: time constant of the die behind the ambient thermometer, s.
+        slow_time: time constant of what lags slowly, such as the chamber's load, s.
         board_time: time constant of the electronics board, s.
         board_heating: how much warmer than the air the powered board ends up, °C.
         warm_up_time: time constant of the electronics' warm-up after power-on, s.
@@ -87,6 +88,7 @@ class Campaign:
     nonlinearity: float = 1.0
     package_time: float = 20.0
     lag_time: float = 300.0
+    slow_time: float = 2400.0
     board_time: float = 480.0
     board_heating: float = 2.0
     warm_up_time: float = 600.0
@@ -95,7 +97,14 @@ class Campaign:
 
     def __post_init__(self) -> None:
         positive = ("dwell", "runs", "chamber_time", "chamber_ramp", "logging_interval", "average")
-        positive += ("sensitivity", "package_time", "lag_time", "board_time", "warm_up_time")
+        positive += (
+            "sensitivity",
+            "package_time",
+            "lag_time",
+            "slow_time",
+            "board_time",
+            "warm_up_time",
+        )
         refuse_options(
             self,
             positive=(*positive, "wander_time", "period"),

@@ -97,6 +97,7 @@ EFFECTS = EffectTable.of(
         ("bias.run", catalogue.deviation, 0.05, "deg/s"),
         ("scale.constant", ON_RATE, 10000.0, "ppm", "ours: 1 % of scale factor"),
         ("scale.temperature", ON_RATE_OVER_TEMPERATURE, 300.0, "ppm/degC"),
+        *catalogue.recorded("bias", "deg/s", size=0.6, span=25.0, pace=1.0),
     ),
     others=(
         ("bias.resonance", AMPLITUDE, 500.0, "deg/s", RESONANT),

@@ -39,6 +39,7 @@ class World(Clock):
         powered: whether the gyro is on.
         ambient: air at the ambient thermometer, °C: steps, no faster than the ramp, then first order.
         turn_on: one standard normal number per run, held through that run and the pause after it.
+        supply: voltage of the gyro's supply, V.
         humidity: relative humidity in the chamber, %.
         run: run of each reading, counted from 0.
     """
@@ -55,6 +56,7 @@ class World(Clock):
         self.powered = (self.since > 0) & (self.time <= starts[self._run] + plan.run_duration)
         self.ambient = self.body(_set_point(plan, self.time), plan.chamber_time)
         self.turn_on = generators["run"].standard_normal(plan.runs)[self._run]
+        self.supply = simulated.wandering_supply(generators["supply"], length, GRID)
         moist = 45.0 + 5.0 * correlated(generators["humidity"], length, 2400.0, GRID)
         self.humidity = np.clip(moist, 2.0, 98.0)
         taken = round(plan.run_duration / plan.logging_interval)
@@ -159,10 +161,21 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
     {
         "bias.temperature_quadratic": _quadratic,
         "bias.temperature_cubic": _cubic,
+        "bias.temperature_quartic": lambda w: (w.ambient - w.plan.T0) ** 4,
         # stress from the heat flowing into the package: its true heating rate, °C/min
         "bias.rate": lambda w: 60.0 * (w.ambient - w.package) / w.plan.package_time,
         # the die is not at the temperature that the ambient thermometer shows
         "bias.thermal_lag": lambda w: w.body(w.ambient, w.plan.lag_time) - w.ambient,
+        "bias.thermal_lag_slow": lambda w: w.body(w.ambient, w.plan.slow_time) - w.ambient,
+        # stress between package and die, of a glue that gives way more, the warmer it is
+        "bias.temperature_x_lag": lambda w: (
+            (w.ambient - w.plan.T0) * (w.body(w.ambient, w.plan.lag_time) - w.ambient)
+        ),
+        "bias.hysteresis": lambda w: simulated.sticking(w.ambient),
+        "bias.supply": lambda w: w.supply - simulated.SUPPLY,
+        "bias.temperature_x_supply": lambda w: (
+            (w.ambient - w.plan.T0) * (w.supply - simulated.SUPPLY)
+        ),
         # the chip that gives the zero level, 1.2 V, has a linear tempco and sits on the board
         "bias.reference_voltage": lambda w: w.board - w.plan.T0,
         # electronics are off when cold, and right when they have heated themselves
@@ -211,7 +224,7 @@ def simulate_arrays(
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
     _check(effects, noise_law)
-    names = ("noise", "wander", "thermometer", "run", "humidity")
+    names = ("noise", "wander", "thermometer", "run", "humidity", "supply")
     generators = simulated.generators(names, seed)
     world = World(campaign, generators)
 
@@ -232,6 +245,8 @@ def simulate_arrays(
     }
     if campaign.rate_input is not None:
         columns["rate_input"] = contributions["rate_input"].copy()
+    if any(name.endswith("supply") for name in effects):
+        columns["supply_voltage"] = world.average(world.supply)
     if "unlisted.humidity" in effects:
         columns["humidity [%]"] = world.average(world.humidity)  # no column of the instrument's own
     columns["output"] = output

@@ -328,6 +328,14 @@ EFFECTS = EffectTable.of(
             "source 0: the table's angle is good to 1″",
         ),
         ("rotation.wobble", WOBBLE, 1.0, "arcsec"),
+        # Five temperatures and a deviation of each cell leave nothing of a fourth power; the lag itself may be slow.
+        *catalogue.recorded(
+            *("bias", "ug"),
+            size=20.0,
+            span=10.0,
+            pace=0.2,
+            causes=("temperature_x_lag", "supply", "temperature_x_supply"),
+        ),
     ),
 )
 THERMOMETER = effects.thermometer(0.002, source="ours: 2 mK of an averaged temperature")

@@ -7,6 +7,7 @@ on first use.
 import lazy_loader
 
 import bayescal as bc
+from bayescal_models.supply import SUPPLY
 
 COLUMNS = (
     bc.Column("run", None, "label of the run, from power-on to power-off", required=False),
@@ -14,6 +15,7 @@ COLUMNS = (
     bc.Column("time", "s", "one origin over all runs", required=False),
     bc.Column("temperature_circuit", "degC", "t1, at the drive circuit", low=-273.15, high=250.0),
     bc.Column("temperature_head", "degC", "t2, in the sensor head", low=-273.15, high=250.0),
+    SUPPLY,
     bc.Column("acceleration", "ug", "known input along the input axis (file: g)"),
     bc.Column("frequency_sum", "Hz", "sum of both beams' frequencies", required=False),
     bc.Column("output", "ug", "output; or the beams' frequency difference in Hz"),

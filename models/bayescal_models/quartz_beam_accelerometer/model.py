@@ -247,6 +247,15 @@ EFFECTS = EffectTable.of(
     candidates=(
         *_both(*OF_CIRCUIT[:3], *BETWEEN, *PRODUCTS, *OTHERS),
         ("second_order", K2, 10.0, "ug/g^2", "IEEE Std 1293; size ours"),
+        # The document's products with a rate and a gradient are a lag that grows with the temperature.
+        *catalogue.recorded(
+            *("bias", "ug"),
+            size=400.0,
+            span=50.0,
+            pace=1.0,
+            column=T2,
+            causes=("supply", "temperature_x_supply"),
+        ),
     ),
     others=_both(
         ("constant_circuit", CONSTANT, CONSTANTS, ""),

@@ -35,7 +35,6 @@ KELVIN = 273.15
 EINSTEIN = 400.0  # K, of the oscillators whose energy bends the circuit's tempco; ours
 LEAKAGE = 80.0  # °C, over which leakage currents grow by e; ours
 BOW = 60.0  # °C of gradient at which a bowed plate has stiffened; ours
-SLIPS = (0.3, 0.6, 1.0, 1.5)  # °C, thresholds of joints that stick and slip; ours
 WANDER_TIME = 300.0  # s
 CHANCES = ("noise", "wander", "thermometers", "bias", "scale", "frequency")
 
@@ -128,18 +127,6 @@ def _energy(change: Array, T0: float) -> Array:
     return 2.0 * (level(at + change) - level(at) - slope * change) / curvature
 
 
-def _hysteresis(world: World) -> Array:
-    """Joints stick, each up to its own strain, then slip along: plays of several widths (Prandtl, Ishlinskii)."""
-    total = np.zeros(world.head.size)
-    for width in SLIPS:
-        seat, strain = float(world.head[0]), np.empty(world.head.size)
-        for i, here in enumerate(world.head.tolist()):
-            seat = min(max(seat, here - width), here + width)
-            strain[i] = (here - seat) / width
-        total += strain / len(SLIPS)
-    return total
-
-
 def _leakages(world: World) -> Array:
     """Two leakages, one growing with heat and one with cold, less what is linear in them."""
     part = (world.circuit - world.plan.T0) / LEAKAGE
@@ -165,7 +152,7 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
         "temperature_x_gradient": lambda w: (w.head - w.plan.T0) * w.uneven,
         # the resonators are not at the temperature of the head's thermometer
         "thermal_lag": lambda w: w.body(w.head, w.plan.lag_time) - w.head,
-        "hysteresis": _hysteresis,
+        "hysteresis": lambda w: simulated.sticking(w.head),
         # the oscillators are off when cold and right when they have warmed
         "warm_up": lambda w: 1.0 - w.warmth,
         # ageing, logarithmic in time, one over the whole test

@@ -7,6 +7,7 @@ on first use.
 import lazy_loader
 
 import bayescal as bc
+from bayescal_models.supply import SUPPLY
 
 COLUMNS = (
     bc.Column("run", None, "label of the run", required=False),
@@ -14,6 +15,7 @@ COLUMNS = (
     bc.Column(
         "temperature", "degC", "any thermometer near by", required=False, low=-273.15, high=250.0
     ),
+    SUPPLY,
     bc.Column("output", "any", "the logged channel"),
 )
 

@@ -35,7 +35,7 @@ import numpy as np
 
 import bayescal as bc
 from bayescal_models import catalogue
-from bayescal_models.catalogue import MINUTE, EffectTable
+from bayescal_models.catalogue import MINUTE
 from bayescal_models.still_sensor import COLUMNS
 from bayescal_models.still_sensor.simulator import simulated_columns
 
@@ -51,50 +51,8 @@ def _in_use(true, slots, r):
     return slots["bias"] + true
 
 
-LAG, SLOW = 5.0, 40.0  # min, of bodies whose lag would show a quarter of the size
-SHARE = "ours: {:g} of half the record's own range{}; empirical, for want of a data sheet"
 OF_RECORD = "ours: √(median² + (5 × range)²) of the record itself, an empirical choice"
-
-
-def effects(unit: str, size: float, span: float, pace: float) -> tuple[bc.Effect, ...]:
-    """The line and what may be missing from it, each in a share of `size`; other arguments as of `instrument`."""
-    full, half, quarter = (
-        SHARE.format(share, ", from the middle to an end of the temperatures")
-        for share in (1.0, 0.5, 0.25)
-    )
-    of_time, of_quarter = SHARE.format(0.5, ""), SHARE.format(0.25, "")
-    of_rate = SHARE.format(0.25, " at the mean rate of the temperature")
-    of_lag, of_slow = (
-        SHARE.format(0.25, f" at the mean rate of the temperature and a lag of {minutes:g} min")
-        for minutes in (LAG, SLOW)
-    )
-    short, long = (MINUTE, 20 * MINUTE), (20 * MINUTE, 180 * MINUTE)
-    q, per = 0.25 * size, f"{unit}/degC"
-    body = catalogue.thermal_lag(*short, q, unit, rate=(q / pace, f"{unit}/(degC/min)", of_rate))
-    slow, grows = catalogue.thermal_lag(*long, q, unit), catalogue.temperature_x_lag(*short)
-    warming = catalogue.warm_up(2 * MINUTE, 40 * MINUTE)
-    return EffectTable.of(
-        of_quarter,
-        candidates=(
-            ("bias.temperature", catalogue.linear, size / span, per, full),
-            (
-                "bias.temperature_quadratic",
-                catalogue.quadratic,
-                0.5 * size / span**2,
-                f"{per}^2",
-                half,
-            ),
-            ("bias.temperature_cubic", catalogue.cubic, q / span**3, f"{per}^3", quarter),
-            ("bias.temperature_quartic", catalogue.quartic, q / span**4, f"{per}^4", quarter),
-            ("bias.thermal_lag", body, q / (pace * LAG), per, of_lag),
-            ("bias.thermal_lag_slow", slow, q / (pace * SLOW), per, of_slow),
-            ("bias.temperature_x_lag", grows, q / (pace * LAG * span), f"{per}^2", of_lag),
-            ("bias.hysteresis", catalogue.hysteresis, q, unit),
-            ("bias.warm_up", warming, 0.5 * size, unit, of_time),
-            ("bias.drift", catalogue.drift, 0.5 * size, unit, of_time),
-            ("bias.run", catalogue.deviation, q, unit),
-        ),
-    ).candidates
+OF_RANGE = "ours: {:g} of half the record's own range{}; empirical, for want of a data sheet"
 
 
 @cache  # the same settings are the same instrument
@@ -123,7 +81,9 @@ def instrument(
     for name, value in settings.items():
         if not (np.isfinite(value) and (value > 0 or (name == "span" and value == 0))):
             raise bc.InputError(f"still_sensor: {name} {value} must be a positive number")
-    line, *candidates = effects(unit, size, span or 1.0, pace)
+    line, *candidates = catalogue.recorded(
+        "bias", unit, size=size, span=span or 1.0, pace=pace, source=OF_RANGE
+    )
     own = catalogue.constant("bias.constant", constant, unit, OF_RECORD)
     made = bc.Instrument(
         name="still_sensor",

@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from bayescal_models.simulated import correlated, first_order_body, refuse_effects
+from bayescal_models.simulated import (
+    SUPPLY,
+    correlated,
+    first_order_body,
+    refuse_effects,
+    wandering_supply,
+)
 from bayescal_models.still_sensor.campaign import (
     CHAMBER_TIME,
     LAG_TIME,
@@ -37,15 +43,18 @@ class World:
         departure: T − T0, °C, T0 the mean of all rounded to 1 °C.
         start: of each run, s, (runs, 1).
         turn_on: one standard normal number for each run, (runs, 1).
+        supply: voltage of the supply, V, (runs, m).
     """
 
-    def __init__(self, turn_on: np.ndarray) -> None:
+    def __init__(self, turn_on: np.ndarray, seed: int) -> None:
         minutes, goals = np.array(RAMPS).T
         self.second = np.arange(60.0 * minutes[-1] + 1)
         self.ambient = self.body(np.interp(self.second, 60 * minutes, goals), CHAMBER_TIME)
         self.departure = self.ambient - round(float(self.ambient.mean()))
         self.start = np.arange(len(turn_on))[:, None] * (self.second[-1] + PAUSE)
         self.turn_on = turn_on[:, None]
+        shape, of_supply = (len(turn_on), self.second.size), np.random.default_rng([seed, 1])
+        self.supply = wandering_supply(of_supply, shape, 1.0)
 
     def body(self, drive: np.ndarray, time_constant: float) -> np.ndarray:
         return first_order_body(drive, time_constant, 1.0)
@@ -82,6 +91,8 @@ _LAWS: dict[str, Callable[[World], np.ndarray]] = {
     "bias.warm_up": lambda w: np.exp(-w.second / WARM_UP_TIME),
     "bias.drift": lambda w: w.progress,
     "bias.run": lambda w: w.turn_on,
+    "bias.supply": lambda w: w.supply - SUPPLY,
+    "bias.temperature_x_supply": lambda w: w.departure * (w.supply - SUPPLY),
 }
 
 
@@ -105,7 +116,7 @@ def simulated_columns(
     if runs < 1 or interval < 1:
         raise ValueError(f"runs={runs} and interval={interval} s must be at least 1")
     rng = np.random.default_rng(seed)
-    world = World(rng.standard_normal(runs))
+    world = World(rng.standard_normal(runs), seed)
     shape = (runs, world.second.size)
     parts = (size * _LAWS[name](world) for name, size in sizes.items())
     true = sum(parts, start=np.zeros(shape))
@@ -114,9 +125,12 @@ def simulated_columns(
         scatter += NOISE * correlated(rng, shape, WANDER_TIME, 1.0)
     logged = slice(0, None, interval)
     taken = world.second[logged].size
-    return {
+    columns = {
         "run": np.repeat(np.arange(1, runs + 1), taken).astype(str),
         "time": (world.start + world.second)[:, logged].ravel(),
         "temperature": np.tile(world.ambient[logged], runs),
         f"output [{unit}]": (true + scatter)[:, logged].ravel(),
     }
+    if any(name.endswith("supply") for name in sizes):
+        columns["supply_voltage"] = world.supply[:, logged].ravel()
+    return columns
