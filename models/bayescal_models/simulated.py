@@ -154,11 +154,15 @@ def sticking(temperature: Array) -> Array:
     return total
 
 
-def wandering_supply(
-    generator: np.random.Generator, shape: int | tuple[int, int], step: float
-) -> Array:
-    """Voltage of a supply that wanders about 5 V, V, over a grid of this step, s."""
-    return SUPPLY + SUPPLY_WANDER * correlated(generator, shape, SUPPLY_TIME, step)
+def wandering_supply(generator: np.random.Generator, time: Array) -> Array:
+    """Voltage, V, of a supply that wanders about 5 V, at these times, s."""
+    knots = np.arange(time.min(), time.max() + 2 * SUPPLY_TIME, SUPPLY_TIME)
+    return np.interp(time, knots, SUPPLY + SUPPLY_WANDER * generator.standard_normal(knots.size))
+
+
+def supplied(effects: Collection[str]) -> bool:
+    """Whether the supply's voltage has to be recorded, for one of these effects is hidden."""
+    return any(name.endswith("supply") for name in effects)
 
 
 def experiments(

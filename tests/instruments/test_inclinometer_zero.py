@@ -14,6 +14,8 @@ from bayescal._model.model import testable as can_test
 from bayescal_models import inclinometer
 from bayescal_models.inclinometer import model, reference_problem
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
+from bayescal_models.inclinometer.simulator import WARM_UP_TIME
+from tests.support.made_up.supply import AT_SUPPLY
 
 INSTRUMENT = inclinometer.INSTRUMENT
 LINES = {"x": (62.6211, 0.72105), "y": (96.3284, 0.06818)}  # source 4: arcsec, arcsec/deg
@@ -123,14 +125,15 @@ def test_simulated_laws_are_the_catalogues_but_for_their_physics(name: str) -> N
     plain, hidden = (
         inclinometer.simulate(e, seed=3, campaign=tilted)["output"] for e in ({}, {name: size})
     )
-    readings = inclinometer.simulate(seed=3, campaign=tilted)
+    readings = inclinometer.simulate({name: size}, seed=3, campaign=tilted)
     effect = INSTRUMENT.effect(name)
-    frame = build_frame(readings, {**reference_of(readings), "T0": 20.0})  # as of the simulator
+    shapes = {s.name: np.asarray(WARM_UP_TIME) for s in effect.shapes}
+    frame = build_frame(readings, {**reference_of(readings), **AT_SUPPLY, "T0": 20.0})
     slots = {s.name: jnp.zeros(len(readings)) for s in INSTRUMENT.slots}
     unit = model.ARCSEC_PER[effect.coefficients[0].unit]
     share = np.where(readings["axis"] == "x", 1.0, -0.6)
     own = 1.0 if effect.coefficients[0].per is None or effect.slot == "base_tilt" else share
-    added = size * unit * own * effect.evaluate(frame, {}).sum(axis=1)
+    added = size * unit * own * effect.evaluate(frame, shapes).sum(axis=1)
     expected = np.asarray(INSTRUMENT.response({**slots, effect.slot: added}, frame)) - np.asarray(
         INSTRUMENT.response(slots, frame)
     )

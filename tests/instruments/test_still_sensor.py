@@ -17,6 +17,7 @@ from bayescal._model.model import testable as can_test
 from bayescal_models import still_sensor
 from bayescal_models.still_sensor.campaign import LAG_TIME, SLOW_TIME, WARM_UP_TIME
 from bayescal_models.still_sensor.simulator import NOISE_LAWS
+from tests.support.made_up.supply import AT_SUPPLY
 
 UNITS = [
     ("m/s^2", "ug", 1e6 / 9.80665),
@@ -158,7 +159,6 @@ def test_an_unknown_effect_or_noise_law_is_refused() -> None:
 def test_the_simulated_laws_are_the_catalogues() -> None:
     plain = still_sensor.simulate(seed=2)
     instrument = still_sensor.INSTRUMENT.for_readings(plain)
-    frame = build_frame(plain, reference_of(plain))
     shapes_of = {
         "bias.thermal_lag": LAG_TIME,
         "bias.thermal_lag_slow": SLOW_TIME,
@@ -168,7 +168,9 @@ def test_the_simulated_laws_are_the_catalogues() -> None:
         "bias.hysteresis": 0.5,
     }
     for effect in instrument.candidates:
-        hidden = still_sensor.simulate({effect.name: 7.0}, seed=2)["output"] - plain["output"]
+        with_it = still_sensor.simulate({effect.name: 7.0}, seed=2)
+        hidden = with_it["output"] - plain["output"]
+        frame = build_frame(with_it, {**reference_of(with_it), **AT_SUPPLY})
         if effect.name == "bias.run":
             continue
         shapes = {shape.name: jnp.asarray(shapes_of[effect.name]) for shape in effect.shapes}

@@ -10,9 +10,10 @@ import bayescal as bc
 from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import quartz_beam_accelerometer as quartz
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID
-from bayescal_models.quartz_beam_accelerometer.simulator import CHANCE, LAWS
+from bayescal_models.quartz_beam_accelerometer.simulator import CHANCE, LAWS, OF_BIAS
 from bayescal_models.quartz_beam_accelerometer.world import World
 from bayescal_models.simulated import first_order_body
+from tests.support.made_up.supply import AT_SUPPLY
 
 CANDIDATES = {e.name: e for e in quartz.INSTRUMENT.candidates}
 PLAIN = quartz.simulate(seed=3)
@@ -20,7 +21,7 @@ PLAIN = quartz.simulate(seed=3)
 
 def test_every_candidate_can_be_hidden_and_no_other_law_exists() -> None:
     laws = {f"{slot}.{cause}" for slot in ("bias", "scale") for cause in (*LAWS, *CHANCE)}
-    assert set(CANDIDATES) == {*laws, "second_order"}
+    assert set(CANDIDATES) == {*laws, *OF_BIAS, "second_order"}
 
 
 @pytest.mark.parametrize("name", CANDIDATES)
@@ -40,7 +41,8 @@ def test_a_hidden_effect_is_linear_in_its_size_and_near_its_basis(name: str) -> 
         assert max(np.ptp(v) for v in shown if v.size) < 1e-6
         assert np.ptp([v[0] for v in shown if v.size]) > 0
         return
-    frame = build_frame(PLAIN, reference_of(PLAIN))
+    shown = quartz.simulate({name: size}, seed=3)  # with the supply's voltage, where that acts
+    frame = build_frame(shown, {**reference_of(shown), **AT_SUPPLY})
     shape = {"thermal_lag": 600.0, "warm_up": 900.0}.get(name.partition(".")[2])
     basis = np.asarray(effect.evaluate(frame, {"tau": jnp.asarray(shape)} if shape else {}))[:, 0]
     a = PLAIN["acceleration"] / 1e6

@@ -14,7 +14,14 @@ from typing import Any
 import numpy as np
 
 from bayescal_models.differential_pair.campaign import GRAVITY, RADIUS, Campaign, G
-from bayescal_models.simulated import Array, generators, refuse_effects
+from bayescal_models.simulated import (
+    SUPPLY,
+    Array,
+    generators,
+    refuse_effects,
+    supplied,
+    wandering_supply,
+)
 
 FINE = 10  # steps of the world in each reading
 WARMING = 0.45  # time constant of the fixture's heating by windage, in records
@@ -26,6 +33,7 @@ HIDDEN = (
     "timing.skew",
     "bias.drift",
     "bias.device",
+    "bias.supply",
 )
 
 
@@ -83,8 +91,8 @@ def columns_and_truth(
     plan, sizes = campaign or Campaign(), dict(effects or {})
     refuse_effects(sizes, HIDDEN, "a batch")
     count = plan.outer + plan.inner
-    uses = ("devices", "environment", "own", "hidden", "noise", "thermometer")
-    devices, environment, own, hidden, noise, thermometer = generators(uses, seed).values()
+    uses = ("devices", "environment", "own", "hidden", "noise", "thermometer", "supply")
+    devices, environment, own, hidden, noise, thermometer, power = generators(uses, seed).values()
     fine = (np.arange(plan.samples * FINE) + 0.5) * plan.duration / (plan.samples * FINE)
 
     sensitivity = 1.0 + plan.sensitivity_spread * devices.standard_normal(count)
@@ -99,7 +107,9 @@ def columns_and_truth(
     sign = np.repeat([1.0, -1.0], [plan.outer, plan.inner])
     own_sizes = {name: hidden.standard_normal(count) for name in HIDDEN}
     drawn = {name: sizes.get(name, 0.0) * z for name, z in own_sizes.items()}
+    supply = wandering_supply(power, fine)
     made = _outputs(plan, fine, sign, scale, drawn) + env
+    made = made + drawn["bias.supply"][:, None] * (supply - SUPPLY)
     scatter = plan.noise / np.sqrt(plan.duration / plan.samples)
     readings = average(made) + scatter * noise.standard_normal((count, plan.samples))
     groups = np.repeat(["outer", "inner"], [plan.outer, plan.inner])
@@ -114,6 +124,8 @@ def columns_and_truth(
         "acceleration": np.tile(commanded, count),
         "output": readings.ravel(),
     }
+    if supplied(sizes):
+        columns["supply_voltage"] = np.tile(average(supply), count)
     if plan.thermometer is not None:
         error = plan.thermometer * thermometer.standard_normal(plan.samples)
         columns["temperature"] = np.tile(average(temperature) + error, count)

@@ -210,19 +210,14 @@ EFFECTS = EffectTable.of(
         ("dividing.wobble", SPINDLE, 2.0, "arcsec", FACE),
         ("dividing.face", effect(one, "c"), 2.0, "arcsec", FACE),
         ("base_tilt.drift", SETTLING, 2.0, "arcsec"),
-        # A laboratory's temperature goes no way far enough for a cubic; a drift of the zero is one of the base.
+        # A laboratory's temperature goes not far enough for a cubic and too slowly for a lag, and a
+        # drift of the zero is one of the base.
         *recorded(
             *("zero", "arcsec"),
             size=10.0,
             span=5.0,
             pace=0.25,
-            causes=(
-                "temperature_quadratic",
-                "thermal_lag",
-                "warm_up",
-                "supply",
-                "temperature_x_supply",
-            ),
+            causes=("temperature_quadratic", "warm_up", "supply", "temperature_x_supply"),
             per="axis",
         ),
     ),
@@ -240,8 +235,7 @@ EFFECTS = EffectTable.of(
     ),
 )
 ARCSEC_PER = {  # what a coefficient of 1 adds to its slot: arcsec (per rad, rad², rad³), or 1
-    "arcsec": 1.0,
-    "arcsec/degC": 1.0,
+    **dict.fromkeys(("arcsec", "arcsec/degC", "arcsec/degC^2", "arcsec/V", "arcsec/degC/V"), 1.0),
     "arcsec/deg": np.rad2deg(1.0),
     "arcsec/deg^2": np.rad2deg(1.0) ** 2,
     "arcsec/deg^3": np.rad2deg(1.0) ** 3,

@@ -17,6 +17,8 @@ from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
 from bayescal_models.inclinometer.geometry import ARCSEC, exact_placement, sensed
 
 MEAN_TEMPERATURE = 20.0  # °C
+STREAMS = ("noise", "run", "table", "thermometer", "device", "supply")
+WARM_UP_TIME = 900.0  # s, of the electronics in a mounting
 PHASES = (0.0, 0.7)  # rad, where temperature and the base's settling start: not in step
 
 
@@ -33,6 +35,8 @@ class World:
         cross: true tilt of the other axis, or true placement angle, rad.
         placement: placement angle that the zero follows, rad.
         thermometer, warmth: what it reads, and the hinge, which lags, less the mean, °C.
+        started: share of its warm-up that each mounting has still before it.
+        supply: voltage of the supply, V.
         settled: part of the base's tilting that has happened, from −½ to ½.
         sweep: direction of the sweep, turning round gradually.
         mounted: what each mounting adds to the zero, arcsec.
@@ -59,6 +63,7 @@ class World:
         noise = 0.01 * random["thermometer"].standard_normal(self.time.size)
         self.thermometer = MEAN_TEMPERATURE + plan.swing * np.sin(phase) + noise
         self.warmth = plan.swing * np.sin(phase - np.arctan(turn)) / np.hypot(1.0, turn)
+        self.supply = simulated.wandering_supply(random["supply"], self.time)
         settled = 1 - np.exp(-(self.time - self.time.min()) / plan.settling_time)
         self.settled = settled / max(float(settled.max()), 1e-300) - 0.5
         limit = ARCSEC * plan.dividing
@@ -70,6 +75,8 @@ class World:
         self.accelerometer = self._accelerometers(random["device"])
         self.share = self.accelerometer.share
         _, codes = np.unique(self.run, return_inverse=True)
+        first = np.array([self.time[codes == k].min() for k in range(codes.max() + 1)])
+        self.started = np.exp(-(self.time - first[codes]) / WARM_UP_TIME)
         drawn = random["run"].standard_normal(codes.max() + 1)
         self.mounted = plan.repeatability * drawn[codes]
 
@@ -141,6 +148,10 @@ _LAWS: dict[str, Callable[[World, float], _Sum]] = {
     "zero.placement_quadratic": _zero(lambda w: np.rad2deg(w.placement) ** 2),
     "zero.projection": _zero(lambda w: np.cos(w.placement) + np.sin(w.placement)),
     "zero.temperature": _zero(lambda w: w.warmth),
+    "zero.temperature_quadratic": _zero(lambda w: w.warmth**2),
+    "zero.warm_up": _zero(lambda w: w.started),
+    "zero.supply": _zero(lambda w: w.supply - simulated.SUPPLY),
+    "zero.temperature_x_supply": _zero(lambda w: w.warmth * (w.supply - simulated.SUPPLY)),
     "zero.hysteresis": _zero(lambda w: w.sweep),
     "zero.cross_axis": lambda w, size: _Sum(leak=w.share * size * np.sin(w.cross)),
     "zero.electrical_tilt": _electrical,
@@ -175,7 +186,7 @@ def simulated_columns(
     """
     campaign, effects = campaign or Campaign(), dict(effects or {})
     simulated.refuse_effects(effects, _LAWS, "a test of the inclinometer")
-    random = simulated.generators(("noise", "run", "table", "thermometer", "device"), seed)
+    random = simulated.generators(STREAMS, seed)
     world = World(campaign, random)
     output = _reading(world, effects) + campaign.noise * random["noise"].standard_normal(
         world.time.size
@@ -189,6 +200,8 @@ def simulated_columns(
         "temperature": world.thermometer,
         "output": output,
     }
+    if simulated.supplied(effects):
+        columns["supply_voltage"] = world.supply
     if campaign.grid:
         columns["true_angle"] = world.tilt
     else:

@@ -56,7 +56,7 @@ class World(Clock):
         self.powered = (self.since > 0) & (self.time <= starts[self._run] + plan.run_duration)
         self.ambient = self.body(_set_point(plan, self.time), plan.chamber_time)
         self.turn_on = generators["run"].standard_normal(plan.runs)[self._run]
-        self.supply = simulated.wandering_supply(generators["supply"], length, GRID)
+        self.supply = simulated.wandering_supply(generators["supply"], self.time)
         moist = 45.0 + 5.0 * correlated(generators["humidity"], length, 2400.0, GRID)
         self.humidity = np.clip(moist, 2.0, 98.0)
         taken = round(plan.run_duration / plan.logging_interval)
@@ -245,7 +245,7 @@ def simulate_arrays(
     }
     if campaign.rate_input is not None:
         columns["rate_input"] = contributions["rate_input"].copy()
-    if any(name.endswith("supply") for name in effects):
+    if simulated.supplied(effects):
         columns["supply_voltage"] = world.average(world.supply)
     if "unlisted.humidity" in effects:
         columns["humidity [%]"] = world.average(world.humidity)  # no column of the instrument's own

@@ -26,7 +26,7 @@ from bayescal_models.ng_accelerometer.world import World
 from bayescal_models.simulated import ARCSEC, DEGREE, Array, Simulated
 
 G = 1e6  # µg
-STREAMS = ("noise", "thermometer", "chamber", "laboratory", "groups")
+STREAMS = ("noise", "thermometer", "chamber", "laboratory", "groups", "supply")
 SATURATION = 40.0  # °C, over which a curved law departs from its leading power
 UNEVEN = 0.002  # 1/°C, by which a warming fixture bends more, the warmer it is
 HIGHER = 0.1  # share of the next lobes in what is uneven around a turn
@@ -89,6 +89,11 @@ def _eccentric(w: World) -> Array:
     return np.arctan2(small * np.sin(angle), 1 + small * np.cos(angle)) / ARCSEC
 
 
+def _surplus(w: World) -> Array:
+    """Of the supply over its nominal voltage, V."""
+    return w.supply - simulated.SUPPLY
+
+
 def _ones(w: World) -> Array:
     return np.ones_like(w.time)
 
@@ -124,6 +129,9 @@ _LAWS = {
     "scale.run": Law("scale", "ppm", _scatter("scale", "run")),
     "bias.rate": Law("bias", "ug", lambda w: w.heating),
     "bias.thermal_lag": Law("bias", "ug", lambda w: w.element - w.device),
+    "bias.temperature_x_lag": Law("bias", "ug", lambda w: _warmer(w) * (w.element - w.device)),
+    "bias.supply": Law("bias", "ug", _surplus),
+    "bias.temperature_x_supply": Law("bias", "ug", lambda w: _warmer(w) * _surplus(w)),
     "bias.hysteresis": Law("bias", "ug", lambda w: w.direction),
     "fixture_tilt.temperature": Law("fixture_tilt", "urad", _fixture),
     "fixture_tilt.run": Law("fixture_tilt", "urad", _scatter("fixture_tilt", "run")),
@@ -212,6 +220,8 @@ def simulate_arrays(
         "tilt": world.tilt[:, 0],
         "output": noise_free + noise,
     }
+    if simulated.supplied(sizes):
+        columns["supply_voltage"] = world.supply.mean(axis=1)
     return Simulated(columns, world, contributions, noise_free)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from bayescal_models.ng_accelerometer.campaign import GRID, Campaign, SetUp
 from bayescal_models.ng_accelerometer.moon_and_sun import DAY, tide
-from bayescal_models.simulated import HOUR, Array, correlated, first_order_body
+from bayescal_models.simulated import HOUR, Array, correlated, first_order_body, wandering_supply
 
 CHAMBER_TIME, DEVICE_TIME, FIXTURE_TIME = 180.0, 600.0, 900.0  # s, behind set point, air, air
 BASE_TIME, LABORATORY_TIME = 1800.0, 900.0  # s, of the base behind chamber and laboratory
@@ -39,6 +39,7 @@ class World:
         laboratory, foundation: of the laboratory, and of the base that follows it, °C.
         direction: state of hysteresis, −1 … 1.
         warmth: share of its own heat that the electronics lack, 1 at power-on.
+        supply: voltage of the supply, V.
         tide: components ∥ (towards east) and ⊥ (north), each in parts of its month's peak.
         by_cell, by_run: standard normal numbers by effect, one per reading, equal within a cell or run.
     """
@@ -54,7 +55,7 @@ class World:
 
         Args:
             plan: of the test.
-            generators: of random numbers: "chamber", "laboratory", "groups".
+            generators: of random numbers: "chamber", "laboratory", "groups", "supply".
             cells, runs: names of what scatters from cell to cell, and from run to run.
         """
         self.plan, done = plan, _CarriedOut(plan)
@@ -83,6 +84,7 @@ class World:
         laboratory = plan.laboratory + plan.laboratory_wander * slow - daily
         self.laboratory = laboratory[index]
         self.foundation = body(laboratory, LABORATORY_TIME)[index]
+        self.supply = wandering_supply(generators["supply"], self.time)
         self.tide = tide(self.time, plan.begin, plan.latitude, plan.longitude)
         normal = generators["groups"].standard_normal
         self.by_cell = {name: normal(cell.max() + 1)[cell][:, None] for name in cells}

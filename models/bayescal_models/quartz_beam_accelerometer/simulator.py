@@ -36,7 +36,7 @@ EINSTEIN = 400.0  # K, of the oscillators whose energy bends the circuit's tempc
 LEAKAGE = 80.0  # °C, over which leakage currents grow by e; ours
 BOW = 60.0  # °C of gradient at which a bowed plate has stiffened; ours
 WANDER_TIME = 300.0  # s
-CHANCES = ("noise", "wander", "thermometers", "bias", "scale", "frequency")
+CHANCES = ("noise", "wander", "thermometers", "bias", "scale", "frequency", "supply")
 
 CUBIC: Mapping[str, float] = MappingProxyType(
     {
@@ -161,6 +161,14 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
 )
 """Every cause that can be hidden in bias or scale factor, beside chance."""
 
+OF_BIAS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
+    {
+        "bias.supply": lambda w: w.supply - simulated.SUPPLY,
+        "bias.temperature_x_supply": lambda w: (w.head - w.plan.T0) * (w.supply - simulated.SUPPLY),
+    }
+)
+"""What the supply does, to the bias alone."""
+
 CHANCE: Mapping[str, Callable[[World, Mapping[str, Array]], Array]] = MappingProxyType(
     {
         # turn-on repeatability
@@ -205,6 +213,8 @@ def simulated_columns(
         "acceleration": 1e6 * g,
         "output": output,
     }
+    if simulated.supplied(effects):
+        columns["supply_voltage"] = world.average(world.supply)
     if campaign.frequency_sum:
         jitter = 0.005 * generators["frequency"].standard_normal(g.size)  # Hz
         columns["frequency_sum"] = true.frequency_sum + jitter
@@ -227,9 +237,10 @@ def true_values(
 
 def _true(world: World, effects: Mapping[str, float], seed: int) -> tuple[World, Truth]:
     known = [f"{slot}.{cause}" for slot in ("bias", "scale") for cause in (*LAWS, *CHANCE)]
-    known += ["second_order", *(CUBIC if world.plan.device == "cubic" else ())]
+    known += ["second_order", *OF_BIAS, *(CUBIC if world.plan.device == "cubic" else ())]
     simulated.refuse_effects(effects, known, f"a {world.plan.device!r} device")
     generators = simulated.generators(CHANCES, seed)
+    world.supply = simulated.wandering_supply(generators["supply"], world.time)
     device = truth(world, {n: effects.get(n, v) for n, v in CUBIC.items()})
     sums = {"bias": device.bias, "scale": device.scale}
     chances = {slot: _chance(generators[slot], world) for slot in sums}
@@ -237,6 +248,8 @@ def _true(world: World, effects: Mapping[str, float], seed: int) -> tuple[World,
         slot, _, cause = name.partition(".")
         if cause in LAWS:
             sums[slot] = sums[slot] + size * world.average(LAWS[cause](world))
+        elif name in OF_BIAS:
+            sums[slot] = sums[slot] + size * world.average(OF_BIAS[name](world))
         elif cause in CHANCE:
             sums[slot] = sums[slot] + size * CHANCE[cause](world, chances[slot])
     return world, Truth(sums["bias"], sums["scale"], device.frequency_sum)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID, POSITIONS, Campaign
-from bayescal_models.simulated import Clock
+from bayescal_models.simulated import SUPPLY, Clock
 
 
 class World(Clock):
@@ -22,6 +22,7 @@ class World(Clock):
         plan: of the test.
         circuit, head: temperatures, °C; `uneven` is circuit less head.
         circuit_rate, head_rate: true heating rates, °C/min.
+        supply: voltage of the supply, V; nominal until it is said to wander.
         warmth: share of the warm-up reached, 0 cold … 1 warm.
         run: of each reading, counted from 0.
         point: soak temperature of each reading, °C, not a number on ramps.
@@ -46,6 +47,7 @@ class World(Clock):
         self.uneven = self.circuit - self.head
         self.circuit_rate = 60.0 * (around_circuit - self.circuit) / plan.circuit_time
         self.head_rate = 60.0 * (around_head - self.head) / plan.head_time
+        self.supply = np.full(self.time.size, SUPPLY)
         self.warmth = self.body(powered, plan.warm_up_time)
         ends, run, self.point, self.acceleration = map(
             np.array, zip(*carried_out.readings, strict=True)

@@ -16,6 +16,7 @@ from bayescal_models.simulated import (
     correlated,
     first_order_body,
     refuse_effects,
+    supplied,
     wandering_supply,
 )
 from bayescal_models.still_sensor.campaign import (
@@ -53,8 +54,7 @@ class World:
         self.departure = self.ambient - round(float(self.ambient.mean()))
         self.start = np.arange(len(turn_on))[:, None] * (self.second[-1] + PAUSE)
         self.turn_on = turn_on[:, None]
-        shape, of_supply = (len(turn_on), self.second.size), np.random.default_rng([seed, 1])
-        self.supply = wandering_supply(of_supply, shape, 1.0)
+        self.supply = wandering_supply(np.random.default_rng([seed, 1]), self.start + self.second)
 
     def body(self, drive: np.ndarray, time_constant: float) -> np.ndarray:
         return first_order_body(drive, time_constant, 1.0)
@@ -131,6 +131,6 @@ def simulated_columns(
         "temperature": np.tile(world.ambient[logged], runs),
         f"output [{unit}]": (true + scatter)[:, logged].ravel(),
     }
-    if any(name.endswith("supply") for name in sizes):
+    if supplied(sizes):
         columns["supply_voltage"] = world.supply[:, logged].ravel()
     return columns
