@@ -156,6 +156,7 @@ def recorded(
     span: float,
     pace: float,
     column: str = "temperature",
+    order: int = 3,
     causes: Collection[str] = (),
     per: str | None = None,
     source: str = "",
@@ -169,6 +170,7 @@ def recorded(
         span: half the range of the temperature, °C.
         pace: plausible rate of the temperature, °C/min.
         column: of the thermometer.
+        order: highest power of the temperature. The fourth is hardly to be told from the second.
         causes: the families wanted, as they are called behind the slot's name; all if empty.
         per: group whose members have coefficients each; none for one in all.
         source: of a coefficient, with places for its share of `size` and for where that is reached; ours if empty.
@@ -184,11 +186,14 @@ def recorded(
     slow, grows = thermal_lag(*LONG, q, unit, column=column), temperature_x_lag(*SHORT, column)
     supplied = effect(_supply, "c·(V − V0),  V0 amid those of the fit", SUPPLY.name)
     product = effect(partial(_by_supply, column), "c·(T − T0)·(V − V0)", column, SUPPLY.name)
-    rows: tuple[tuple[str, Maker, float, str, float, str], ...] = (
+    powers: tuple[tuple[str, Maker, float, str, float, str], ...] = (
         (column, power(effects.linear), size / span, of, 1.0, at_end),
         (f"{column}_quadratic", power(effects.quadratic), half / span**2, f"{of}^2", 0.5, at_end),
         (f"{column}_cubic", power(effects.cubic), q / span**3, f"{of}^3", 0.25, at_end),
         (f"{column}_quartic", power(effects.quartic), q / span**4, f"{of}^4", 0.25, at_end),
+    )
+    rows = (
+        *powers[:order],
         ("thermal_lag", short, q / (pace * LAG), of, 0.25, lags),
         ("thermal_lag_slow", slow, q / (pace * SLOW), of, 0.25, lags_slowly),
         ("temperature_x_lag", grows, q / (pace * LAG * span), f"{of}^2", 0.25, lags),

@@ -19,6 +19,7 @@ CANDIDATES = (
     *("bias.temperature_quadratic", "bias.temperature_cubic", "bias.rate", "bias.thermal_lag"),
     *("bias.reference_voltage", "bias.warm_up", "bias.drift", "bias.run"),
     *("scale.temperature", "scale.constant"),
+    *("bias.hysteresis", "bias.temperature_x_lag", "bias.supply"),
 )
 SAMPLE = ("bias.thermal_lag",)  # the fast tests; the slow ones hide every candidate
 # Claims that are not met, and why; docs/hidden_effects.md counts how often.

@@ -161,7 +161,6 @@ LAWS: Mapping[str, Callable[[World], Array]] = MappingProxyType(
     {
         "bias.temperature_quadratic": _quadratic,
         "bias.temperature_cubic": _cubic,
-        "bias.temperature_quartic": lambda w: (w.ambient - w.plan.T0) ** 4,
         # stress from the heat flowing into the package: its true heating rate, °C/min
         "bias.rate": lambda w: 60.0 * (w.ambient - w.package) / w.plan.package_time,
         # the die is not at the temperature that the ambient thermometer shows

@@ -328,7 +328,7 @@ EFFECTS = EffectTable.of(
             "source 0: the table's angle is good to 1″",
         ),
         ("rotation.wobble", WOBBLE, 1.0, "arcsec"),
-        # Five temperatures and a deviation of each cell leave nothing of a fourth power; the lag itself may be slow.
+        # The lag may itself be slow.
         *catalogue.recorded(
             *("bias", "ug"),
             size=20.0,

@@ -82,7 +82,7 @@ def instrument(
         if not (np.isfinite(value) and (value > 0 or (name == "span" and value == 0))):
             raise bc.InputError(f"still_sensor: {name} {value} must be a positive number")
     line, *candidates = catalogue.recorded(
-        "bias", unit, size=size, span=span or 1.0, pace=pace, source=OF_RANGE
+        "bias", unit, size=size, span=span or 1.0, pace=pace, order=4, source=OF_RANGE
     )
     own = catalogue.constant("bias.constant", constant, unit, OF_RECORD)
     made = bc.Instrument(
