@@ -103,7 +103,9 @@ def _words(text: str) -> list[str]:
 
 def test_a_data_sheet_ends_with_the_effects_their_sizes_and_sources() -> None:
     page = HOOKS.data_sheet("mems_gyro")
-    rows = [[c.strip() for c in line.strip("|").split("|")] for line in page.splitlines()]
+    rows = [
+        [c.strip() for c in re.split(r"(?<!\\)\|", line.strip("|"))] for line in page.splitlines()
+    ]
     table = {row[0].strip("`"): row[1:] for row in rows if len(row) == 5}
     assert table["bias.reference_voltage"][:3] == [
         "candidate",
