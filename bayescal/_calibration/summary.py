@@ -51,7 +51,7 @@ def unknowns_parts(
     """
     rows: dict[str, list[str]] = {}  # a row by what it is of
     coefficients, hyperparameters = summary(calibration)
-    drawn, large = curves(calibration), _large_groups(calibration)
+    drawn, large = curves(calibration), large_groups(calibration)
     for s in (*coefficients, *hyperparameters):
         if effects is not None and s["effect"] not in (*effects, "noise"):
             continue
@@ -138,7 +138,7 @@ def _curve_row(calibration: Fitted, name: str) -> list[str]:
     return [name, where, unit_label(calibration.unit), "–", "–"]
 
 
-def _large_groups(calibration: Fitted) -> dict[str, list[str]]:
+def large_groups(calibration: Fitted) -> dict[str, list[str]]:
     """Names of the members' coefficients, by coefficient, of groups with many members."""
     named = {
         b.name: b.member_names(calibration.levels)

@@ -28,7 +28,7 @@ from bayescal._calibration.check_result import Check, Entry
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.noise_in_time import AllanCheck, allan_check
 from bayescal._calibration.sensor_noise import SensorNoise
-from bayescal._calibration.summary import summary
+from bayescal._calibration.summary import curves, summary
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
@@ -489,7 +489,7 @@ def identifiability(calibration: Calibration, ax: Any = None) -> Figure:
 
 
 def _chosen(calibration: Calibration, names: Sequence[str] | None) -> xr.Dataset:
-    """Draws of the named unknowns, thinned; of those with one value each, if none is named."""
+    """Draws of the named unknowns, thinned; of those with one value each, but a curve's weights, if none is named."""
     posterior = calibration.posterior
     single = [str(n) for n in posterior if set(posterior[n].dims) == {"chain", "draw"}]
     unknown = [n for n in names or () if n not in single]
@@ -497,7 +497,9 @@ def _chosen(calibration: Calibration, names: Sequence[str] | None) -> xr.Dataset
         raise InputError(
             f"no unknown with one value is called {', '.join(unknown)}; there are: {', '.join(single)}"
         )
-    moving = [n for n in single if _moves(posterior[n].values)]
+    drawn = curves(calibration)
+    told = [n for n in single if n.partition("[")[0] not in drawn]
+    moving = [n for n in told if _moves(posterior[n].values)]
     chosen = list(names or moving)[:MOST_UNKNOWNS]
     if not chosen:
         raise InputError("every unknown is held at a value: there is nothing to draw")

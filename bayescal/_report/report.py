@@ -160,7 +160,7 @@ class Pictures:
 # What is drawn of a fit: by what, its caption, what it shows in words.
 OF_FIT: dict[str, tuple[Callable[[Calibration], Figure], str, str]] = {
     "coefficients": (
-        partial(plots.coefficients, columns=2),
+        partial(plots.coefficients, columns=5),
         "Posterior of each unknown, its mean and its 95 % credible interval",
         "Posterior densities; the numbers are in the table of coefficients.",
     ),
@@ -239,6 +239,10 @@ def embedded(loop: bytes) -> Picture:
 
 # What the layout meets where a result.json is not as it was written, beside errors of its template.
 OF_DAMAGE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
+NO_STIMULUS = (
+    "There is no budget: nothing is measured with this instrument in use, so that the uncertainties are those of its "
+    "coefficients."
+)
 MOST_ROWS = 60  # rows of a table of candidates or coefficients that are shown
 
 
@@ -374,7 +378,7 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "not_for": not_for,
         "unexplained": report_text.unexplained(chapter),
         "story": report_text.story(chapter),
-        "ranges": report_text.ranges_table(report_text.ranges(c)),
+        "ranges": report_text.ranges_table(report_text.ranges(chapter.used)),
         "effects": report_text.effects(chapter),
         "noise": c.model.noise.in_words,
         "reference": [(n, report_text.measured(v, "degC")) for n, v in c.hold_at.items()],
@@ -424,6 +428,8 @@ def _budget(chapter: Chapter) -> tuple[Budget | None, str]:
     """The budget at the middle of what was covered; or why there is none."""
     if not report_text.ok(chapter):
         return None, "There is no budget of a result that is not reliable."
+    if chapter.used.model.instrument.use is None:
+        return None, NO_STIMULUS
     try:
         return budget(chapter.used, k=report_text.K).shown(), ""
     except BayescalError as error:
@@ -437,10 +443,11 @@ def _pictures(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         first = pictures.residuals(chapter.first, chapter.first_check, "the first model")
     elif last and chapter.picture is not None:
         first = [embedded(chapter.picture)]
+    of_last, sphere = pictures.residuals(c, chapter.check, "the last model"), pictures.sphere(c)
     return {
         "first": first,
-        "last": pictures.residuals(c, chapter.check, "the last model"),
-        "sphere": pictures.sphere(c),
+        "last": of_last if sphere else of_last[1:],
+        "front": sphere or next(iter(of_last), None),  # on the page that is signed
         "error": pictures.error(chapter),
         **{name: pictures.of_fit(name, chapter.used) for name in OF_FIT},
         "allan": pictures.allan(chapter.check, "the last model"),

@@ -17,7 +17,14 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import sources_of
 from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.prior_influence import coefficients_not_measured
-from bayescal._calibration.summary import curve_extent, place_of, range_of, summary
+from bayescal._calibration.summary import (
+    curve_extent,
+    curves,
+    large_groups,
+    place_of,
+    range_of,
+    summary,
+)
 from bayescal._core.errors import InputError
 from bayescal._core.formatting import interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, TableColumn, plain_table
@@ -25,6 +32,7 @@ from bayescal._core.settings import settings
 from bayescal._data.column import NominalScale
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import convert, same_dimension, unit_label
+from bayescal._model.composition import columns_read
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
@@ -59,7 +67,8 @@ def devices(readings: Measurements) -> list[str]:
 def ranges(calibration: Calibration) -> list[dict[str, Any]]:
     """What was covered: each numeric covariate and each rate of a temperature, with its range and part."""
     readings, model = calibration.readings, calibration.model
-    used = {c for e in model.effects for c in e.columns}
+    used = {c for e in model.effects for c in e.columns} | {*model.noise.needs}
+    used |= columns_read(model.instrument, calibration.frame)
     use = model.instrument.use
     about = {c.name: c.meaning for c in model.instrument.columns}
     found = []
@@ -100,7 +109,7 @@ def _range(name: str, meaning: str, values: np.ndarray, unit: str, part: str) ->
 
 def ranges_table(rows: Sequence[dict[str, Any]]) -> ResultTable:
     columns = (
-        TableColumn("quantity", lambda r: "\n".join(filter(None, (r["name"], r["meaning"])))),
+        TableColumn("quantity", lambda r: ", ".join(filter(None, (r["name"], r["meaning"])))),
         TableColumn("from", "low"),
         TableColumn("to", "high"),
         TableColumn("unit", "unit", left=True),
@@ -140,6 +149,26 @@ def coefficients(chapter: Chapter) -> ResultTable:
             "note": note,
         }
 
+    def line(name: str, value: str) -> dict[str, Any]:
+        """What single coefficients mean nothing in: a curve, or the members of a large group."""
+        none = dict.fromkeys(("u", "k2", "credible"), "–")
+        return {"name": name, "unit": "", "value": value, "note": "", "contraction": None, **none}
+
+    rows: dict[str, dict[str, Any]] = {}
+    drawn, large = curves(chapter.used), large_groups(chapter.used)
+    every = [*chain(*summary(chapter.used))]
+    for r in every:
+        block = next((b for b, names in large.items() if r["name"] in names), None)
+        if r["effect"] in drawn:
+            effect = chapter.used.model.effect(r["effect"])
+            extent = _extent(chapter.used, effect).partition(",")[0]
+            rows.setdefault(r["effect"], line(f"{r['effect']}, a curve", f"up to {extent}"))
+        elif block is not None:
+            means = [own["mean"] for own in every if own["name"] in large[block]]
+            ends = f"{number(min(means), 2)} to {number(max(means), 2)} {unit_label(r['unit'])}"
+            rows.setdefault(block, line(f"{block}, {len(means)} members", ends.rstrip()))
+        else:
+            rows[r["name"]] = row(r)
     columns = (
         TableColumn("unknown", "name"),
         TableColumn("unit", "unit", unit_label, left=True),
@@ -149,7 +178,7 @@ def coefficients(chapter: Chapter) -> ResultTable:
         TableColumn("95 % credible interval", "credible"),
         TableColumn("contraction", "contraction", _percent),
     )
-    return ResultTable(columns, [row(r) for r in chain(*summary(chapter.used))])
+    return ResultTable(columns, [*rows.values()])
 
 
 def signed(every: ResultTable, model: Model) -> ResultTable:
@@ -209,9 +238,9 @@ def decided(found: Decisions) -> ResultTable:
 def skewed(chapter: Chapter) -> list[str]:
     """Unknowns whose mean ± 2 u holds clearly more or less than a Gaussian's share of the draws."""
     found, c = [], chapter.used
-    posterior = c.posterior
+    posterior, drawn = c.posterior, curves(c)
     for name in map(str, posterior):
-        if "reading" in posterior[name].dims:
+        if "reading" in posterior[name].dims or name.partition("[")[0] in drawn:
             continue
         draws = c.samples(name)
         sd = draws.std(axis=0)
@@ -255,6 +284,9 @@ def _unknowns(effect: Effect) -> list[str]:
             sizes = [effect.measure] if effect.measure else effect.weight_shapes
             prior = f"prior 0 ± a part of {' and '.join(f'{effect.name}.{s}' for s in sizes)}"
         per = f", one for each {c.per}" if c.per else ""
+        if effect.is_placeholder and len(effect.coefficients) > 1:
+            found.append(f"{len(effect.coefficients)} weights of a curve: {prior}{per}")
+            break
         found.append(f"{effect.coefficient_name(i)} [{unit_label(c.unit) or '1'}]: {prior}{per}")
     for s in effect.shapes:
         share = "between" if s.scale == "bounded" else "95 % between"
@@ -266,7 +298,7 @@ def _unknowns(effect: Effect) -> list[str]:
 
 def _prior(prior: Any) -> str:
     words: dict[type, Callable[[Any], str]] = {
-        Normal: lambda p: f"prior {number(p.mean)} ± {number(p.sd)} (one standard deviation)",
+        Normal: lambda p: f"prior {number(p.mean)} ± {number(p.sd)}",
         HalfNormal: lambda p: f"half-normal prior of scale {number(p.scale)}",
         HalfCauchy: lambda p: f"half-Cauchy prior of scale {number(p.scale)}",
         LogNormal: lambda p: f"log-normal prior about {number(p.median)}",

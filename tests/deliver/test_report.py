@@ -8,6 +8,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,8 +17,9 @@ import pytest
 import bayescal as bc
 from bayescal._data.column import Source
 from bayescal._report import report as report_room
-from bayescal._report.section import chapters, of_folder
-from bayescal_models import mems_gyro
+from bayescal._report import report_text
+from bayescal._report.section import Chapter, chapters, of_folder
+from bayescal_models import accelerometer_triad, mems_gyro, ng_accelerometer
 from tests.support.browser import Opened, chromium
 from tests.support.command_line import needs_installation, run
 from tests.support.reported import HIDDEN, Page, trail
@@ -238,6 +241,34 @@ def test_what_makes_no_report_is_refused(tmp_path: Path, given, name: str, said:
     with pytest.raises(bc.InputError, match=said):
         bc.report(trail() if given is None else given, tmp_path / name)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.nightly
+def test_it_prints_on_one_page_and_four_of_appendices(pages, folder: Path) -> None:
+    """A4, by Chromium: what is signed on the first."""
+    chromium()
+    page = pages("a trail")
+    assert page.source.index('class="result') < page.source.index('class="appendix"')
+    printed = Opened(folder / "a_trail.html", folder).pdf().read_bytes()
+    assert 2 <= len(re.findall(rb"/Type\s*/Page\b", printed)) <= 5
+
+
+def test_columns_that_the_equation_takes_are_said_to_be_used() -> None:
+    calibration = bc.fit(
+        ng_accelerometer.INSTRUMENT.baseline(), ng_accelerometer.simulate(seed=1), bc.LeastSquares()
+    )
+    part = {row["name"]: row["part"] for row in report_text.ranges(calibration)}
+    assert {part[n] for n in ("tilt", "position_angle", "temperature")} == {
+        "the model depends on it"
+    }
+    assert part["lab_temperature"] == report_text.UNUSED
+
+
+def test_a_customer_is_not_told_how_to_write_an_instrument(monkeypatch) -> None:
+    monkeypatch.setattr(report_text, "ok", lambda _: True)
+    used = SimpleNamespace(model=SimpleNamespace(instrument=accelerometer_triad.INSTRUMENT))
+    found, why = report_room._budget(cast("Chapter", SimpleNamespace(used=used)))
+    assert found is None and "in use" in why and "use=" not in why
 
 
 @pytest.mark.nightly
