@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 
 from bayescal._calibration.fitted import Fitted
 from bayescal._core.errors import InputError
+from bayescal._core.flag import Flag
 from bayescal._data.column import Source
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import Effect
@@ -81,8 +83,14 @@ def description(c: Fitted) -> dict[str, Any]:
         },
         "sources": [asdict(s) for s in c.readings.sources],
         "flags": list(c.readings.flags),
+        **({"flag_codes": codes} if (codes := _codes(c.readings.flags)) else {}),
         **({"nominal_scale": asdict(scale)} if (scale := c.readings.scale) else {}),
     }
+
+
+def _codes(flags: Iterable[str]) -> dict[str, list[str]]:
+    """Of flags that code asks for, code and names, by their words."""
+    return {str(flag): [flag.code, *flag.of] for flag in flags if isinstance(flag, Flag)}
 
 
 def typed_effects(model: Model) -> dict[str, str]:

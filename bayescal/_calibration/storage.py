@@ -35,6 +35,7 @@ from bayescal._core.atomic_file import (
     write_sealed,
 )
 from bayescal._core.errors import InputError, ModelError
+from bayescal._core.flag import Flag
 from bayescal._core.json_shape import parsed_json
 from bayescal._core.netcdf_bytes import netcdf_bytes, netcdf_tree
 from bayescal._data.column import NominalScale, Source
@@ -257,6 +258,7 @@ def _readings_from(tree: xr.DataTree, described: dict[str, Any]) -> Measurements
     data = tree["constant_data"].to_dataset().merge(tree["observed_data"].to_dataset())
     data = renamed(data, named_back)
     sources = tuple(Source(**s) for s in described["sources"])
-    given, flags = described.get("nominal_scale"), tuple(described["flags"])
+    given, codes = described.get("nominal_scale"), described.get("flag_codes", {})
+    flags = tuple(Flag(f, *codes[f]) if f in codes else f for f in described["flags"])
     scale = given and NominalScale(**given)
     return Measurements.from_xarray(data, sources=sources, flags=flags, scale=scale)

@@ -29,6 +29,7 @@ from bayescal._cli.options import (
 from bayescal._core.as_json import write_json
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
+from bayescal._core.flag import code_of
 from bayescal._report.whole_folder import MANIFEST, drawing, files_of, list_files, whole_folder
 
 if TYPE_CHECKING:
@@ -329,7 +330,7 @@ def compensate(
         f"{name} is outside its calibrated range in {count} of {done.rows} readings: an extrapolation there"
         for name, count in done.outside.items()
     )
-    flags = (flag for flag in done.flags if "rows dropped" not in flag)
+    flags = (flag for flag in done.flags if code_of(flag) != "rows.dropped")
     print_notes((*chosen.notes, *flags, *beyond))
     text = (
         f"{out}: {done.rows} readings, columns {' and '.join(done.columns)} [{chosen.unit}] added"

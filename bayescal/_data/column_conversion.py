@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal._core.errors import InputError
+from bayescal._core.flag import Flag
 from bayescal._data.column import (
     MAY_BE_EMPTY,
     Column,
@@ -160,9 +161,8 @@ def _drop(table: Table, converted: ConvertedColumns, problems: Problems) -> None
     converted.tables = (table.take(converted.kept),)
     converted.values = {name: v[converted.kept] for name, v in converted.values.items()}
     places = "; ".join(f"{name} in {_rows(table, rows)}" for name, rows in missing.items())
-    converted.flags.append(
-        f"{table.file}: {len(gone)} of {table.rows} rows dropped, where readings are missing: {places}"
-    )
+    said = f"{table.file}: {len(gone)} of {table.rows} rows dropped, where readings are missing: {places}"
+    converted.flags.append(Flag(said, "rows.dropped", *missing))
 
 
 def _rows(table: Table, rows: np.ndarray) -> str:

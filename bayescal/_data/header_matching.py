@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from bayescal._core.errors import InputError
+from bayescal._core.flag import Flag
 from bayescal._data.column import TAKEN, UNCERTAINTY, Column, NominalScale
 from bayescal._data.header_rules import (
     DAYS,
@@ -530,7 +531,8 @@ class MatchedFile:
             if plain(header.name) in DAYS and "time" in self.positions:
                 continue  # taken with the time of day
             if name in TAKEN:
-                flags.append(f"{file}: column {header.raw!r} ignored: the name {name!r} is taken")
+                said = f"{file}: column {header.raw!r} ignored: the name {name!r} is taken"
+                flags.append(Flag(said, "column.ignored", header.raw))
                 continue
             unit, base = unit_of(header, name, self.options), None
             with contextlib.suppress(InputError):
@@ -565,11 +567,12 @@ class MatchedFile:
             needs_none = (n for n, c in self.expected.items() if c.unit is None or n == "time")
             lacking = [n for n in needs_none if n not in self.positions]
             meant = f"to say that one is {' or '.join(lacking)}: --columns NAME=HEADER; "
-            flags.append(
+            said = (
                 f"{file}: ignored, because they have no unit: {', '.join(without_unit)} "
                 f"({meant if lacking else ''}to keep one beside the instrument's, write 'name [unit]' "
                 "or give units=)"
             )
+            flags.append(Flag(said, "column.ignored", *without_unit))
         return kept, flags
 
     def _note_unclear(self, position: int, unit: str | None) -> None:

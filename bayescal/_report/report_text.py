@@ -26,6 +26,7 @@ from bayescal._calibration.summary import (
     summary,
 )
 from bayescal._core.errors import InputError
+from bayescal._core.flag import Flag
 from bayescal._core.formatting import interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, TableColumn, plain_table
 from bayescal._core.settings import settings
@@ -371,9 +372,6 @@ def in_output_unit(chapter: Chapter, unit: str) -> ResultTable:
 
 NAMED = 4  # effects of the first model that are named
 _SUBJECTS = {"bias": "the output", "scale": "the scale factor", "zero": "the zero"}
-_IGNORED = re.compile(
-    r"ignored, because they have no unit: (.*?) \((?:to|the)|column '(.*?)' ignored"
-)
 _GROUPS = {
     "run": "run to run",
     "cell": "one temperature point to the next",
@@ -590,9 +588,8 @@ def _left(chapter: Chapter) -> str:
 
 def _not_looked_at(chapter: Chapter) -> Iterator[str]:
     """Columns that were left out, and effects for which a column is lacking."""
-    flags = " ".join(chapter.calibration.readings.flags)
-    names = [n for pair in _IGNORED.findall(flags) for n in pair if n]
-    if names:
+    flags = (f for f in chapter.calibration.readings.flags if isinstance(f, Flag))
+    if names := [name for f in flags if f.code == "column.ignored" for name in f.of]:
         yield f"Not looked at: {', '.join(names)}."
     last = chapter.data["missing"][-1]["candidates"] if chapter.data["missing"] else []
     if by_reason := not_tested(last):

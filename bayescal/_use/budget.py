@@ -276,7 +276,7 @@ def budget(
         coefficients=_by_coefficient(chosen, gradient, variance),
         sources=_by_source(chosen, point, gradient, variance),
         covariance=covariance,
-        notes=(*said, *notes_on(chosen, point)),
+        notes=(*said, *_beyond(chosen, point), *notes_on(chosen)),
     )
 
 
@@ -383,20 +383,20 @@ def _learned_group_sds(equation: OperatingEquation) -> set[str]:
     }
 
 
-def notes_on(chosen: Compensator, point: Mapping[str, float]) -> tuple[str, ...]:
-    """Where the operating point is outside the calibrated range, which coverage is short, and what is not counted.
-
-    Args:
-        chosen: whose budget it is.
-        point: the operating point, fixed units.
-    """
+def _beyond(chosen: Compensator, point: Mapping[str, float]) -> list[str]:
+    """Where an operating point, fixed units, is outside the calibrated range."""
     past = {i.name for i in chosen.inputs if i.kind in PAST}
-    notes = [
+    return [
         f"{name} = {point[name]:.6g} is outside its calibrated range, {low:.6g} to {high:.6g} {unit}: an "
         "extrapolation, whose uncertainty does not say by how much the equation itself may fail."
         for name, (low, high, unit) in chosen.calibrated.items()
         if name not in past and not low <= point[name] <= high
     ]
+
+
+def notes_on(chosen: Compensator) -> tuple[str, ...]:
+    """Which coverage of a budget is short, and what is not counted in it."""
+    notes = list[str]()
     learned = _learned_group_sds(chosen._equation)
     for block in chosen._equation.blocks:
         per = block.coefficient.per

@@ -36,7 +36,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame
-from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse
+from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse, kept_why
 from bayescal._use.expression_graph import Graph, NotExportable, trace
 from bayescal._use.operating_equation import (
     Folded,
@@ -271,6 +271,7 @@ class Provenance:
         notes: what to know, each a sentence.
         made_by: program and version.
         calibration: its identity; empty in exports that do not state one.
+        why_not: why the result is not to be used, which is among the notes too; empty where it may be.
     """
 
     instrument: str
@@ -285,6 +286,7 @@ class Provenance:
     notes: tuple[str, ...]
     made_by: str
     calibration: str = ""
+    why_not: str = ""
 
 
 def provenance_of(
@@ -316,6 +318,7 @@ def provenance_of(
         notes=(*notes_on_use(calibration, equation, stimulus_range), *unreliable),
         made_by=f"bayescal {__version__}",
         calibration=identity(calibration),
+        why_not=said,
     )
 
 
@@ -398,6 +401,7 @@ SHAPE = {
         "notes": [str],
         "made_by": str,
         "calibration?": str,
+        "why_not?": str,
     },
     "inputs": [
         {
@@ -460,8 +464,8 @@ class CompensationProgram(CorrectionInUse):
     slope: int
     gradient: tuple[int, ...]
 
-    def about_it(self) -> tuple[str, tuple[str, ...]]:
-        return self.about.instrument, self.about.notes
+    def about_it(self) -> tuple[str, tuple[str, ...], str]:
+        return self.about.instrument, self.about.notes, self.about.why_not
 
     @property
     def stimulus_limits(self) -> tuple[float, float] | None:
@@ -551,6 +555,7 @@ def from_data(data: Any, file: str) -> CompensationProgram:
     required(data, SHAPE, file, AGAIN)
     equation = data["equation"]
     about = {name: _with_tuples(value) for name, value in data["about"].items()}
+    about["why_not"] = kept_why(about)
     try:
         span, graph = data["stimulus_range"], Graph.from_data(equation["operations"])
         program = CompensationProgram(

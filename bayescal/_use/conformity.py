@@ -619,8 +619,7 @@ def limited_quantity(
     places |= {n: g.ravel() for (n, _, _), g in zip(ranges, grid, strict=True)}
     # Where a range leaves what was calibrated is said by `not_covered`, in its own words.
     beside = bias_only(chosen.stimulus) if limit.quantity in slots else ""  # is of a correction
-    said = notes_on(chosen, point)
-    notes += [n for n in said if "outside its calibrated range" not in n and n != beside]
+    notes += [note for note in notes_on(chosen) if note != beside]
     notes += _of_the_noise(calibration, limit.quantity)
     return QuantityInUse(
         limit=limit,

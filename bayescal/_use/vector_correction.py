@@ -174,6 +174,7 @@ class VectorCorrection(CorrectionInUse):
         reach: largest magnitude of what acted in the calibration, `unit`.
         axes_of: identity of the calibration whose axes `in_frame_of` took it to; empty for its own.
         shared: covariance of `terms` with those of that correction, both raveled (k·p, q); None for its own axes.
+        against: why the result is not to be used, which is among the notes too; empty where it may be.
     """
 
     outputs: tuple[str, ...]
@@ -191,6 +192,7 @@ class VectorCorrection(CorrectionInUse):
     reach: float = 1.0
     axes_of: str = ""
     shared: Float[np.ndarray, "q r"] | None = None
+    against: str = ""
 
     def shared_with(self, other: VectorCorrection) -> Float[np.ndarray, "q r"] | None:
         """Covariance of the terms with those of the correction whose axes these are; None of another."""
@@ -213,8 +215,8 @@ class VectorCorrection(CorrectionInUse):
         """Of T − T0, of temperatures in °C."""
         return (temperature - self.reference)[:, None] ** np.arange(len(self.terms))
 
-    def about_it(self) -> tuple[str, tuple[str, ...]]:
-        return self.instrument, self.notes
+    def about_it(self) -> tuple[str, tuple[str, ...], str]:
+        return self.instrument, self.notes, self.against
 
     def data(self) -> dict[str, Any]:
         shared = self.shared
@@ -236,6 +238,7 @@ class VectorCorrection(CorrectionInUse):
             "covariance": self.covariance.tolist(),
             "noise": self.noise,
             "notes": list(self.notes),
+            "why_not": self.against,
             "axes_of": self.axes_of,
             **({} if shared is None else {"covariance_with_axes_of": shared.tolist()}),
         }

@@ -123,8 +123,10 @@ def vector_correction(
             f"What depends on the temperature by more than its power {ORDERS} is not corrected, and is in the "
             f"uncertainty (of offsets, rms, {number(float(rms.max()), 2)} {unit_label(instrument.unit)} at most).",
         )
-    notes = (*said, *_notes(calibration, made, of_test))
-    return replace(made, reach=_reach(made, readings), notes=notes)
+    against = why_not(calibration)
+    notes = (f"{NOT_RELIABLE}{against}",) * bool(against)
+    notes = (*said, *notes, *_notes(calibration, made, of_test))
+    return replace(made, reach=_reach(made, readings), notes=notes, against=against)
 
 
 def _reach(correction: VectorCorrection, readings: Measurements) -> float:
@@ -169,8 +171,6 @@ def _common_scale(
 
 def _notes(calibration: Calibration, made: VectorCorrection, of_test: OfTest) -> tuple[str, ...]:
     notes, at = [], made.calibrated_at
-    if against := why_not(calibration):
-        notes.append(f"{NOT_RELIABLE}{against}")
     if calibration.readings.has(TURNED[0]):
         notes.append("Axes are those of the accelerometers that the moves were closed by.")
     elif not calibration.readings.has(ACROSS[0]):

@@ -11,6 +11,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.json_shape import OneOf, required
 from bayescal._core.quoting import c_comment, python_words
 from bayescal._use.compensation_program import AGAIN
+from bayescal._use.correction import kept_why
 from bayescal._use.export_template import include_guard, template
 from bayescal._use.vector_correction import NEWTON_STEPS, SIZES, VectorCorrection
 
@@ -30,6 +31,7 @@ SHAPE = {
     "covariance": [[float]],
     "noise": float,
     "notes": [str],
+    "why_not?": str,
     "axes_of?": str,
     "covariance_with_axes_of?": [[float]],
 }
@@ -69,6 +71,7 @@ def vector_from_data(found: Any, file: str) -> VectorCorrection:
         reach=found["reach"],
         axes_of=found.get("axes_of", ""),
         shared=shared,
+        against=kept_why(found),
     )
 
 
