@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 import pytest
 
+import bayescal as bc
 from bayescal._core import deadline
-from bayescal._core.errors import TimeIsUp
 
 
 @pytest.fixture(autouse=True)
@@ -102,5 +102,5 @@ def test_ctrl_c_before_there_is_anything_is_an_interrupt() -> None:
     press(0.5)
     with deadline.until(apart=True), pytest.raises(KeyboardInterrupt):
         deadline.within(nothing)
-    with pytest.raises(TimeIsUp), deadline.until(0.05):
+    with pytest.raises(bc.TimeIsUp), deadline.until(0.05):
         deadline.within(nothing)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._search.draft_effect import draft_effect
 from bayescal._tables.raw_table import in_one_line
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.hostile_names import HOSTILE
@@ -105,7 +104,7 @@ def test_a_name_that_is_found_and_one_that_is_the_output(tmp_path, name) -> None
     name = in_one_line(name)
     unknown = f"unknown({name})"
     assert unknown in found.model.names
-    drafted = draft_effect(found, unknown)
+    drafted = bc.draft_effect(found, unknown)
     namespace: dict[str, object] = {}
     exec(compile(drafted, "draft.py", "exec"), namespace)  # the draft is Python, its names are data
     effect = namespace["effect"]

@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._core.errors import InputError
 from bayescal._data.header_matching import ReadOptions
 from bayescal_models import mems_gyro, ng_accelerometer, quartz_beam_accelerometer
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
@@ -109,7 +108,7 @@ def test_it_is_read_as_data_sheets_write_it(instrument, scale, gain) -> None:
     ],
 )
 def test_what_is_none_is_refused(put_csv, given, words) -> None:
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(bc.InputError, match=words):
         bc.read(put_csv, mems_gyro.INSTRUMENT, **given)
 
 

@@ -10,7 +10,6 @@ import pytest
 
 import bayescal as bc
 from bayescal._cli.output import ConsoleReporter
-from bayescal._core.errors import NotDrawn
 from bayescal._report import plots, report
 from bayescal._report.save_search import draw_search, write_results
 from bayescal._report.whole_folder import MANIFEST, files_of, refuse_mixed, whole_folder
@@ -55,7 +54,7 @@ def test_a_result_is_on_the_disk_before_its_picture_is_drawn(tmp_path, monkeypat
 @pytest.mark.parametrize("part", ["loop", "save"])
 def test_a_saved_search_keeps_its_result_where_its_picture_fails(part, tmp_path, monkeypatch):
     monkeypatch.setattr(plots, part, failing)
-    with pytest.raises(NotDrawn, match=f"could not be drawn .*{WHY}"):
+    with pytest.raises(bc.NotDrawn, match=f"could not be drawn .*{WHY}"):
         trail().save(tmp_path)
     assert results_of(tmp_path) == KEPT
 

@@ -18,8 +18,6 @@ import pytest
 import bayescal as bc
 from bayescal._report.certificate import Certificate, dcc_text
 from bayescal._use.correction_files import as_text
-from bayescal._use.firmware_parameters import FirmwareParameters
-from bayescal._use.vector_correction import VectorCorrection
 from tests.deliver.test_names_are_data import BY_HAND, of_any_name, shape_of, tokens_of_c
 from tests.deliver.test_noise_at_rest import told
 from tests.support import references
@@ -28,10 +26,10 @@ from tests.support.export_check import COMPILER, FLAGS, needs_compiler
 yaml = pytest.importorskip("yaml")
 
 
-def corrected(name: str, unit: str = "g") -> VectorCorrection:
+def corrected(name: str, unit: str = "g") -> bc.VectorCorrection:
     """Three axes whose every text is a name."""
     terms = np.r_[0.01, -0.02, 0.03, np.eye(3).ravel(), np.zeros(9)][None]
-    return VectorCorrection(
+    return bc.VectorCorrection(
         outputs=(name, f"{name}y", f"{name}z"),
         unit=unit,
         reference=25.0,
@@ -139,7 +137,7 @@ def test_what_is_no_topic_is_refused(topic: str) -> None:
 
 @of_any_name
 def test_no_note_is_a_parameter(name: str) -> None:
-    made = FirmwareParameters("px4-params", {"TC_G_ENABLE": 1}, {}, {"gyro_x": "00ff"}, (name,))
+    made = bc.FirmwareParameters("px4-params", {"TC_G_ENABLE": 1}, {}, {"gyro_x": "00ff"}, (name,))
     assert made.text().isascii()
     assert code_lines(made.text()) == code_lines(replace(made, notes=("plain",)).text())
 

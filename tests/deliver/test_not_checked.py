@@ -10,7 +10,6 @@ import pytest
 
 import bayescal as bc
 from bayescal._report.certificate import dcc_text
-from bayescal._use.firmware_parameters import firmware_parameters
 from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation, run
@@ -87,7 +86,7 @@ def test_every_export_says_that_it_is_not_reliable(fit, name, tmp_path) -> None:
 
 
 def test_parameters_of_an_autopilot_say_that_it_is_not_reliable(fit) -> None:
-    found = firmware_parameters({"gyro_x": fit}, "ardupilot-params")
+    found = bc.firmware_parameters({"gyro_x": fit}, "ardupilot-params")
     assert any("RESULT NOT RELIABLE" in note and DEPENDS in note for note in found.notes)
 
 

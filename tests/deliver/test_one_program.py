@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._use.vector_correction import VectorCorrection
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler, run_c
 from tests.support.made_up import bent_sensor
 
@@ -24,7 +23,7 @@ GRAVITY = np.array([0.1, -0.4, 0.9])
 
 
 @cache
-def triad(instrument: str, order: int = 1, powers: int = 1) -> VectorCorrection:
+def triad(instrument: str, order: int = 1, powers: int = 1) -> bc.VectorCorrection:
     """A correction with numbers of its own; gyroscopes that sense gravity."""
     random = np.random.default_rng(len(instrument) + order)
     beside = ("gravity_x", "gravity_y", "gravity_z") if instrument == "gyro_triad" else ()
@@ -32,7 +31,7 @@ def triad(instrument: str, order: int = 1, powers: int = 1) -> VectorCorrection:
     terms[0, 3:12] += np.eye(3).ravel()
     terms[:, 12:] /= AT[instrument]
     root = 1e-4 * random.standard_normal((terms.size, terms.size))
-    return VectorCorrection(
+    return bc.VectorCorrection(
         outputs=("output_x", "output_y", "output_z"),
         unit=UNITS[instrument],
         reference=25.0,

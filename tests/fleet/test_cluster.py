@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._core.errors import InputError
 from tests.commands.conftest import OWN_EFFECTS
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.made_up.gyro_lot import MODEL
@@ -37,7 +36,7 @@ def test_settings_in_force_hold_on_the_workers(client, lot_folder, tmp_path) -> 
         assert found.fitted == 24 and found.about["settings"] == {"temperature_span": 1.0}
     with (
         bc.use_settings(bc.Settings(temperature_span=500.0)),
-        pytest.raises(InputError, match="one temperature only"),
+        pytest.raises(bc.InputError, match="one temperature only"),
     ):
         bc.fit_batch(MODEL, lot_folder, **given)
     usual = bc.fit_batch(MODEL, lot_folder, **given)
@@ -47,9 +46,9 @@ def test_settings_in_force_hold_on_the_workers(client, lot_folder, tmp_path) -> 
 
 @pytest.mark.nightly
 def test_a_client_writes_to_a_folder_and_reads_files(client, readings) -> None:
-    with pytest.raises(InputError, match="give out="):
+    with pytest.raises(bc.InputError, match="give out="):
         bc.fit_batch(MODEL, readings, client=client)  # pyright: ignore
-    with pytest.raises(InputError, match="give paths, not readings"):
+    with pytest.raises(bc.InputError, match="give paths, not readings"):
         bc.fit_batch(MODEL, readings, client=client, out="out")  # pyright: ignore
 
 

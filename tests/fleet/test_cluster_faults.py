@@ -18,7 +18,6 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._core.errors import InputError
 from tests.support.made_up.gyro_lot import MODEL, table
 
 pytest.importorskip("distributed", reason="needs Dask: pip install 'bayescal[fleet]'")
@@ -90,7 +89,7 @@ def test_a_killed_scheduler_is_said_and_gone_on_from(folder, expected, tmp_path)
     with _processes(port) as (scheduler, _), Client(address, timeout=60) as client:
         client.wait_for_workers(2, timeout=120)
         killer = when(out, 3, scheduler.kill)
-        with pytest.raises(InputError, match=r"is gone.*the same command goes on from there"):
+        with pytest.raises(bc.InputError, match=r"is gone.*the same command goes on from there"):
             fit(folder, out, client)
         killer.join(timeout=10)
         before = done(out)

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._fleet.batch_result import FleetResult, printed
+from bayescal._fleet.batch_result import printed
 from bayescal._fleet.find_devices import Share
 from bayescal._fleet.odd_devices import Values, odd_effects, odd_values
 from tests.support.command_line import GYRO, needs_installation, run
@@ -39,11 +39,11 @@ def file(lot: pd.DataFrame, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def fleet(file: Path, tmp_path_factory) -> FleetResult:
+def fleet(file: Path, tmp_path_factory) -> bc.FleetResult:
     return bc.fit_batch(MODEL, file, out=tmp_path_factory.mktemp("fleet") / "out")
 
 
-def test_fitted_is_one_thing_and_checked_another(file: Path, fleet: FleetResult) -> None:
+def test_fitted_is_one_thing_and_checked_another(file: Path, fleet: bc.FleetResult) -> None:
     for found in (fleet, bc.fit_batch(MODEL, file)):
         said = str(found)
         assert "40 devices, 40 fitted (least-squares)\n" in said
@@ -51,7 +51,9 @@ def test_fitted_is_one_thing_and_checked_another(file: Path, fleet: FleetResult)
     assert (fleet.fitted, fleet.checked) == (40, 0)
 
 
-def test_odd_devices_are_named_with_what_is_odd(file: Path, fleet: FleetResult, tmp_path) -> None:
+def test_odd_devices_are_named_with_what_is_odd(
+    file: Path, fleet: bc.FleetResult, tmp_path
+) -> None:
     batch = bc.fit_batch(MODEL, file)
     assert set(fleet.odd) == {*ODD}
     assert fleet.odd == batch.odd == bc.load_batch(batch.save(tmp_path / "b.parquet")).odd
@@ -72,7 +74,7 @@ def test_the_command_names_them(file: Path) -> None:
     assert done.data["checked"] == 0 and done.data["not_fitted"] == []
 
 
-def test_fleet_json_holds_no_bare_nan(fleet: FleetResult) -> None:
+def test_fleet_json_holds_no_bare_nan(fleet: bc.FleetResult) -> None:
     def refuse(token: str) -> None:
         raise AssertionError(f"{token} is no JSON")
 
@@ -86,7 +88,7 @@ def test_fleet_json_holds_no_bare_nan(fleet: FleetResult) -> None:
     assert str(again) == str(fleet)
 
 
-def test_results_of_a_version_before_are_read(fleet: FleetResult, tmp_path) -> None:
+def test_results_of_a_version_before_are_read(fleet: bc.FleetResult, tmp_path) -> None:
     told = json.loads((fleet.folder / "fleet.json").read_text("utf-8"))
     told["trusted"] = told.pop("fitted")
     del told["checked"], told["odd"]

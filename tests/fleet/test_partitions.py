@@ -14,7 +14,6 @@ import pyarrow.parquet as pq
 import pytest
 
 import bayescal as bc
-from bayescal._core.errors import InputError
 from bayescal._fleet import fit_batch as fitting
 from bayescal._fleet.fit_batch import partitions_of
 from tests.support.command_line import GYRO, needs_installation, run
@@ -45,7 +44,7 @@ def test_partitions_give_what_one_process_gives(lot_folder, result, tmp_path) ->
     assert row["mean"] == pytest.approx(mean.mean(), rel=1e-12)
     assert row["between devices"] == pytest.approx(mean.std(ddof=0), rel=1e-9)
     np.testing.assert_allclose(found["D07"].mean, result["D07"].mean, rtol=1e-10)
-    with pytest.raises(InputError, match="there is no device 'D99' among the 24"):
+    with pytest.raises(bc.InputError, match="there is no device 'D99' among the 24"):
         found["D99"]
     back = bc.load_fleet(tmp_path / "out")
     assert str(back) == str(found)
@@ -129,7 +128,7 @@ def test_all_that_a_folder_holds_is_read_or_named(tmp_path, capsys) -> None:
     assert bc.load_fleet(tmp_path / "out").left_out == found.left_out
     for path in (folder / "below").glob("*.csv"):
         path.unlink()
-    with pytest.raises(InputError, match=r"no file of readings in .*_d7.csv: its name begins"):
+    with pytest.raises(bc.InputError, match=r"no file of readings in .*_d7.csv: its name begins"):
         fitted(folder, tmp_path / "empty")
 
 
@@ -158,7 +157,7 @@ def test_what_is_done_is_not_done_again(lot_folder, tmp_path, monkeypatch) -> No
     made.to_parquet(folder / "lot-2.parquet")  # other readings
     assert fitted(folder, out).about["found_done"] == 4
     assert fitted(folder, out, reference={"T0": 0.0}).about["found_done"] == 0  # another request
-    with pytest.raises(InputError, match="of more partitions"):
+    with pytest.raises(bc.InputError, match="of more partitions"):
         bc.fit_batch(MODEL, folder / "lot-0.parquet", out=out)
 
 
@@ -222,7 +221,7 @@ def test_devices_that_cannot_be_used_are_refused_alone(lot_folder, result, tmp_p
     found = fitted(folder, tmp_path / "out")
     assert (len(found), found.fitted) == (24, 19)
     assert "one temperature only" in found.doubted["D00"]
-    with pytest.raises(InputError, match=r"none of the devices can be used; D.*one temperature"):
+    with pytest.raises(bc.InputError, match=r"none of the devices can be used; D.*one temperature"):
         bc.fit_batch(MODEL, folder / "lot-0.parquet", out=tmp_path / "none")
 
 

@@ -24,7 +24,7 @@ from bayescal._inference import (
     record,
     sampling,
 )
-from bayescal._model.summed_noise import OrnsteinUhlenbeck, over_record
+from bayescal._model.summed_noise import over_record
 from bayescal_models import mems_gyro, still_sensor
 
 GYRO = mems_gyro.INSTRUMENT
@@ -170,7 +170,7 @@ SAMPLED: list[tuple[object, str]] = [
     (gaussian, "draw"),
     (products.Products, "grams"),
     (sampling, "weighted_draws"),
-    (OrnsteinUhlenbeck, "whiten"),
+    (bc.OrnsteinUhlenbeck, "whiten"),
     (bc.StudentT, "log_density"),
     (bc.Heteroscedastic, "variance"),
 ]

@@ -22,7 +22,6 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.summary import chi_squared
-from bayescal._core.errors import ModelError
 from bayescal._use.budget import READINGS, REST
 
 
@@ -146,7 +145,7 @@ def test_noise_as_stated_needs_that_it_is_stated() -> None:
     x = np.arange(8.0)
     for known in ({}, {"output_uncertainty": np.where(x > 3, 1.0, 0.0)}):
         readings = bc.Measurements.from_arrays(STRAIGHT, x=x, output=x, **known)
-        with pytest.raises(ModelError, match="each reading needs a known uncertainty"):
+        with pytest.raises(bc.ModelError, match="each reading needs a known uncertainty"):
             bc.fit(model, readings, bc.LeastSquares())
 
 

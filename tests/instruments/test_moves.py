@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import bayescal as bc
 from bayescal._data.column import UNCERTAINTY
-from bayescal._use.vector_correction import CorrectedVector, VectorCorrection
+from bayescal._use.vector_correction import CorrectedVector
 from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
 from bayescal_models.gyro_triad import MovesByHand, simulate_log
@@ -41,7 +41,7 @@ def both(log: dict[str, np.ndarray]) -> tuple[bc.Measurements, bc.Measurements]:
     return of(FORCE, "accel"), of(TURNS, "gyro")
 
 
-def exact() -> VectorCorrection:
+def exact() -> bc.VectorCorrection:
     """The correction of the simulated accelerometers, without uncertainty."""
     matrix = np.eye(3) + 1e-6 * np.diag(ACCELEROMETERS["scale.constant"])
     matrix[0, 1], matrix[0, 2], matrix[1, 2] = 1e-3 * np.array(
@@ -50,7 +50,7 @@ def exact() -> VectorCorrection:
     bias = 1e-3 * np.array(ACCELEROMETERS["bias.constant"])
     terms = np.concatenate([bias, matrix.ravel()])[None]
     names = ("output_x", "output_y", "output_z")
-    return VectorCorrection(names, "g", 25.0, 25.0, 25.0, terms, np.zeros((12, 12)), 0.0)
+    return bc.VectorCorrection(names, "g", 25.0, 25.0, 25.0, terms, np.zeros((12, 12)), 0.0)
 
 
 def left(rows: bc.Measurements) -> np.ndarray:
@@ -68,7 +68,7 @@ def left(rows: bc.Measurements) -> np.ndarray:
 
 
 @cache
-def calibrated(seed: int = 1) -> tuple[bc.Measurements, VectorCorrection, bc.Calibration]:
+def calibrated(seed: int = 1) -> tuple[bc.Measurements, bc.VectorCorrection, bc.Calibration]:
     forces, log = both(simulate_log(seed=seed))
     correct = bc.vector_correction(bc.fit(FORCE.baseline(), bc.poses(forces, FORCE)))
     rows = bc.moves(log, TURNS, forces, correct)
@@ -122,7 +122,7 @@ def test_the_accelerometers_own_uncertainty_counts() -> None:
     sure, covariance = exact(), np.zeros((12, 12))
     turned = sure.matrix @ np.cross(np.eye(3)[2], np.eye(3)).T
     covariance[3:, 3:] = 1e-6 * np.outer(turned, turned)
-    unsure = VectorCorrection(
+    unsure = bc.VectorCorrection(
         sure.outputs, "g", 25.0, 25.0, 25.0, sure.terms, covariance, sure.noise
     )
     name = "misalignment.constant[xy]"
@@ -235,7 +235,7 @@ int main(void)
         assert row[3:] == pytest.approx(wanted.covariance.ravel(), rel=1e-9)
 
 
-def magnetometers(seed: int) -> tuple[bc.Measurements, VectorCorrection, VectorCorrection]:
+def magnetometers(seed: int) -> tuple[bc.Measurements, bc.VectorCorrection, bc.VectorCorrection]:
     """Their log, their correction in their own axes and in those of the true accelerometers."""
     log = simulate_log(seed=seed)
     forces, _ = both(log)

@@ -14,8 +14,7 @@ import pytest
 from scipy import stats
 
 import bayescal as bc
-from bayescal._model.frame import Frame, build_frame, reference_of
-from bayescal._model.noise_law import Noise
+from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.noise_terms import ENDLESS, FASTEST, RUNGS
 from bayescal._model.state_space import filtered, of_means
 from bayescal_models import still_sensor
@@ -111,7 +110,7 @@ def slow_covariance(terms: tuple[str, ...], lag: np.ndarray) -> np.ndarray:
     return sum(parts, np.zeros(lag.shape))
 
 
-def two_runs(seed: int = 3) -> tuple[Frame, np.ndarray, np.ndarray]:
+def two_runs(seed: int = 3) -> tuple[bc.Frame, np.ndarray, np.ndarray]:
     """60 readings at uneven times, three of them at one; 40 in one run, 19 in another, and one alone."""
     random = np.random.default_rng(seed)
     time = np.concatenate(
@@ -126,7 +125,7 @@ def two_runs(seed: int = 3) -> tuple[Frame, np.ndarray, np.ndarray]:
     return build_frame(data, reference_of(data)).in_time(), time, labels
 
 
-def in_jax(law: Noise) -> dict[str, Any]:
+def in_jax(law: bc.Noise) -> dict[str, Any]:
     return {name: jnp.asarray(VALUES[name]) for name in law.parameters()}
 
 
@@ -284,7 +283,7 @@ def test_the_slow_part_between_and_beyond_readings_is_that_of_the_dense_process(
     np.testing.assert_allclose(variance, np.diag(own - share @ across.T), rtol=1e-7)
 
 
-def steered() -> tuple[bc.SummedNoise, dict[str, float], Frame, np.ndarray]:
+def steered() -> tuple[bc.SummedNoise, dict[str, float], bc.Frame, np.ndarray]:
     """A tone whose frequency follows the temperature; its phase at each of the readings of two runs."""
     law = bc.SummedNoise(STEP, SPAN, ("correlated", "tone"), column="temperature")
     values = {**VALUES, "noise.tone.slope": 0.2, "noise.tone.bend": -0.05}

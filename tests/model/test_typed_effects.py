@@ -12,16 +12,14 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._core.errors import BayescalError, InputError
 from bayescal._model.formula import Formula
 from bayescal._model.frame import build_frame, reference_of
-from bayescal._model.instrument import Instrument
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
 from tests.support.export_check import needs_compiler, run_header
 from tests.support.resealed import described, resealed
 
-GYROSCOPE: Instrument = mems_gyro.INSTRUMENT
+GYROSCOPE: bc.Instrument = mems_gyro.INSTRUMENT
 N = 40
 
 
@@ -172,7 +170,7 @@ def test_a_formula_that_is_none_is_refused_with_the_place_marked(readings, line)
     behind, words = REFUSED[line]
     if line.endswith("output"):  # of itself: an unknown by that name multiplies s
         behind, words = "'s * output'", "multiply each other"
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(bc.InputError) as refused:
         bc.effect(line, readings=readings, instrument=GYROSCOPE)
     said = str(refused.value)
     assert f"▸ {behind}" in said and words in said, said
@@ -193,7 +191,7 @@ def test_a_formula_that_is_none_is_refused_with_the_place_marked(readings, line)
     ],
 )  # fmt: skip
 def test_what_is_given_beside_it_is_checked(readings, line, words) -> None:
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(bc.InputError, match=words):
         bc.effect(line, readings=readings, instrument=GYROSCOPE)
 
 
@@ -249,10 +247,10 @@ def test_a_formula_in_python_meets_its_readings_later(readings) -> None:
     made = bc.effect("supply", "s * (V - 5)", s="100 mdps/V", V="supply_voltage")
     bc.fit(GYROSCOPE.baseline() + made, readings, bc.LeastSquares(), strict=False)
     wrong = bc.effect("supply", "s * (V - 5) / V", s="0.1 mV/V", V="supply_voltage")
-    with pytest.raises(BayescalError, match="correct the unit of s"):
+    with pytest.raises(bc.BayescalError, match="correct the unit of s"):
         bc.fit(GYROSCOPE.baseline() + wrong, readings, bc.LeastSquares())
     other = bc.effect("supply", "s * V", s="1 deg/s/degC", V="supply_voltage [degC]")
-    with pytest.raises(BayescalError, match="supply_voltage is in \\[V\\]"):
+    with pytest.raises(bc.BayescalError, match="supply_voltage is in \\[V\\]"):
         bc.fit(GYROSCOPE.baseline() + other, readings, bc.LeastSquares())
 
 

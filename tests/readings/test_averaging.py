@@ -9,16 +9,15 @@ import pytest
 
 import bayescal as bc
 from bayescal._data.averaging import duration
-from bayescal._data.measurements import Measurements
 from tests.readings.test_measurements import SCALE
 
 RNG = np.random.default_rng(3)
 
 
-def log(n: int = 1000, **columns: Any) -> Measurements:
+def log(n: int = 1000, **columns: Any) -> bc.Measurements:
     """Ten readings a second with noise of 2 µg."""
     held = {"time": 0.1 * np.arange(n), "output": RNG.normal(5.0, 2.0, n), **columns}
-    return Measurements.from_arrays(SCALE, **held)
+    return bc.Measurements.from_arrays(SCALE, **held)
 
 
 def test_means_of_a_regular_log() -> None:
@@ -133,6 +132,6 @@ def test_averaging_that_cannot_be_is_refused() -> None:
         log().average("0.05 s")
     with pytest.raises(bc.InputError, match="a mean over 3600 s is one of all 1000 readings"):
         log().average("1 h")
-    timeless = Measurements.from_arrays(SCALE, output=RNG.normal(size=30))
+    timeless = bc.Measurements.from_arrays(SCALE, output=RNG.normal(size=30))
     with pytest.raises(bc.InputError, match="needs the column 'time', which is not there"):
         timeless.average("1 s")

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from bayescal._core.errors import InputError
-from bayescal._data.read import read
+import bayescal as bc
 from tests.support.gyro_files import GYRO
 from tests.support.lab_files import (
     BEGAN,
@@ -101,7 +100,7 @@ READ = {
 @pytest.mark.parametrize("name", READ)
 def test_it_is_read_right(put, name):
     content, options, left_out = READ[name]
-    is_right(read(put(content), GYRO, **options), left_out)
+    is_right(bc.read(put(content), GYRO, **options), left_out)
 
 
 class Bad(NamedTuple):
@@ -175,8 +174,8 @@ REFUSED = {
 def test_it_is_refused_once_with_all_that_is_wrong(put, name):
     content, count, said, options = REFUSED[name]
     path = put(content)
-    with pytest.raises(InputError) as refused:
-        read(path, GYRO, **options)
+    with pytest.raises(bc.InputError) as refused:
+        bc.read(path, GYRO, **options)
     for words in said:
         assert words in str(refused.value)
     assert (len(refused.value.problems) or 1) == count, str(refused.value)

@@ -12,8 +12,6 @@ from typer.testing import CliRunner
 
 import bayescal as bc
 from bayescal._cli.options import ColumnOptions, Commands
-from bayescal._core.errors import InputError
-from bayescal._data.read import read
 from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import mems_gyro
 from tests.support.lab_files import (
@@ -52,8 +50,8 @@ def test_it_is_read_with_at_most_one_refusal_that_names_its_cure(put, name) -> N
     export = EXPORTS[name]
     path = put(export.content, export.name)
     if export.cure:
-        with pytest.raises(InputError) as refused:
-            read(path, mems_gyro.INSTRUMENT)
+        with pytest.raises(bc.InputError) as refused:
+            bc.read(path, mems_gyro.INSTRUMENT)
         said = " ".join(str(refused.value).split())
         for cure in re.split(r" (?=--)", export.cure):
             option, _, value = cure.partition(" ")
@@ -62,7 +60,7 @@ def test_it_is_read_with_at_most_one_refusal_that_names_its_cure(put, name) -> N
             asked = option if option == "--nominal-zero" else f"{option} {named}"
             assert asked in said, (asked, said)
     options: dict[str, Any] = options_of(export.cure)
-    readings = read(path, mems_gyro.INSTRUMENT, **options)
+    readings = bc.read(path, mems_gyro.INSTRUMENT, **options)
     np.testing.assert_allclose(readings["time"], TIME, atol=2e-6)
     np.testing.assert_allclose(readings["temperature"], TEMPERATURE, rtol=1e-12)
     np.testing.assert_allclose(readings["output"], RATE, rtol=1e-12, atol=1e-12)
@@ -78,7 +76,7 @@ def test_a_calibration_does_not_depend_on_how_its_file_is_written(put):
         (text(("Timestamp", "T/K", "output_rads"), (when(spaced), TEMPERATURE + 273.15, np.radians(noisy))), {}),
     )  # fmt: skip
     for content, options in files:
-        readings = read(put(content), mems_gyro.INSTRUMENT, **options)
+        readings = bc.read(put(content), mems_gyro.INSTRUMENT, **options)
         line = bc.fit(mems_gyro.INSTRUMENT.baseline(), readings, bc.LeastSquares())
         names = ("bias.constant", "bias.temperature", "noise.white")
         found.append([float(line.samples(name).mean()) for name in names])
@@ -88,7 +86,7 @@ def test_a_calibration_does_not_depend_on_how_its_file_is_written(put):
 
 def test_a_dropped_row_is_a_gap_to_rates(put):
     spoilt = with_cell(5, 2, "", with_cell(6, 2, "NaN"))
-    m = read(put(spoilt), mems_gyro.INSTRUMENT, missing="drop")
+    m = bc.read(put(spoilt), mems_gyro.INSTRUMENT, missing="drop")
     assert len(m) == len(TIME) - 2
     frame = build_frame(m, reference_of(m))
     assert frame.step.tolist().count(30.0) == 1  # s, over the gap

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import bayescal as bc
 from bayescal._cli.options import ColumnOptions
-from bayescal._core.errors import InputError
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
 from tests.support.lab_files import HEAD, RATE, TEMPERATURE, TIME, text, with_cell
@@ -78,7 +78,7 @@ def test_a_mapping_that_is_none_is_refused(tmp_path: Path, content, message) -> 
     path = tmp_path / "lab.toml"
     if content is not None:
         path.write_text(content)
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(bc.InputError, match=message):
         ColumnOptions(mapping=path).for_read()
 
 

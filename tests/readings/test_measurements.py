@@ -13,10 +13,8 @@ import xarray as xr
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from bayescal._core.errors import InputError
-from bayescal._data.column import Column, NominalScale, overloads
-from bayescal._data.measurements import Measurements
-from bayescal._data.read import read
+import bayescal as bc
+from bayescal._data.column import overloads
 from bayescal._tables.raw_table import in_one_line
 from tests.support.hostile_names import HOSTILE
 
@@ -24,14 +22,14 @@ from tests.support.hostile_names import HOSTILE
 @dataclass(frozen=True)
 class Scale:
     name: str = "test_scale"
-    nominal_scale: NominalScale | None = None
-    columns: tuple[Column, ...] = (
-        Column("run", None, required=False),
-        Column("device", None, required=False),
-        Column("temperature_point", "degC", required=False),
-        Column("time", "s", required=False),
-        Column("angle", "rad", required=False),
-        Column("output", "ug"),
+    nominal_scale: bc.NominalScale | None = None
+    columns: tuple[bc.Column, ...] = (
+        bc.Column("run", None, required=False),
+        bc.Column("device", None, required=False),
+        bc.Column("temperature_point", "degC", required=False),
+        bc.Column("time", "s", required=False),
+        bc.Column("angle", "rad", required=False),
+        bc.Column("output", "ug"),
     )
 
 
@@ -39,7 +37,7 @@ SCALE = Scale()
 FORMATS = (".csv", ".parquet", ".nc")
 
 
-def same(a: Measurements, b: Measurements) -> None:
+def same(a: bc.Measurements, b: bc.Measurements) -> None:
     assert a.columns == b.columns
     for name in a.columns:
         assert a.unit(name) == b.unit(name)
@@ -79,15 +77,15 @@ def readings(draw) -> dict:
 @given(made=readings())
 @example(made={"output": [1e308, -1e308, 1e308], "angle": [-1.7e308, 1.7e308, 0.0]})
 def test_what_was_written_is_read_again(tmp_path, suffix, made):
-    m = Measurements.from_arrays(SCALE, humidity=0.4, units={"humidity": "1"}, **made)
+    m = bc.Measurements.from_arrays(SCALE, humidity=0.4, units={"humidity": "1"}, **made)
     path = m.write(tmp_path / f"t{suffix}")
-    same(read(path, SCALE), m)
+    same(bc.read(path, SCALE), m)
     assert [p.name for p in tmp_path.iterdir()] == [f"t{suffix}"]  # nothing is left beside it
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_units_stand_where_others_find_them(tmp_path, suffix):
-    path = Measurements.from_arrays(SCALE, output=[1.0, 2.0], run=["a", "b"]).write(
+    path = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0], run=["a", "b"]).write(
         tmp_path / f"t{suffix}"
     )
     if suffix == ".csv":
@@ -108,27 +106,29 @@ def test_parquet_of_others_is_read(tmp_path):
     run = pa.array([1.0, 2.0, 2.0]).cast(pa.float32())
     table = pa.table({"run": run, "o.x": pa.array([1, 2, None]), "o": pa.array(["1.5", "2", "x"])})
     pq.write_table(table, path)
-    with pytest.raises(InputError, match=r"row 3 of 't\.parquet', column 'o\.x': is empty or NaN"):
-        read(path, SCALE, columns={"output": "o.x"}, units={"o.x": "mg"})
-    with pytest.raises(InputError, match=r"row 3 of 't\.parquet', column 'o': reads 'x'"):
-        read(path, SCALE, columns={"output": "o"}, units={"o": "mg"})
+    with pytest.raises(
+        bc.InputError, match=r"row 3 of 't\.parquet', column 'o\.x': is empty or NaN"
+    ):
+        bc.read(path, SCALE, columns={"output": "o.x"}, units={"o.x": "mg"})
+    with pytest.raises(bc.InputError, match=r"row 3 of 't\.parquet', column 'o': reads 'x'"):
+        bc.read(path, SCALE, columns={"output": "o"}, units={"o": "mg"})
     pq.write_table(table.slice(0, 2), path)
-    m = read(path, SCALE, columns={"output": "o.x"}, units={"o.x": "mg"})
+    m = bc.read(path, SCALE, columns={"output": "o.x"}, units={"o.x": "mg"})
     assert m["output"].tolist() == [1000, 2000] and m["run"].tolist() == ["1", "2"]
-    assert read(path, SCALE, columns={"output": "o"}, units={"o": "ug"})["output"].tolist() == [
+    assert bc.read(path, SCALE, columns={"output": "o"}, units={"o": "ug"})["output"].tolist() == [
         1.5,
         2,
     ]
     when = pa.table({"output": pa.array([0, 1], pa.timestamp("s")), "flag": [True, False]})
     pq.write_table(when, path)
     with pytest.raises(
-        InputError,
+        bc.InputError,
         match=r"'output': reads '1970-01-01 00:00:00', '1970.*\(and in 1 more\), a number in µg",
     ):
-        read(path, SCALE, units={"output": "ug"})
+        bc.read(path, SCALE, units={"output": "ug"})
     pq.write_table(when.drop_columns(["output"]), path)
-    with pytest.raises(InputError, match=r"column 'flag': reads 'True', 'False'.*, a number"):
-        read(path, SCALE, columns={"output": "flag"}, units={"flag": "ug"})
+    with pytest.raises(bc.InputError, match=r"column 'flag': reads 'True', 'False'.*, a number"):
+        bc.read(path, SCALE, columns={"output": "flag"}, units={"flag": "ug"})
 
 
 def test_netcdf_of_others_is_read(tmp_path):
@@ -138,26 +138,28 @@ def test_netcdf_of_others_is_read(tmp_path):
         coords={"time": ("time", [0, 1], {"units": "h"})},
     )
     data.to_netcdf(path, engine="h5netcdf")
-    m = read(path, SCALE)
+    m = bc.read(path, SCALE)
     assert m["output"].tolist() == [1000, 2000] and m["time"].tolist() == [0, 3600]
     assert m["run"].tolist() == ["1", "1"]
     xr.Dataset({"output": ("a", [1.0]), "b": ("b", [1.0, 2.0])}).to_netcdf(path, engine="h5netcdf")
-    with pytest.raises(InputError, match="has variables along a, b: which are the readings cannot"):
-        read(path, SCALE)
+    with pytest.raises(
+        bc.InputError, match="has variables along a, b: which are the readings cannot"
+    ):
+        bc.read(path, SCALE)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(InputError, match="cannot be read as NetCDF-4"):
-        read(path, SCALE)
+    with pytest.raises(bc.InputError, match="cannot be read as NetCDF-4"):
+        bc.read(path, SCALE)
 
 
 def test_writing_is_refused_in_words(tmp_path):
-    m = Measurements.from_arrays(SCALE, output=[1.0, 2.0])
+    m = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0])
     with pytest.raises(
-        InputError, match=r"cannot be written as '\.pkl'; choose \.csv, \.parquet, \.nc"
+        bc.InputError, match=r"cannot be written as '\.pkl'; choose \.csv, \.parquet, \.nc"
     ):
         m.write(tmp_path / "t.pkl")
     (tmp_path / "taken").write_text("a file")
-    with pytest.raises(InputError, match=r"cannot be written: (Not a directory|File exists)"):
+    with pytest.raises(bc.InputError, match=r"cannot be written: (Not a directory|File exists)"):
         m.write(tmp_path / "taken" / "t.csv")
     (tmp_path / "taken").unlink()
     assert not list(tmp_path.iterdir())
@@ -165,10 +167,10 @@ def test_writing_is_refused_in_words(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".nc"])
 def test_any_name_of_a_column_is_written_and_read_back(tmp_path, suffix):
-    m = Measurements.from_arrays(SCALE, output=[1.0, 2.0])
+    m = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0])
     for name in HOSTILE:
         m = m.with_column(name, [3.0, 4.0], "V")
-    back = read(m.write(tmp_path / f"t{suffix}"), SCALE)
+    back = bc.read(m.write(tmp_path / f"t{suffix}"), SCALE)
     assert set(back.columns) >= set(map(in_one_line, HOSTILE))
 
 
@@ -176,7 +178,7 @@ def test_any_name_of_a_column_is_written_and_read_back(tmp_path, suffix):
 
 
 def test_arrays_are_checked_as_files_are():
-    m = Measurements.from_arrays(
+    m = bc.Measurements.from_arrays(
         SCALE, output=[1, 2], run="a", angle=[90, 180], units={"angle": "deg"}
     )
     np.testing.assert_allclose(m["angle"], [np.pi / 2, np.pi])
@@ -198,19 +200,19 @@ def test_arrays_are_checked_as_files_are():
         ({"output": [1.0], "output_uncertainty": [-1.0]}, "plausible is at least 0 µg"),
         ({"output": [1.0], "run": ["\ud800"]}, "holds a control character"),
     ]:
-        with pytest.raises(InputError, match=message):
-            Measurements.from_arrays(SCALE, **columns)
+        with pytest.raises(bc.InputError, match=message):
+            bc.Measurements.from_arrays(SCALE, **columns)
 
 
 def test_further_arrays_need_a_unit_to_be_kept():
-    m = Measurements.from_arrays(SCALE, output=[1.0, 2.0], humidity=[1.0, 2.0])
+    m = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0], humidity=[1.0, 2.0])
     assert not m.has("humidity") and "ignored, because they have no unit: humidity" in m.flags[0]
     assert "to say that one is run or device or time or axis: --columns NAME=HEADER" in m.flags[0]
 
 
 def test_readings_cannot_be_changed_by_accident():
     given = np.array([1.0, 2.0])
-    m = Measurements.from_arrays(SCALE, output=given)
+    m = bc.Measurements.from_arrays(SCALE, output=given)
     with pytest.raises(ValueError, match="read-only"):
         m["output"][0] = 5
     given[0] = 7
@@ -224,9 +226,9 @@ def test_readings_cannot_be_changed_by_accident():
 
 
 @pytest.fixture
-def grouped() -> Measurements:
+def grouped() -> bc.Measurements:
     nan = float("nan")
-    return Measurements.from_arrays(
+    return bc.Measurements.from_arrays(
         SCALE,
         run=["b", "b", "b", "a", "a"],
         temperature_point=[30.0, 20.0, nan, 30.0, 30.0],
@@ -243,17 +245,17 @@ def test_groups_come_in_order_of_appearance(grouped):
     levels, codes = grouped.groups("reading")
     assert levels == ("1", "2", "3", "4", "5") and codes.tolist() == [0, 1, 2, 3, 4]
     assert grouped.groups("device") == (("1",), pytest.approx(np.zeros(5)))
-    with pytest.raises(InputError, match="column 'output' holds numbers and makes no groups"):
+    with pytest.raises(bc.InputError, match="column 'output' holds numbers and makes no groups"):
         grouped.groups("output")
-    with pytest.raises(InputError, match="has no column 'colour'; it has: run, temp"):
+    with pytest.raises(bc.InputError, match="has no column 'colour'; it has: run, temp"):
         grouped.groups("colour")
 
 
 def test_without_runs_there_is_one_and_without_points_no_cell():
-    m = Measurements.from_arrays(SCALE, output=[1.0, 2.0])
+    m = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0])
     assert m.groups("run")[0] == ("1",)
     assert m.groups("cell")[0] == () and m.groups("cell")[1].tolist() == [-1, -1]
-    point = Measurements.from_arrays(SCALE, output=[1.0, 2.0], temperature_point=[20.0, 30.0])
+    point = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0], temperature_point=[20.0, 30.0])
     assert point.groups("cell")[0] == ("run 1, 20 °C", "run 1, 30 °C")
 
 
@@ -263,16 +265,16 @@ def test_some_of_the_readings_can_be_chosen(grouped):
     assert chosen["output"].tolist() == [5, 1] and chosen.groups("run")[0] == ("a", "b")
     assert chosen.unit("output") == "ug" and not chosen["output"].flags.writeable
     with pytest.raises(
-        InputError, match=r"a mask of shape \(2,\) cannot choose among the 5 readings"
+        bc.InputError, match=r"a mask of shape \(2,\) cannot choose among the 5 readings"
     ):
         grouped.select([True, False])
-    with pytest.raises(InputError, match="no reading of the given arrays was chosen"):
+    with pytest.raises(bc.InputError, match="no reading of the given arrays was chosen"):
         grouped.select(np.zeros(5, dtype=bool))
 
 
 def test_a_further_column_may_carry_its_unit_as_in_a_file():
     columns: dict[str, Any] = {"output": [1.0, 2.0], "humidity [%]": [45.0, 50.0]}
-    m = Measurements.from_arrays(SCALE, **columns)
+    m = bc.Measurements.from_arrays(SCALE, **columns)
     assert m.unit("humidity") == "1"
     np.testing.assert_allclose(m["humidity"], [0.45, 0.5])
 
@@ -282,10 +284,10 @@ def test_readings_describe_themselves(grouped):
         "<Measurements: 5 readings of the given arrays: run, temperature_point [degC], output [ug]>"
     )
     assert "output" in grouped and "colour" not in grouped
-    with pytest.raises(InputError, match="the given arrays has no column 'x'; it has: run"):
+    with pytest.raises(bc.InputError, match="the given arrays has no column 'x'; it has: run"):
         grouped["x"]
-    with pytest.raises(InputError, match="have the one dimension 'reading', these have other"):
-        Measurements.from_xarray(xr.Dataset({"output": ("other", [1.0])}))
+    with pytest.raises(bc.InputError, match="have the one dimension 'reading', these have other"):
+        bc.Measurements.from_xarray(xr.Dataset({"output": ("other", [1.0])}))
 
 
 @pytest.mark.parametrize(
@@ -300,8 +302,8 @@ def test_readings_describe_themselves(grouped):
     ],
 )
 def test_a_column_that_contradicts_itself_is_refused(column, message):
-    with pytest.raises(InputError, match=message):
-        Column(**column)
+    with pytest.raises(bc.InputError, match=message):
+        bc.Column(**column)
 
 
 @pytest.mark.parametrize(
@@ -312,7 +314,7 @@ def test_a_run_under_two_labels_is_noticed(step: float, copied: bool) -> None:
     outputs = [random.normal(0.0, 1.0, 60) for _ in range(3)]
     outputs[2] = outputs[0] if copied else outputs[2]
     values = np.concatenate(outputs)
-    readings = Measurements.from_arrays(
+    readings = bc.Measurements.from_arrays(
         SCALE,
         run=np.repeat(["a", "b", "again"], 60),
         time=np.concatenate([time, time + 1e3, time + 2e3]),

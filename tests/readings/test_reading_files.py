@@ -10,11 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayescal._core.errors import InputError
-from bayescal._data.column import NominalScale
+import bayescal as bc
 from bayescal._data.dataset_checks import repeated_rows
-from bayescal._data.measurements import Measurements
-from bayescal._data.read import read
 from tests.support.gyro_files import GOOD, GYRO, HEAD, refused
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_a_good_file_is_read_in_its_order_and_units(put):
-    m = read(put(GOOD), GYRO)
+    m = bc.read(put(GOOD), GYRO)
     assert m.columns == ("run", "time", "temperature", "rate_input", "output")
     assert len(m) == 3 and m.file == "t.csv" and m.output == "output" and m.flags == ()
     assert m["run"].tolist() == ["a", "a", "b"] and m.unit("run") is None
@@ -48,7 +45,7 @@ def test_reading_a_csv_file_or_arrays_loads_no_library_of_tables(put):
 @pytest.mark.parametrize("order", ["in stretches", "alternating"])
 def test_groups_are_numbered_as_they_appear(put, order):
     runs = ["b"] * 3 + ["a"] * 3 if order == "in stretches" else ["b", "a"] * 3
-    m = Measurements.from_arrays(GYRO, output=range(6), temperature=range(6), run=runs)
+    m = bc.Measurements.from_arrays(GYRO, output=range(6), temperature=range(6), run=runs)
     assert m.groups("run")[0] == ("b", "a")
     assert m.groups("run")[1].tolist() == [int(run == "a") for run in runs]
 
@@ -70,7 +67,7 @@ def test_repeated_rows_are_those_that_pandas_finds():
 
 def test_headers_carry_units_of_their_own(put):
     text = "time [h],temperature [°F],position_angle [deg],output [rad/s]\n1,68,180,1\n2,77,270,2\n"
-    m = read(put(text), GYRO)
+    m = bc.read(put(text), GYRO)
     np.testing.assert_allclose(m["time"], [3600, 7200])
     np.testing.assert_allclose(m["temperature"], [20, 25])
     np.testing.assert_allclose(m["position_angle"], [np.pi, 1.5 * np.pi])
@@ -80,27 +77,29 @@ def test_headers_carry_units_of_their_own(put):
 def test_columns_and_units_can_be_named_from_outside(put):
     path = put("t_s,temp,gyro_x\n0,20,1\n1,30,2\n")
     columns = {"time": "t_s", "temperature": "temp", "output": "gyro_x"}
-    m = read(path, GYRO, columns=columns, units={"t_s": "s", "temperature": "degC", "gyro_x": "mV"})
+    m = bc.read(
+        path, GYRO, columns=columns, units={"t_s": "s", "temperature": "degC", "gyro_x": "mV"}
+    )
     np.testing.assert_allclose(m["output"], [-1199, -1198])
     overruled = put("temperature [degC],output [deg/s]\n20,1\n30,2\n")
-    m = read(overruled, GYRO, units={"output": "rad/s"})
+    m = bc.read(overruled, GYRO, units={"output": "rad/s"})
     assert m["output"][0] == pytest.approx(np.degrees(1))
     assert any("taken as [rad/s], as units= says" in flag for flag in m.flags)
 
 
 def test_raw_outputs_pass_through_the_nominal_scale_and_that_is_said(put):
     text = "temperature [degC],output [V],output_uncertainty [mV]\n20,1.203,2\n30,1.204,3\n"
-    m = read(put(text), GYRO)
+    m = bc.read(put(text), GYRO)
     np.testing.assert_allclose(m["output"], [3, 4], rtol=1e-12)
     np.testing.assert_allclose(m["output_uncertainty"], [2, 3])
     assert "turned into °/s by the nominal scale of test_gyro: (reading − 1.2)/0.001" in m.flags[0]
-    other = read(put(text), GYRO, nominal_scale=NominalScale("mV", gain=2.0))
+    other = bc.read(put(text), GYRO, nominal_scale=bc.NominalScale("mV", gain=2.0))
     np.testing.assert_allclose(other["output"], [601.5, 602])
 
 
 def test_local_gravity_is_used_and_said(put):
     path = put("temperature [degC],output [deg/s],pull [m/s^2]\n20,1,9.81\n30,2,-9.81\n")
-    m = read(path, GYRO, local_gravity=9.81)
+    m = bc.read(path, GYRO, local_gravity=9.81)
     np.testing.assert_allclose(m["pull"], [1e6, -1e6])
     assert m.unit("pull") == "ug" and "turned into local g by 9.81 m/s²" in m.flags[0]
 
@@ -111,7 +110,7 @@ def test_further_columns_are_kept_if_sound_and_otherwise_flagged(put):
         "20,1,40,x,1000,1,1,\n30,2,41,y,?,1,1,\n"
     )
     refused(put(text), r"'q \[foo\]'.*ends in \[foo\], no unit known here.*--ignore 'q \[foo\]'")
-    m = read(put(text), GYRO, ignore=["q [foo]"])
+    m = bc.read(put(text), GYRO, ignore=["q [foo]"])
     np.testing.assert_allclose(m["humidity"], [0.4, 0.41])
     assert m.unit("humidity") == "1" and not {"p", "q", "note", "cell"} & set(m.columns)
     said = "\n".join(m.flags)
@@ -125,20 +124,20 @@ def test_further_columns_are_kept_if_sound_and_otherwise_flagged(put):
 
 def test_comments_blank_lines_and_quotes_leave_row_numbers_right(put):
     text = f'# made by "hand\n\n# 2nd\n{HEAD}a,0,20,1\n\n  \n"b, ""c""",0,25,2\n\n'
-    m = read(put(text), GYRO)
+    m = bc.read(put(text), GYRO)
     assert m["run"].tolist() == ["a", 'b, "c"']
     refused(put(text + "c,0,x,3\n"), r"row 10 of 't\.csv', column 'temperature \[degC\]'")
 
 
 def test_an_empty_temperature_point_is_a_ramp(put):
     text = "temperature_point [degC],temperature [degC],output [deg/s]\n20,20,1\n,25,2\nnan,30,3\n"
-    m = read(put(text), GYRO)
+    m = bc.read(put(text), GYRO)
     np.testing.assert_array_equal(m["temperature_point"], [20, np.nan, np.nan])
     assert m.groups("cell")[1].tolist() == [0, -1, -1]
 
 
 def test_an_optional_column_without_content_is_left_out(put):
-    m = read(
+    m = bc.read(
         put("run,lab_temperature [degC],temperature [degC],output [V]\n,,20,1\n,,30,2\n"), GYRO
     )
     assert not m.has("run") and not m.has("lab_temperature")
@@ -149,7 +148,7 @@ def test_many_rows_are_checked_in_stretches(put, monkeypatch):
     monkeypatch.setattr("bayescal._tables.csv_reader._BLOCK", 64)
     monkeypatch.setattr("bayescal._tables.csv_reader._ROWS", 7)
     rows = [f"a,{i},{20 + i % 5},{i / 8}" for i in range(100)]
-    m = read(put(HEAD + "\n".join(rows)), GYRO)
+    m = bc.read(put(HEAD + "\n".join(rows)), GYRO)
     np.testing.assert_array_equal(m["output"], np.arange(100) / 8)
     rows[61] = "a,61,20,1.2.3"
     refused(put(HEAD + "\n".join(rows)), r"row 63 of .* reads '1\.2\.3'")
@@ -166,28 +165,31 @@ BARE = "time [s],temperature [degC],output [deg/s]\n0,{},1\n1,{},2\n"
 
 def test_several_files_are_runs_named_after_them(put):
     one, two = put(BARE.format(20, 21), "cold.csv"), put(BARE.format(30, 31), "warm.csv")
-    m = read([one, two], GYRO)
+    m = bc.read([one, two], GYRO)
     assert m["run"].tolist() == ["cold", "cold", "warm", "warm"] and m.file == "cold.csv and 1 more"
     assert [s.rows for s in m.sources] == [2, 2] and m["temperature"].tolist() == [20, 21, 30, 31]
-    assert not read(one, GYRO).has("run")
+    assert not bc.read(one, GYRO).has("run")
 
 
 def test_equal_stems_are_made_distinct(put):
     paths = [put(BARE.format(20 + i, 25), f"{d}/t.csv") for i, d in enumerate(("a", "b"))]
     paths.append(put(BARE.format(28, 29), "b/t.CSV"))
-    m = read(paths, GYRO)
+    m = bc.read(paths, GYRO)
     assert m.groups("run")[0] == ("a/t", "b/t", "b/t (2)")
     named = put(
         "run," + BARE.format("x,20", "x,21").replace("\n0", "\nt,0").replace("\n1", "\nt,1")
     )
     named.write_text("run,temperature [degC],output [V]\nc,20,1\n")
-    assert read([named, put(BARE.format(1, 2), "c.csv")], GYRO).groups("run")[0] == ("c", "file c")
+    assert bc.read([named, put(BARE.format(1, 2), "c.csv")], GYRO).groups("run")[0] == (
+        "c",
+        "file c",
+    )
 
 
 def test_files_that_do_not_go_together(put):
     a = put("temperature [degC],output [V],lab_temperature [degC]\n20,1,23\n", "a.csv")
     b = put("temperature [degC],output [V]\n30,1\n", "b.csv")
-    m = read([a, b], GYRO)
+    m = bc.read([a, b], GYRO)
     assert not m.has("lab_temperature")
     assert any("'lab_temperature' left out: a.csv has it, b.csv has not" in f for f in m.flags)
     c = put("device,temperature [degC],output [V]\n1,30,1\n", "c.csv")
@@ -206,14 +208,14 @@ def test_files_that_go_together_in_a_doubtful_way_are_flagged(put):
     text = "run,temperature [degC],output [V]\nr,{},1\n"
     a, b = put(text.format(20), "a.csv"), put(text.format(30), "b.csv")
     assert any(
-        "run 'r' of b.csv is taken as the one of a.csv" in f for f in read([a, b], GYRO).flags
+        "run 'r' of b.csv is taken as the one of a.csv" in f for f in bc.read([a, b], GYRO).flags
     )
     copy = put(text.format(20), "copy.csv")
     assert any(
-        "copy.csv has the same content as a.csv" in f for f in read([a, b, copy], GYRO).flags
+        "copy.csv has the same content as a.csv" in f for f in bc.read([a, b, copy], GYRO).flags
     )
     point = put("temperature_point [degC],temperature [degC],output [V]\n40,40,1\n", "point.csv")
-    m = read([point, put("temperature [degC],output [V]\n30,1\n", "ramp.csv")], GYRO)
+    m = bc.read([point, put("temperature [degC],output [V]\n30,1\n", "ramp.csv")], GYRO)
     assert m.groups("cell")[1].tolist() == [0, -1]
     assert any("ramp.csv: no 'temperature_point'" in f for f in m.flags)
 
@@ -221,24 +223,25 @@ def test_files_that_go_together_in_a_doubtful_way_are_flagged(put):
 def test_a_refusal_names_the_file_among_several(put):
     a, b = put(GOOD, "a.csv"), put(GOOD + "b,-1,20,1\n", "b.csv")
     with pytest.raises(
-        InputError, match=r"row 2 of 'b\.csv', column 'time': reads 0 s after 10 s in row 3 of 'a"
+        bc.InputError,
+        match=r"row 2 of 'b\.csv', column 'time': reads 0 s after 10 s in row 3 of 'a",
     ):
-        read([a, b], GYRO)
+        bc.read([a, b], GYRO)
 
 
 # --- what is flagged -----------------------------------------------------------------------------
 
 
 def flags(**columns) -> str:
-    return "\n".join(Measurements.from_arrays(GYRO, **columns).flags)
+    return "\n".join(bc.Measurements.from_arrays(GYRO, **columns).flags)
 
 
 def test_repeated_rows_are_dropped_where_the_time_tells_and_flagged(put):
-    m, once = read(put(GOOD + "b,0,30,1.8\n"), GYRO), read(put(GOOD), GYRO)
+    m, once = bc.read(put(GOOD + "b,0,30,1.8\n"), GYRO), bc.read(put(GOOD), GYRO)
     told = "1 row repeats an earlier one in every column, first at row 5 of 't.csv'"
     assert f"{told}: it is dropped" in m.flags
     assert len(m) == len(once)
-    no_time = Measurements.from_arrays(
+    no_time = bc.Measurements.from_arrays(
         GYRO, run=["a"] * 3, temperature=[20, 30, 30], rate_input=0, output=[1, 2, 2]
     )
     assert len(no_time) == 3

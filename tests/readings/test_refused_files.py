@@ -12,10 +12,7 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayescal._core.errors import InputError
-from bayescal._data.column import NominalScale
-from bayescal._data.measurements import Measurements
-from bayescal._data.read import read
+import bayescal as bc
 from tests.support.gyro_files import GOOD, GYRO, HEAD, Gyro, refused
 
 # --- columns and units --------------------------------------------------------------------------
@@ -60,11 +57,11 @@ def test_headers_that_cannot_be_used_are_refused(put, text, message):
 def test_a_raw_output_without_a_nominal_scale_is_refused(put):
     path = put("temperature [degC],output [V]\n20,1\n30,2\n")
     with pytest.raises(
-        InputError, match=r"\[V\], one .* deg/s was .* --nominal-scale '250 V/\(deg/s\)'"
+        bc.InputError, match=r"\[V\], one .* deg/s was .* --nominal-scale '250 V/\(deg/s\)'"
     ):
-        read(path, Gyro(nominal_scale=None))
-    with pytest.raises(InputError, match="the gain must be finite and not zero"):
-        NominalScale("V", gain=0.0)
+        bc.read(path, Gyro(nominal_scale=None))
+    with pytest.raises(bc.InputError, match="the gain must be finite and not zero"):
+        bc.NominalScale("V", gain=0.0)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +133,7 @@ def test_cells_that_cannot_be_used_are_refused_by_row_and_column(put, row, messa
 def test_time_may_begin_again_in_another_run_device_or_axis(put):
     text = "device,axis,time [s],temperature [degC],output [V]\n"
     good = text + "1,x,0,20,1\n1,x,9,21,1\n1,y,0,22,1\n2,x,5,23,1\n1,x,9,24,1\n"
-    assert len(read(put(good), GYRO)) == 5
+    assert len(bc.read(put(good), GYRO)) == 5
     refused(put(good + "1,y,-1,20,1\n"), "row 7 .* after 0 s in row 4 .* within device 1, axis y")
 
 
@@ -144,8 +141,8 @@ def test_a_comma_that_may_part_thousands_is_refused(put):
     text = "temperature [degC];output [deg/s]\n20,500;1,500\n21,500;1,600\n"
     refused(put(text), "temperature .*4? reads '20,500', '21,500'|2 problems")
     for read_so in (
-        read(put(text), GYRO, decimal=","),
-        read(put(text.replace("1,500", "1,5")), GYRO),
+        bc.read(put(text), GYRO, decimal=","),
+        bc.read(put(text.replace("1,500", "1,5")), GYRO),
     ):
         assert read_so["temperature"].tolist() == [20.5, 21.5]
     thousands = text.replace("1,500", "1,5").replace("20,500", "1.020,5")
@@ -178,7 +175,7 @@ def test_an_unknown_label_is_refused(put):
 def test_one_temperature_only_is_refused_unless_asked_for(put, second):
     path = put(f"temperature [degC],output [deg/s]\n20,1\n{second},2\n")
     refused(path, r"'temperature': reads 20( … 20\.05)? °C, one temperature only\. At least two")
-    assert len(read(path, GYRO, allow_one_temperature=True)) == 2
+    assert len(bc.read(path, GYRO, allow_one_temperature=True)) == 2
 
 
 # --- files --------------------------------------------------------------------------------------
@@ -266,7 +263,7 @@ def test_whatever_a_file_holds_it_is_read_or_refused(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("any") / data.draw(
         st.sampled_from(["t.csv", "t.parquet", "t.nc"])
     )
-    m = Measurements.from_arrays(
+    m = bc.Measurements.from_arrays(
         GYRO, temperature=[20, 30, 40], output=[1, 2, 3], run=["a", "b", "c"]
     )
     whole = bytearray(m.write(path).read_bytes())
@@ -275,8 +272,8 @@ def test_whatever_a_file_holds_it_is_read_or_refused(tmp_path_factory, data):
         whole[place : place + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=3))
     path.write_bytes(bytes(whole))
     try:
-        m = read(path, GYRO)
-    except InputError:
+        m = bc.read(path, GYRO)
+    except bc.InputError:
         return
     assert np.isfinite(m["output"]).all()
 
@@ -285,6 +282,6 @@ def test_whatever_a_file_holds_it_is_read_or_refused(tmp_path_factory, data):
 def test_a_number_that_stands_for_a_missing_reading_is_refused(put, sign):
     rows = "".join(f"a,{t},{20 + t},{1 + 0.1 * t:.1f}\n" for t in range(8))
     with pytest.raises(
-        InputError, match=rf"row 10 of .*reads {sign}999, far from all other numbers"
+        bc.InputError, match=rf"row 10 of .*reads {sign}999, far from all other numbers"
     ):
-        read(put(HEAD + rows + f"a,8,28,{sign}999\n"), GYRO)
+        bc.read(put(HEAD + rows + f"a,8,28,{sign}999\n"), GYRO)

@@ -9,7 +9,6 @@ import pytest
 
 import bayescal as bc
 from bayescal._data.dataset_checks import leaps, oddities, pieces
-from bayescal._data.set_aside import set_aside
 from bayescal_models import INSTRUMENTS, mems_gyro, still_sensor
 from benchmarks.hidden_effects.bank import instrument_named
 
@@ -115,12 +114,12 @@ def test_an_output_that_was_held_is_taken_once(readings: int) -> None:
         own = np.flatnonzero(record["run"] == run)
         output[own] = output[own[np.arange(len(own)) // readings * readings]]
     held = record.with_column("output", output)
-    kept = set_aside(held)
+    kept = bc.set_aside(held)
     assert "the output repeats a value until the next leap, first in row 2" in kept.flags[-1]
     runs = [int(np.sum(record["run"] == run)) for run in np.unique(record["run"])]
     assert len(kept) == sum(-(-n // readings) for n in runs)
     rounded = record.with_column("output", 10.0 * np.rint(record["output"] / 10.0))
-    assert set_aside(rounded) is rounded
+    assert bc.set_aside(rounded) is rounded
 
 
 def test_leaps_are_found_where_they_are_and_set_aside_by_name() -> None:
@@ -131,12 +130,12 @@ def test_leaps_are_found_where_they_are_and_set_aside_by_name() -> None:
     spoilt = readings.with_column(TEMPERATURE, warm)
     columns = columns_of(spoilt)
     assert leaps(warm, list(pieces(columns))).tolist() == rows.tolist()
-    kept = set_aside(spoilt)
+    kept = bc.set_aside(spoilt)
     assert len(kept) == len(readings) - len(rows)
     assert "6 reading(s) set aside, at which a thermometer leaps" in kept.flags[-1]
     assert "temperature: row 41 (" in kept.flags[-1]
-    assert len(set_aside(spoilt, keep_spikes=True)) == len(readings)
-    assert set_aside(readings) is readings
+    assert len(bc.set_aside(spoilt, keep_spikes=True)) == len(readings)
+    assert bc.set_aside(readings) is readings
 
 
 @pytest.mark.parametrize(
@@ -200,7 +199,7 @@ def test_readings_of_a_wrong_thermometer_are_set_aside_where_the_model_needs_it(
     record = mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(average=60))
     columns, needed = columns_of(record), {TEMPERATURE}
     held = in_runs(columns, lambda t: t[np.arange(len(t)) // 5 * 5])
-    kept = set_aside(record.with_column(TEMPERATURE, held), needed=needed)
+    kept = bc.set_aside(record.with_column(TEMPERATURE, held), needed=needed)
     runs = [int(np.sum(record["run"] == run)) for run in np.unique(record["run"])]
     assert len(kept) == sum(-(-n // 5) for n in runs)
     assert "column 'temperature' repeats a value until the next leap" in kept.flags[-1]
@@ -210,14 +209,14 @@ def test_readings_of_a_wrong_thermometer_are_set_aside_where_the_model_needs_it(
     gain = columns[TEMPERATURE].copy()
     gain[columns["run"] == "3"] *= 1.1
     spoilt = record.with_column(TEMPERATURE, gain)
-    kept = set_aside(spoilt, needed=needed)
+    kept = bc.set_aside(spoilt, needed=needed)
     assert set(kept["run"]) == {"1", "2"}
     assert len(kept) == sum(runs[:2])
     assert "does not repeat in run 3" in kept.flags[-1]
-    for whole in (set_aside(spoilt), set_aside(spoilt, keep_spikes=True, needed=needed)):
+    for whole in (bc.set_aside(spoilt), bc.set_aside(spoilt, keep_spikes=True, needed=needed)):
         assert len(whole) == len(record)
     two = spoilt.select(np.flatnonzero(spoilt["run"] != "2"))
-    assert len(set_aside(two, needed=needed)) == len(two)  # which of both is right is not known
+    assert len(bc.set_aside(two, needed=needed)) == len(two)  # which of both is right is not known
 
 
 def test_the_flag_names_file_and_row(tmp_path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayescal._core.errors import InputError
+import bayescal as bc
 from bayescal._data.unit_conversion import (
     REGISTRY,
     base_unit,
@@ -105,7 +105,7 @@ def test_local_gravity_divides_what_comes_in_as_metres_per_second_squared():
     assert convert([9.81], "m/s^2", "g", local_gravity=9.81) == pytest.approx(1, rel=1e-15)
     assert convert(2.0, "V/g", "V/(m/s^2)", local_gravity=9.8) == pytest.approx(2 / 9.8, rel=1e-14)
     assert needs_gravity("m/s^2", "ug") and not needs_gravity("mg", "ug")
-    with pytest.raises(InputError, match=r"local gravity 980\.665 m/s² is not found on Earth"):
+    with pytest.raises(bc.InputError, match=r"local gravity 980\.665 m/s² is not found on Earth"):
         convert(1.0, "m/s^2", "g", local_gravity=980.665)
 
 
@@ -113,7 +113,7 @@ def test_a_temperature_is_absolute_and_a_difference_is_not():
     assert convert(1.0, "degF", "degC", difference=True) == pytest.approx(5 / 9)
     assert convert(3.0, "degC", "delta_degC") == 3
     assert convert(3.0, "K", "delta_degC") == 3
-    with pytest.raises(InputError, match=r"\[delta_degC\] is a difference of temperatures"):
+    with pytest.raises(bc.InputError, match=r"\[delta_degC\] is a difference of temperatures"):
         convert(1.0, "delta_degC", "degC")
 
 
@@ -132,7 +132,7 @@ def test_there_and_back_is_where_one_was(pair, values):
 def test_a_detour_changes_nothing(pair, third):
     old, new = pair
     if not same_dimension(old, third):
-        with pytest.raises(InputError, match="cannot be converted"):
+        with pytest.raises(bc.InputError, match="cannot be converted"):
             convert(1.0, old, third)
         return
     direct, detour = convert(12.5, old, new), convert(convert(12.5, old, third), third, new)
@@ -238,7 +238,7 @@ def test_what_no_instrument_prescribes_is_kept_in_base_units(unit, base):
 )
 def test_what_is_no_unit_is_refused_in_words(unit, message):
     for use in (parse, pretty, base_unit, lambda u: convert(1.0, u, "V")):
-        with pytest.raises(InputError, match=message):
+        with pytest.raises(bc.InputError, match=message):
             use(unit)
 
 
@@ -257,7 +257,7 @@ def test_what_is_no_unit_is_refused_in_words(unit, message):
 )
 def test_another_dimension_is_refused(old, new, message):
     assert not same_dimension(old, new)
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(bc.InputError, match=message):
         convert(1.0, old, new)
 
 

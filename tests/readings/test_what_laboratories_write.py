@@ -15,8 +15,6 @@ import pytest
 
 import bayescal as bc
 from bayescal._cli.options import ColumnOptions
-from bayescal._core.errors import InputError
-from bayescal._data.read import read
 from bayescal._data.unit_conversion import base_unit, convert
 from bayescal_models import accelerometer_triad, mems_gyro, still_sensor
 from tests.readings.test_lab_exports import options_of
@@ -38,8 +36,8 @@ def at_rest(**columns: object) -> str:
 
 
 def options_said(path: Path, instrument: bc.Instrument) -> str:
-    with pytest.raises(InputError) as refused:
-        read(path, instrument)
+    with pytest.raises(bc.InputError) as refused:
+        bc.read(path, instrument)
     return " ".join(dict.fromkeys(p.option for p in refused.value.problems if p.option))
 
 
@@ -60,28 +58,30 @@ def test_a_clock_that_begins_anew_is_named_and_undone(put, head, period, size, s
     path = put(at_rest(**{head: counts}))
     asked = options_said(path, STILL)
     assert said in asked
-    found = read(path, STILL, **options_of(asked))
+    found = bc.read(path, STILL, **options_of(asked))
     np.testing.assert_allclose(np.diff(found["time"]), 10.0, atol=1e-3)
 
 
 def test_runs_without_labels_are_no_clock_that_begins_anew(put) -> None:
     path = put(at_rest(**{"time [s]": STEPS % 300}))
-    with pytest.raises(InputError, match=r"time runs backwards\. Put the rows in the order"):
-        read(path, STILL)
+    with pytest.raises(bc.InputError, match=r"time runs backwards\. Put the rows in the order"):
+        bc.read(path, STILL)
 
 
 @pytest.mark.parametrize("leap", [1608017922.0, -1.5e9])
 def test_a_clock_that_was_set_within_a_run_is_refused(put, leap) -> None:
     time = 1608015601.0 + STEPS + leap * (STEPS > 300)
     path = put(at_rest(**{"time [s]": time}))
-    with pytest.raises(InputError, match=r"leaps by .* years .* within one run: the clock was set"):
-        read(path, STILL)
+    with pytest.raises(
+        bc.InputError, match=r"leaps by .* years .* within one run: the clock was set"
+    ):
+        bc.read(path, STILL)
     runs = np.where(STEPS > 300, "b", "a")
-    assert len(read(put(at_rest(**{"time [s]": time, "run": runs})), STILL)) == 60
+    assert len(bc.read(put(at_rest(**{"time [s]": time, "run": runs})), STILL)) == 60
 
 
 def test_yearly_readings_do_not_leap(put) -> None:
-    assert len(read(put(at_rest(**{"time [day]": STEPS * 36.5})), STILL)) == 60
+    assert len(bc.read(put(at_rest(**{"time [day]": STEPS * 36.5})), STILL)) == 60
 
 
 def test_signed_counts_that_were_written_as_unsigned_are_asked_about(put) -> None:
@@ -95,29 +95,29 @@ def test_signed_counts_that_were_written_as_unsigned_are_asked_about(put) -> Non
             }
         )
     )
-    found = read(path, STILL, **options_of(options_said(path, STILL)))
+    found = bc.read(path, STILL, **options_of(options_said(path, STILL)))
     np.testing.assert_array_equal(found["output"], signed)
 
 
 def test_seconds_since_1904_are_taken_as_such(put) -> None:
     path = put(at_rest(**{"time [s]": 3_850_000_000 + STEPS}))
-    found = read(path, STILL)
+    found = bc.read(path, STILL)
     assert found.since == 3_850_000_000 - 2_082_844_800
     assert any("since 1904" in flag for flag in found.flags)
 
 
 def test_a_period_is_a_number_with_a_unit(put) -> None:
     path = put(at_rest(**{"time [s]": STEPS}))
-    with pytest.raises(InputError, match="write what the counter held when it began anew"):
-        read(path, STILL, unwrap={"time": "often"})
-    with pytest.raises(InputError, match=r"no such column, but unwrap=\{'tim': '2\^32us'\}"):
-        read(path, STILL, unwrap={"tim": "2^32us"})
+    with pytest.raises(bc.InputError, match="write what the counter held when it began anew"):
+        bc.read(path, STILL, unwrap={"time": "often"})
+    with pytest.raises(bc.InputError, match=r"no such column, but unwrap=\{'tim': '2\^32us'\}"):
+        bc.read(path, STILL, unwrap={"tim": "2^32us"})
 
 
 def test_every_tenth_reading_that_lies_apart_is_said(put) -> None:
     noise = 1e-3 * np.random.default_rng(1).normal(size=60)
     bad = 0.5 + STEPS / 1e4 + noise + 0.2 * (np.arange(60) % 10 == 3)
-    found = read(put(at_rest(**{"time [s]": STEPS, "output [deg/s]": bad})), STILL)
+    found = bc.read(put(at_rest(**{"time [s]": STEPS, "output [deg/s]": bad})), STILL)
     assert any("every 10th reading lies" in flag for flag in found.flags)
     for more in ({}, {"rate [rpm]": np.arange(60) % 10 == 3}):
         good = bad if more else 0.5 + STEPS / 1e4 + noise
@@ -126,7 +126,7 @@ def test_every_tenth_reading_that_lies_apart_is_said(put) -> None:
             "output [deg/s]": good,
             **{n: v * 1.0 for n, v in more.items()},
         }
-        assert not any("lies" in flag for flag in read(put(at_rest(**columns)), STILL).flags)
+        assert not any("lies" in flag for flag in bc.read(put(at_rest(**columns)), STILL).flags)
 
 
 # --- labels -----------------------------------------------------------------------------------------------------
@@ -139,14 +139,14 @@ def test_every_tenth_reading_that_lies_apart_is_said(put) -> None:
 )
 def test_labels_are_known_by_their_names_and_values(put, head, ours) -> None:
     labels = STEPS // 200 if ours == "run" else STEPS // 10 % 3
-    found = read(put(at_rest(**{"time [s]": STEPS, head: labels.astype(int)})), STILL)
+    found = bc.read(put(at_rest(**{"time [s]": STEPS, head: labels.astype(int)})), STILL)
     assert found.groups(ours)[0] == ("0", "1", "2")
     assert any(f"as {ours}, as its values are labels" in flag for flag in found.flags)
 
 
 def test_what_is_called_a_cycle_and_holds_no_labels_is_none(put) -> None:
     for values in (STEPS / 7, np.arange(60)):
-        found = read(put(at_rest(**{"time [s]": STEPS, "Cycle": values})), STILL)
+        found = bc.read(put(at_rest(**{"time [s]": STEPS, "Cycle": values})), STILL)
         assert not found.has("run") and any("Cycle" in flag for flag in found.flags)
 
 
@@ -155,7 +155,7 @@ def test_labels_of_an_unknown_name_are_asked_about_and_never_left_out(put, head)
     path = put(at_rest(**{"time [s]": STEPS, head: (STEPS // 200).astype(int)}))
     asked = options_said(path, STILL)
     assert "--ignore" not in asked
-    assert read(path, STILL, **options_of(asked)).groups("run")[0] == ("0", "1", "2")
+    assert bc.read(path, STILL, **options_of(asked)).groups("run")[0] == ("0", "1", "2")
 
 
 # --- units ------------------------------------------------------------------------------------------------------
@@ -185,15 +185,17 @@ def test_units_of_mass_force_volume_amount_pressure_and_flow(unit, size, base) -
 def test_a_g_that_is_hardly_gravity_is_asked_about(put, unit, values, kept) -> None:
     columns = {"time [s]": STEPS, "temperature [degC]": 20 + STEPS / 20}
     path = put(table(**columns, **{f"output [{unit}]": values}))
-    found = read(path, STILL, **options_of(options_said(path, STILL)))
+    found = bc.read(path, STILL, **options_of(options_said(path, STILL)))
     assert found.unit("output") == ("kg" if unit == "g" else "kg/m^3")
     np.testing.assert_allclose(found["output"], kept * values, atol=1e-12)
-    assert read(path, STILL, units={"output": unit}).unit("output").startswith("ug")  # said to be
+    assert (
+        bc.read(path, STILL, units={"output": unit}).unit("output").startswith("ug")
+    )  # said to be
 
 
 def test_an_accelerometer_in_g_is_read_as_ever(put) -> None:
     columns = {"time [s]": STEPS, "temperature [degC]": 20 + STEPS / 20}
-    found = read(put(table(**columns, **{"output [g]": 0.99 + STEPS / 1e6})), STILL)
+    found = bc.read(put(table(**columns, **{"output [g]": 0.99 + STEPS / 1e6})), STILL)
     assert found.unit("output") == "ug"
 
 
@@ -202,17 +204,17 @@ def test_an_accelerometer_in_g_is_read_as_ever(put) -> None:
 
 def test_windows_1252_is_read(put) -> None:
     content = at_rest(**{"time [s]": STEPS, "Gehäuse – außen [°C]": STEPS})
-    found = read(put(content.encode("windows-1252")), STILL)
+    found = bc.read(put(content.encode("windows-1252")), STILL)
     assert "Gehäuse – außen" in found.columns
-    with pytest.raises(InputError, match="is not UTF-8"):
-        read(put(content.encode() + "é,1,1,1\n".encode("windows-1252")), STILL)
+    with pytest.raises(bc.InputError, match="is not UTF-8"):
+        bc.read(put(content.encode() + "é,1,1,1\n".encode("windows-1252")), STILL)
 
 
 def test_what_is_wrong_with_several_files_alike_is_said_once(put) -> None:
     content = at_rest(time=STEPS, **{"p [foo]": STEPS})
     paths = [put(content + f"90,{i},{i},1\n", f"t{i}.csv") for i in range(4)]
-    with pytest.raises(InputError) as refused:
-        read(paths, STILL)
+    with pytest.raises(bc.InputError) as refused:
+        bc.read(paths, STILL)
     said = str(refused.value)
     assert said.count("the header has no unit") == 1 and "all 4 files, column 'time'" in said
 
@@ -255,15 +257,15 @@ def test_generated_headers_are_read_right_or_asked_about_once(put, seeds) -> Non
         file = lab_file(np.random.default_rng(seed))
         path = put(file.content)
         try:
-            assert is_right(read(path, GYRO), file), f"{seed}: silently wrong"
+            assert is_right(bc.read(path, GYRO), file), f"{seed}: silently wrong"
             continue
-        except InputError as error:
+        except bc.InputError as error:
             said = [p.option for p in error.problems]
         asked = " ".join(dict.fromkeys(said))
         assert all(said), f"{seed}: {asked}"
         try:
-            found = read(path, GYRO, **completed(asked, file.headers, file.units))
-        except InputError as error:
+            found = bc.read(path, GYRO, **completed(asked, file.headers, file.units))
+        except bc.InputError as error:
             again.append(f"{seed}: {asked}: {error}")
             continue
         assert is_right(found, file), f"{seed}: wrong after {asked}"
@@ -282,7 +284,7 @@ def small_input(name: str) -> Path:
 @pytest.mark.parametrize("name", ["drop400", "ms400", "pairs400"])
 def test_stamps_of_drivers_have_the_noise_of_the_sensor(name) -> None:
     path = small_input(f"noise_stamps/{name}_short.csv")
-    found = bc.noise(read(path, STILL, columns={"output": "gyro_x"}))
+    found = bc.noise(bc.read(path, STILL, columns={"output": "gyro_x"}))
     density = next(f for f in found.figures if f.symbol == "N")
     assert density.unit == "deg/h^0.5" and density.low < 0.24 < density.high
     assert any("lost" in note for note in found.notes) == (name == "drop400")
@@ -291,7 +293,7 @@ def test_stamps_of_drivers_have_the_noise_of_the_sensor(name) -> None:
 def test_poses_that_are_held_briefly_are_all_found() -> None:
     columns = {f"output_{a}": f"a{a}" for a in "xyz"}
     path = small_input("short_holds_triad/shortposes.csv")
-    log = read(path, accelerometer_triad.INSTRUMENT, columns=columns)
+    log = bc.read(path, accelerometer_triad.INSTRUMENT, columns=columns)
     poses = bc.poses(log, accelerometer_triad.INSTRUMENT)
     assert len(poses) == 30
     found = bc.fit(accelerometer_triad.INSTRUMENT.baseline(), poses, bc.LeastSquares())
@@ -317,4 +319,4 @@ def test_poses_that_are_held_briefly_are_all_found() -> None:
 def test_small_inputs_are_asked_about_and_read_after(name, asked) -> None:
     said = options_said(small_input(name), STILL)
     assert asked in said
-    assert len(read(small_input(name), STILL, **options_of(said))) > 400
+    assert len(bc.read(small_input(name), STILL, **options_of(said))) > 400

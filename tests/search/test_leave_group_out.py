@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import bayescal as bc
 from bayescal._calibration.part import Part
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
@@ -13,7 +14,6 @@ from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.noise_terms import CORRELATION_TIME, DIFFUSION
 from bayescal._model.parameters import bind
-from bayescal._model.summed_noise import OrnsteinUhlenbeck
 from bayescal_models import still_sensor
 
 VALUES = {"noise.white": 20.0, DIFFUSION: 1.5, CORRELATION_TIME: 300.0}
@@ -22,7 +22,7 @@ VALUES = {"noise.white": 20.0, DIFFUSION: 1.5, CORRELATION_TIME: 300.0}
 @pytest.fixture(scope="module")
 def whole() -> Assembly:
     readings = still_sensor.simulate({}, seed=3, interval=120)
-    noise = OrnsteinUhlenbeck(10.0, 1e4)
+    noise = bc.OrnsteinUhlenbeck(10.0, 1e4)
     model = still_sensor.instrument("ug").baseline().with_noise(noise)
     frame = build_frame(readings, reference_of(readings))
     record = Record(model.instrument, frame, np.asarray(readings["output"]))

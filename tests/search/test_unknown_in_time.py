@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._search.draft_effect import draft_effect, shape_of
 from bayescal_models import mems_gyro
 
 INSTRUMENT = mems_gyro.INSTRUMENT
@@ -80,13 +79,13 @@ def test_a_cycle_is_found_with_its_period_and_amplitude(cycled: bc.SearchPath) -
 def test_their_shapes_are_drafted_as_what_they_are(
     jumped: bc.SearchPath, cycled: bc.SearchPath
 ) -> None:
-    jump = draft_effect(jumped.final.calibration, "unknown(time, jump)")
+    jump = bc.draft_effect(jumped.final.calibration, "unknown(time, jump)")
     assert drafted(r"a step at (\S+) of the range", jump) == pytest.approx(PLACE, abs=0.02)
     assert "jnp.where(x >" in jump
-    wave = draft_effect(cycled.final.calibration, "unknown(time, cycle)")
+    wave = bc.draft_effect(cycled.final.calibration, "unknown(time, cycle)")
     period = drafted(r"a sine of period (\S+) of the range", wave)
     assert period == pytest.approx(1 / CYCLES, rel=0.05)
-    assert shape_of(cycled.final.calibration, "unknown(time, cycle)").covariate == "time"
+    assert bc.shape_of(cycled.final.calibration, "unknown(time, cycle)").covariate == "time"
     for text in (jump, wave):
         compile(text, "draft", "exec")
 

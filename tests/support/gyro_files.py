@@ -6,27 +6,25 @@ from dataclasses import dataclass
 
 import pytest
 
-from bayescal._core.errors import InputError
-from bayescal._data.column import Column, NominalScale
-from bayescal._data.read import read
+import bayescal as bc
 
-VOLTS = NominalScale("V", gain=0.001, offset=1.2)
+VOLTS = bc.NominalScale("V", gain=0.001, offset=1.2)
 
 
 @dataclass(frozen=True)
 class Gyro:
     name: str = "test_gyro"
-    nominal_scale: NominalScale | None = VOLTS
-    columns: tuple[Column, ...] = (
-        Column("run", None, "label of the run", required=False),
-        Column("group", None, required=False, allowed=("outer", "inner")),
-        Column("temperature_point", "degC", required=False),
-        Column("time", "s", required=False),
-        Column("temperature", "degC", "thermometer", low=-273.15, high=250.0),
-        Column("lab_temperature", "degC", required=False),
-        Column("position_angle", "rad", required=False, low=-6.3, high=6.3),
-        Column("rate_input", "deg/s", required=False, default=0.0),
-        Column("output", "deg/s"),
+    nominal_scale: bc.NominalScale | None = VOLTS
+    columns: tuple[bc.Column, ...] = (
+        bc.Column("run", None, "label of the run", required=False),
+        bc.Column("group", None, required=False, allowed=("outer", "inner")),
+        bc.Column("temperature_point", "degC", required=False),
+        bc.Column("time", "s", required=False),
+        bc.Column("temperature", "degC", "thermometer", low=-273.15, high=250.0),
+        bc.Column("lab_temperature", "degC", required=False),
+        bc.Column("position_angle", "rad", required=False, low=-6.3, high=6.3),
+        bc.Column("rate_input", "deg/s", required=False, default=0.0),
+        bc.Column("output", "deg/s"),
     )
 
 
@@ -36,5 +34,5 @@ GOOD = HEAD + "a,0,20,1.5\na,10,25,1.6\nb,0,30,1.8\n"
 
 
 def refused(path, message: str, **options) -> None:
-    with pytest.raises(InputError, match=message):
-        read(path, GYRO, **options)
+    with pytest.raises(bc.InputError, match=message):
+        bc.read(path, GYRO, **options)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from bokeh.models import PlainText
 
+import bayescal as bc
 from bayescal._search.candidate import Candidate
-from bayescal._search.discover import Discovery
 from bayescal._search.posterior import Found
 from bayescal._workbench.app import Workbench
 from bayescal._workbench.kept import path_to
@@ -111,7 +111,7 @@ def test_a_dropped_file_keeps_a_harmless_name(name: str, kept: str) -> None:
 
 
 def test_substitutes_stand_together_and_what_cannot_be_tested_last() -> None:
-    found = Discovery(
+    found = bc.Discovery(
         nothing_missing=0.01,
         sets=(Found(("bias.lag", "bias.rate"), 0.97),),
         candidates=(
