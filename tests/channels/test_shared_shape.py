@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._model.frame import reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.shared_shape import (
@@ -23,6 +22,7 @@ from bayescal._search.shared_shape import (
 from bayescal._search.structures import Structures
 from bayescal._search.walk import walk
 from bayescal_models import still_sensor
+from tests.support.inside import constants_of
 
 LAG = "bias.thermal_lag"
 
@@ -118,7 +118,7 @@ def test_what_the_others_say_and_the_own_evidence_are_the_whole_posterior() -> N
 
 def weighed(readings: bc.Measurements) -> Structures:
     model = still_sensor.INSTRUMENT.for_readings(readings).baseline()
-    made, _ = structures_over(model, readings, reference_of(readings))
+    made, _ = structures_over(model, readings, constants_of(readings))
     names = (LAG, "bias.temperature_quadratic", "bias.rate", "bias.drift")
     made.candidates = {n: made.candidates[n] for n in names}
     walk(Library(made), 3)

@@ -16,12 +16,12 @@ import pytest
 
 import bayescal as bc
 from bayescal._core import deadline
-from bayescal._report.result_json import result
 from bayescal._search import calibrate as loop_module
 from bayescal._search import discover as search_module
 from bayescal._search.structures import Structures
 from bayescal_models import mems_gyro
 from tests.commands.test_ctrl_c import _as_at_a_terminal as _as_at_a_terminal
+from tests.support.inside import result_of
 
 HIDDEN = "bias.thermal_lag"
 
@@ -202,6 +202,6 @@ def test_discover_says_what_was_found_so_far(readings, monkeypatch) -> None:
 def test_what_is_printed_of_a_cut_search_is_true(readings, monkeypatch) -> None:
     walk_ending(monkeypatch, pressed)
     trail = calibrate(readings)
-    told = result(trail)
+    told = result_of(trail)
     assert told["search"]["stopped"] and told["complete"] is False
     assert replace(trail, average=None).final.calibration.model.names[-1] == HIDDEN

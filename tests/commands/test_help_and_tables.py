@@ -6,14 +6,12 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
-import typer
 
-from bayescal._cli import main
 from tests.support.command_line import (
     GYRO,
+    commands,
     needs_installation,
     run,
 )
@@ -48,8 +46,7 @@ def test_help_shows_an_example(command: str) -> None:
 
 
 def test_every_command_is_tested_here() -> None:
-    group: Any = typer.main.get_command(main.app)
-    assert tuple(group.commands) == COMMANDS
+    assert tuple(commands()) == COMMANDS
 
 
 def test_help_loads_nothing_heavy() -> None:

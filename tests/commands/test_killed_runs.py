@@ -18,11 +18,11 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._calibration.description import identity
 from bayescal._report.result_json import RESULT, UNDER_WAY
 from bayescal._report.whole_folder import MANIFEST, files_of, refuse_mixed
 from bayescal_models import gyro_triad
 from tests.support.command_line import GYRO, QUICK, TABLE, needs_installation, run
+from tests.support.inside import identity_of
 from tests.support.made_up.gyro_lot import table
 
 pytestmark = [
@@ -112,7 +112,7 @@ def whole(folder: Path) -> bool:
     if not files_of(folder):
         assert not (folder / "calibration.nc").exists()
         return False
-    own = identity(bc.load(folder / "calibration.nc"))
+    own = identity_of(bc.load(folder / "calibration.nc"))
     assert json.loads((folder / RESULT).read_text("utf-8"))["calibration"] == own
     assert json.loads((folder / MANIFEST).read_text("utf-8"))["calibration"] == own
     return True

@@ -15,11 +15,11 @@ import pytest
 
 import bayescal as bc
 from bayescal._use.compensation_program import STIMULUS
-from bayescal._use.correction_files import as_text
 from bayescal._use.expression_graph import JAVASCRIPT, OPERATIONS, Graph, statements
 from bayescal._use.program_text import effects_of
 from tests.support.browser import chromium
 from tests.support.export_check import COMPILER, run_header
+from tests.support.inside import text_of
 from tests.support.made_up import bent_sensor
 
 NODE = shutil.which("node")
@@ -37,7 +37,7 @@ def compensator(request) -> bc.Compensator:
 
 @pytest.fixture(scope="module")
 def page(compensator) -> str:
-    return as_text(compensator.program, "html")
+    return text_of(compensator.program, "html")
 
 
 def in_node(script: str, call: str, rows: np.ndarray) -> list[Any]:
@@ -182,7 +182,7 @@ def test_the_page_is_small_and_asks_nothing_of_anyone(compensator, page) -> None
 def test_a_result_that_is_not_reliable_says_so_on_its_page() -> None:
     gyro = bent_sensor.gyro()
     spoilt = replace(gyro, verdict=replace(gyro.verdict, against=("It is <off>.",)))
-    page = as_text(bc.compensator(spoilt).program, "html")
+    page = text_of(bc.compensator(spoilt).program, "html")
     assert "Result not reliable:</b> It is &lt;off&gt;." in page
 
 

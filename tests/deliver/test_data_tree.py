@@ -20,7 +20,6 @@ from arviz_stats import loo, psense_summary, summary
 from scipy import stats
 
 import bayescal as bc
-from bayescal._calibration.fitted import Fitted
 from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
 from tests.support.tiers import slow_but
@@ -134,7 +133,9 @@ def test_arviz_does_leave_one_out_and_prior_sensitivity(found) -> None:
 
 def test_draws_of_a_tree_with_log_likelihood_are_thinned_together(found, monkeypatch) -> None:
     count = found.joint.x.shape[0] * 500 * len(found.readings)
-    monkeypatch.setattr(type(found), "log_likelihood", partialmethod(Fitted.log_likelihood, count))
+    monkeypatch.setattr(
+        type(found), "log_likelihood", partialmethod(bc.Calibration.log_likelihood, count)
+    )
     tree = found.with_log_likelihood()
     kept = tree["log_likelihood"]["draw"].values
     assert len(kept) <= 500

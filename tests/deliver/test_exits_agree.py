@@ -13,7 +13,6 @@ import pytest
 import bayescal as bc
 from bayescal._core.quoting import identifier
 from bayescal._use.compensate_file import compensate_file
-from bayescal._use.correction_files import as_text
 from bayescal_models import (
     inclinometer,
     mems_gyro,
@@ -22,6 +21,7 @@ from bayescal_models import (
     still_sensor,
 )
 from tests.support.export_check import needs_compiler, run_c, tilted
+from tests.support.inside import text_of
 from tests.support.made_up import bent_sensor, split_search
 from tests.support.tiers import slow_but
 
@@ -158,7 +158,7 @@ def test_c_fed_row_by_row(case, tmp_path: Path) -> None:
 
 def test_python_fed_row_by_row(case) -> None:
     compensator, readings, wanted = case
-    text, space = as_text(compensator.program, "python"), {}
+    text, space = text_of(compensator.program, "python"), {}
     assert [line for line in text.splitlines() if "import" in line.split()] == ["import math"]
     exec(compile(text, "exported.py", "exec"), space)
     given = [readings[c] for c in columns(compensator)]

@@ -12,10 +12,10 @@ import pytest
 import bayescal as bc
 from bayescal._core.quoting import ascii_text
 from bayescal._use.compensation_program import program_of
-from bayescal._use.correction_files import as_text
 from bayescal._use.expression_graph import Graph
 from bayescal._use.operating_equation import posterior_moments
 from tests.support.export_check import needs_compiler, run_header, tilted
+from tests.support.inside import text_of
 from tests.support.made_up import bent_sensor, split_search
 
 ROWS = 10_000
@@ -106,7 +106,7 @@ def test_the_header_flags_each_input_outside_its_range(compensator, rows, tmp_pa
 
 
 def test_the_header_says_units_ranges_and_what_to_know(compensator) -> None:
-    text = as_text(compensator.program, "c")
+    text = text_of(compensator.program, "c")
     text.encode("ascii")
     for i in compensator.inputs:
         assert f"{i.name}: {i.low:.9g} to {i.high:.9g} {i.unit}" in text

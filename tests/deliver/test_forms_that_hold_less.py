@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._use.correction_files import as_text
 from bayescal._use.plain_correction import plain_correction
 from bayescal._use.vector_parameters import autopilot_parameters, left_out
 from tests.deliver.test_one_program import AT, GRAVITY, triad
+from tests.support.inside import text_of
 
 yaml = pytest.importorskip("yaml")
 SPHERE = np.random.default_rng(1).standard_normal((20_000, 3))
@@ -90,7 +90,7 @@ def test_uncertainties_are_those_of_what_is_written() -> None:
     made = [plain_correction(replace(c, terms=d.reshape(c.terms.shape))).terms for d in draws]
     plain = plain_correction(c)
     assert np.std(made, axis=0) == pytest.approx(plain.uncertainty, rel=0.15)
-    text = yaml.safe_load(as_text(c, "yaml"))["imu0"]["accelerometers"]
+    text = yaml.safe_load(text_of(c, "yaml"))["imu0"]["accelerometers"]
     assert np.array(text["bias"]) / 9.80665 == pytest.approx(plain.offset, rel=1e-7)
     assert np.array(text["bias_uncertainty"]) / 9.80665 == pytest.approx(
         plain.uncertainty[:3], rel=1e-7
@@ -110,7 +110,7 @@ def test_uncertainties_are_those_of_what_is_written() -> None:
 def test_files_say_what_they_leave_out(
     instrument: str, format: str, words: tuple[str, ...]
 ) -> None:
-    text = " ".join(as_text(bent(instrument), format).split())
+    text = " ".join(text_of(bent(instrument), format).split())
     said = re.search(r"# Left out, for want of a place: .*? 70 deg C\)\.[^#\n]*", text)
     assert said is not None
     for word in words:
@@ -121,12 +121,12 @@ def test_files_say_what_they_leave_out(
 
 def test_what_holds_all_says_so() -> None:
     for instrument in ("accelerometer_triad", "gyro_triad"):
-        assert "# Nothing is left out.\n" in as_text(triad(instrument), "yaml")
+        assert "# Nothing is left out.\n" in text_of(triad(instrument), "yaml")
     straight = replace(triad("accelerometer_triad"), covariance=np.zeros((12, 12)))
     terms = straight.terms.copy()
     terms[0, 3:12] = np.diag([1.01, 0.99, 1.02]).ravel()
     straight = replace(straight, terms=terms)
-    assert "# Nothing is left out.\n" in as_text(straight, "px4-params")
+    assert "# Nothing is left out.\n" in text_of(straight, "px4-params")
     assert not left_out(straight, "px4-params") and not left_out(bent("gyro_triad"), "c")
 
 
@@ -157,7 +157,7 @@ def test_axes_that_an_autopilot_mirrors_are_said() -> None:
 
 def test_one_thing_beside_is_held_by_kalibr() -> None:
     c = triad("gyro_triad")
-    found = yaml.safe_load(as_text(c, "yaml"))["imu0"]
+    found = yaml.safe_load(text_of(c, "yaml"))["imu0"]
     by_gravity = np.array(found["Tg"]) * 9.80665 @ GRAVITY
     wanted = np.deg2rad(c.terms[0, -9:].reshape(3, 3) @ GRAVITY)
     assert by_gravity == pytest.approx(wanted, rel=1e-6)

@@ -33,9 +33,10 @@ from bayescal._core.quoting import (
 )
 from bayescal._core.result_table import as_html, plain_table
 from bayescal._use.compensation_program import from_data
-from bayescal._use.correction_files import as_text, load_correction
+from bayescal._use.correction_files import load_correction
 from bayescal_models import mems_gyro
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler
+from tests.support.inside import text_of
 
 # Pieces that mean something to C, Python, HTML, XML, spreadsheets, and to the programs that write these.
 PIECES = (
@@ -196,7 +197,7 @@ def program_data(name: Callable[[str], str]) -> dict[str, Any]:
 
 
 def exported(name: Callable[[str], str], language: str) -> str:
-    return as_text(from_data(program_data(name), "made.json"), language)
+    return text_of(from_data(program_data(name), "made.json"), language)
 
 
 def tokens_of_c(text: str) -> str:

@@ -16,12 +16,11 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._report.certificate import Certificate, dcc_text
-from bayescal._use.correction_files import as_text
 from tests.deliver.test_names_are_data import BY_HAND, of_any_name, shape_of, tokens_of_c
 from tests.deliver.test_noise_at_rest import told
 from tests.support import references
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler
+from tests.support.inside import dcc_of, text_of
 
 yaml = pytest.importorskip("yaml")
 
@@ -47,7 +46,7 @@ def corrected(name: str, unit: str = "g") -> bc.VectorCorrection:
 
 @cache
 def plain_export(language: str, unit: str = "g") -> str:
-    return as_text(corrected("plain", unit), language, name="sensor")
+    return text_of(corrected("plain", unit), language, name="sensor")
 
 
 @cache
@@ -70,21 +69,21 @@ def code_lines(text: str) -> list[str]:
 def test_a_name_of_an_axis_is_no_code(name: str) -> None:
     """The same code, numbers and keys whatever the texts say; JSON and Python give them back."""
     made = corrected(name)
-    code = ast.parse(as_text(made, "python", name="sensor"))
+    code = ast.parse(text_of(made, "python", name="sensor"))
     assert shape_of(code) == shape_of(plain_export("python"))
     assert name in {n.value for n in ast.walk(code) if isinstance(n, ast.Constant)}
     for unit in ("g", "deg/s"):
-        text = as_text(corrected(name, unit), "yaml")
+        text = text_of(corrected(name, unit), "yaml")
         assert keys_of(text) == keys_of(plain_export("yaml", unit))
     for autopilot in ("px4-params", "ardupilot-params"):
-        assert code_lines(as_text(made, autopilot)) == code_lines(plain_export(autopilot))
+        assert code_lines(text_of(made, autopilot)) == code_lines(plain_export(autopilot))
 
 
 @needs_compiler
 @pytest.mark.parametrize("name", BY_HAND)
 def test_a_name_of_an_axis_is_no_c(name: str) -> None:
-    assert tokens_of_c(as_text(corrected(name), "c", name="sensor")) == plain_header()
-    text = as_text(corrected(name), "c")  # called after its instrument
+    assert tokens_of_c(text_of(corrected(name), "c", name="sensor")) == plain_header()
+    text = text_of(corrected(name), "c")  # called after its instrument
     assert COMPILER is not None
     command = [COMPILER, *FLAGS, "-fsyntax-only", "-x", "c", "-"]
     assert subprocess.run(command, input=text.encode("ascii"), check=False).returncode == 0
@@ -165,9 +164,7 @@ def certificate_of(name: str) -> ET.Element:
         "standards": [{**section, "certificate": name, "traceable_to": name}],
     }
     decided = replace(found, rule_in_words=name, decisions=(one,))
-    text = dcc_text(
-        calibration, Certificate({**stated, "conditions": {name: name}}), decisions=decided
-    )
+    text = dcc_of(calibration, {**stated, "conditions": {name: name}}, decided)
     return ET.fromstring(text.encode("utf-8"))
 
 

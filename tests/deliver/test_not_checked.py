@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 import bayescal as bc
-from bayescal._report.certificate import dcc_text
 from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation, run
+from tests.support.inside import dcc_of, identity_of
 from tests.support.made_up import bent_sensor
 from tests.support.stated import STATED
 
@@ -75,7 +75,7 @@ def test_no_certificate_is_written_of_it(fit, tmp_path) -> None:
     stated = tmp_path / "stated.toml"
     stated.write_text(STATED, "utf-8")
     with pytest.raises(bc.InputError, match=DEPENDS):
-        dcc_text(fit, stated)
+        dcc_of(fit, stated)
 
 
 @pytest.mark.parametrize("name", ["c.h", "c.py", "c.json", "c.html"])
@@ -106,11 +106,9 @@ def test_commands_leave_with_1(saved, asked) -> None:
 
 
 def test_what_passes_its_check_decides_and_keeps_its_identity() -> None:
-    from bayescal._calibration.description import identity
-
     fit = bent_sensor.gyro()
     found = bc.decide(fit, LIMIT)
-    assert found.conforms and found.calibration == identity(fit)
+    assert found.conforms and found.calibration == identity_of(fit)
 
 
 def test_a_calibration_that_was_checked_is_not_checked_again(fit, tmp_path) -> None:

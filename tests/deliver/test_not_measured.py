@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._report.certificate import dcc_text
 from bayescal._use.decide import DAY, YEAR
 from bayescal_models import mems_gyro
+from tests.support.inside import dcc_of
 from tests.support.made_up import bent_sensor
 from tests.support.made_up.level import level
 from tests.support.stated import STATED
@@ -151,7 +151,7 @@ def test_a_certificate_and_a_report_mark_it(unturned, tmp_path) -> None:
     stated = tmp_path / "stated.toml"
     stated.write_text(STATED, "utf-8")
     space = {"dcc": "https://ptb.de/dcc"}
-    root = ElementTree.fromstring(dcc_text(unturned, stated))
+    root = ElementTree.fromstring(dcc_of(unturned, stated))
     names = [
         quantity.findtext("dcc:name/dcc:content", "", space)
         for quantity in root.iterfind(".//dcc:result//dcc:quantity", space)

@@ -15,8 +15,6 @@ import pytest
 import bayescal as bc
 from bayescal._cli.output import coefficients_text
 from bayescal._core.formatting import with_error
-from bayescal._report.result_json import result
-from bayescal._use.correction_files import as_text
 from bayescal_models import (
     accelerometer_triad,
     differential_pair,
@@ -28,6 +26,7 @@ from bayescal_models import (
     quartz_beam_accelerometer,
     still_sensor,
 )
+from tests.support.inside import result_of, text_of
 from tests.support.made_up import split_search
 
 yaml = pytest.importorskip("yaml")
@@ -76,7 +75,7 @@ def on_screen(trail: bc.SearchPath) -> dict[str, str]:
 
 def in_result(trail: bc.SearchPath) -> dict[str, str]:
     """What result.json says that is used."""
-    data = json.loads(json.dumps(result(trail)))
+    data = json.loads(json.dumps(result_of(trail)))
     rows = (*data["coefficients"], *data["hyperparameters"])
     used = ((row["name"], row["averaged"] or row) for row in rows)
     return {name: with_error(row["mean"], row["sd"]) for name, row in used}
@@ -108,7 +107,7 @@ def test_of_one_output(made: Trail) -> None:
         assert exported == cell or cell.endswith("skewed")
         for language in ("c", "python"):
             line = f"{unknown.name} = {unknown.mean:.9g} +- {sd:.3g}"
-            assert line in as_text(program, language)
+            assert line in text_of(program, language)
     assert compared > 0
     inputs: dict[str, Any] = {i.name: 0.2 * i.low + 0.8 * i.high for i in compensator.inputs}
     reading = float(trail.final.calibration.readings["output"][0])
@@ -120,7 +119,7 @@ def test_of_one_output(made: Trail) -> None:
     own = exported.uncertainty[0]
     assert by_draws.value[0] == pytest.approx(exported.value[0], abs=0.02 * own)
     assert by_draws.uncertainty[0] == pytest.approx(own, rel=0.01)
-    said = json.loads(as_text(program, "json"))
+    said = json.loads(text_of(program, "json"))
     assert [u["mean"] for u in said["unknowns"]] == [u.mean for u in program.unknowns]
     assert np.array_equal(said["covariance"], program.covariance)
 
@@ -134,11 +133,11 @@ def test_of_three_axes(made: Trail, tmp_path: Path) -> None:
     correct = bc.vector_correction(trail.calibration)
     text = triad_text(trail, correct)
     screen = dict(re.split("  +", line)[:2] for line in text.splitlines() if "  " in line)
-    data = json.loads(json.dumps(result(trail)))["vector"]
+    data = json.loads(json.dumps(result_of(trail)))["vector"]
     data = data["averaged"] or data
     assert data["terms"] == correct.terms.tolist()
     assert np.allclose(data["uncertainty"], correct.uncertainty, rtol=1e-12)
-    c, python, json_ = (as_text(correct, f) for f in ("c", "python", "json"))
+    c, python, json_ = (text_of(correct, f) for f in ("c", "python", "json"))
     assert json.loads(json_)["terms"] == data["terms"]
     assert json.loads(json_)["covariance"] == data["covariance"]
     for row in correct.rows:
@@ -156,5 +155,5 @@ def test_of_three_axes(made: Trail, tmp_path: Path) -> None:
     assert found.vector == pytest.approx(0.0, abs=1e-12)
     spread = correct.matrix @ found.covariance[0] @ correct.matrix.T
     assert np.sqrt(np.diag(spread)) == pytest.approx(correct.uncertainty[0, :3], rel=1e-6)
-    plain = yaml.safe_load(as_text(correct, "yaml"))["imu0"]
+    plain = yaml.safe_load(text_of(correct, "yaml"))["imu0"]
     assert np.array(next(iter(plain.values()))["matrix"]).shape == (3, 3)

@@ -21,11 +21,12 @@ import bayescal as bc
 from bayescal._calibration.summary import summary
 from bayescal._core.formatting import number, with_error
 from bayescal._data.unit_conversion import unit_label
-from bayescal._report.certificate import d_si, dcc_text
+from bayescal._report.certificate import d_si
 from bayescal._search.calibrate import step_of
 from bayescal._search.gate import judged
 from tests.support.command_line import needs_installation, run
 from tests.support.contract_cases import Case
+from tests.support.inside import dcc_of
 from tests.support.stated import STATED
 
 # An effect of which three draws in ten are, that needs a column which nothing else does where there is one.
@@ -95,7 +96,7 @@ def test_one_value_and_one_uncertainty_of_each_quantity(name: str, tmp_path: Pat
     average = found.calibration
     stated.write_text(STATED, "utf-8")
     page = on_the_page(bc.report(found, tmp_path / "report.html").read_text("utf-8"))
-    certificate = in_the_certificate(dcc_text(average, stated))
+    certificate = in_the_certificate(dcc_of(average, stated))
     use = average.model.instrument.use is not None
     budget = {c.name: c for c in bc.budget(average).coefficients} if use else {}
     program = bc.compensator(average).program if use else None

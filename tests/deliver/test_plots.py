@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 import bayescal as bc
-from bayescal._report.result_json import result
+from tests.support.inside import result_of
 from tests.support.reported import HIDDEN, trail
 
 OKABE_ITO = {"#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7"}
@@ -74,8 +74,11 @@ def test_a_trail_is_drawn_alike_from_its_result() -> None:
     found = trail()
     assert found.steps[0].discovery is not None
     for drawn, again in (
-        (bc.plot.trail(found), bc.plot.trail(result(found))),
-        (bc.plot.missing(found.steps[0].discovery), bc.plot.missing(result(found)["missing"][0])),
+        (bc.plot.trail(found), bc.plot.trail(result_of(found))),
+        (
+            bc.plot.missing(found.steps[0].discovery),
+            bc.plot.missing(result_of(found)["missing"][0]),
+        ),
     ):
         bars = [[p for p in f.axes[0].patches if isinstance(p, Rectangle)] for f in (drawn, again)]
         widths = [[p.get_width() for p in own] for own in bars]

@@ -13,10 +13,10 @@ import pytest
 
 import bayescal as bc
 from bayescal._core.as_json import as_json, write_json
-from bayescal._report.result_json import result
 from bayescal_models import mems_gyro
 from tests.support import reported
 from tests.support.command_line import write_bent_table
+from tests.support.inside import result_of
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "result_schema.md").read_text("utf-8")
 DOCUMENTED = dict(re.findall(r"^\| `([^`]+)` \| ([a-z ]+) \|", PAGE, re.MULTILINE))
@@ -70,7 +70,7 @@ def _refuse(token: str) -> None:
 
 
 def read_back(trail: bc.SearchPath, folder: Path) -> dict[str, Any]:
-    write_json(result(trail), folder / "result.json")
+    write_json(result_of(trail), folder / "result.json")
     return json.loads((folder / "result.json").read_text("utf-8"), parse_constant=_refuse)
 
 

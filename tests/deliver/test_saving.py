@@ -15,12 +15,12 @@ import xarray as xr
 import bayescal as bc
 from bayescal import effects
 from bayescal._calibration import storage
-from bayescal._calibration.description import identity
 from bayescal._core.atomic_file import write_sealed
 from bayescal._core.netcdf_bytes import netcdf_bytes, netcdf_tree
 from bayescal._model.parameters import bind
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
+from tests.support.inside import identity_of
 from tests.support.resealed import described, resealed
 
 SQUARE = bc.Effect(
@@ -92,7 +92,7 @@ def test_a_calibration_comes_back_as_it_was(line, tmp_path) -> None:
     for field in ("mean", "model_sd", "sd", "residual"):
         np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
     assert str(line) == str(loaded)
-    assert identity(line) == identity(loaded)
+    assert identity_of(line) == identity_of(loaded)
 
 
 def test_other_programs_open_a_sealed_file(line, tmp_path) -> None:
@@ -100,7 +100,7 @@ def test_other_programs_open_a_sealed_file(line, tmp_path) -> None:
         np.testing.assert_array_equal(
             opened["posterior/noise.white"], line.posterior["noise.white"]
         )
-        assert opened.attrs["bayescal_identity"] == identity(line)
+        assert opened.attrs["bayescal_identity"] == identity_of(line)
 
 
 def test_saving_leaves_the_calibration_as_it_was(line, tmp_path) -> None:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._use.correction_files import as_text
 from bayescal_models import accelerometer_triad
 from tests.support.export_check import VECTOR_DRIVER, needs_compiler, run_c
+from tests.support.inside import text_of
 
 INSTRUMENT = accelerometer_triad.INSTRUMENT
 FORMATS = ("c", "python", "json", "yaml", "px4-params", "ardupilot-params")
@@ -39,7 +39,7 @@ def outside(correct: bc.VectorCorrection, folder: Path, *temperatures: float) ->
 
 @pytest.mark.parametrize("format", FORMATS)
 def test_files_say_that_no_temperature_was_recorded(format: str) -> None:
-    text = as_text(correction(), format)
+    text = text_of(correction(), format)
     assert "0 degC" not in text and "0 deg C" not in text
     if format == "json":
         assert '"temperatures_degC": null' in text
@@ -48,7 +48,7 @@ def test_files_say_that_no_temperature_was_recorded(format: str) -> None:
 
 @pytest.mark.parametrize("format", FORMATS)
 def test_files_say_the_temperatures_that_were(format: str) -> None:
-    text = as_text(correction(24.0, 26.5), format)
+    text = text_of(correction(24.0, 26.5), format)
     assert "24 to 26.5" in text or "24.0,\n  26.5" in text
     assert "not recorded" not in text
 
@@ -69,6 +69,6 @@ def test_python_says_what_c_says(tmp_path: Path) -> None:
         loaded = bc.load_vector_correction(bc.export_vector(correct, tmp_path / "c.json"))
         assert np.array_equal(loaded(y, at).outside, correct(y, at).outside)
         space: dict[str, Any] = {}
-        exec(as_text(correct, "python", name="s"), space)
+        exec(text_of(correct, "python", name="s"), space)
         found = [space["s_correct"](y[0], t)[2] for t in at]
         assert found == correct(y, at).outside.tolist()

@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 
 import bayescal as bc
-from bayescal._calibration.description import identity
 from bayescal._core.atomic_file import sha256_of
 from bayescal._report import whole_folder as folders
 from bayescal._report.result_json import UNDER_WAY, Keeper
 from bayescal._report.whole_folder import MANIFEST, files_of, refuse_mixed, whole_folder
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import run
+from tests.support.inside import identity_of
 
 NAMES = {"result.json", "calibration.nc", "averaged.nc", "loop.png", MANIFEST}
 
@@ -67,14 +67,14 @@ def write(folder: Path, text: str) -> None:
 @pytest.mark.usefixtures("unpainted")
 def test_everything_of_a_calibration_names_it(folder, trail) -> None:
     assert {p.name for p in folder.iterdir()} == NAMES
-    own = identity(trail.final.calibration)
+    own = identity_of(trail.final.calibration)
     manifest = json.loads((folder / MANIFEST).read_text("utf-8"))
     assert manifest["schema"] == "bayescal.manifest/1"
     assert manifest["calibration"] == own
     assert set(manifest["files"]) == NAMES - {MANIFEST}
     assert json.loads((folder / "result.json").read_text("utf-8"))["calibration"] == own
     loaded = bc.load(folder / "calibration.nc")
-    assert identity(loaded) == own
+    assert identity_of(loaded) == own
     compensator = bc.compensator(loaded)
     for suffix in (".h", ".py", ".json"):
         assert own in compensator.export(folder / f"made{suffix}").read_text("utf-8")
@@ -82,7 +82,7 @@ def test_everything_of_a_calibration_names_it(folder, trail) -> None:
 
 
 def test_another_fit_has_another_identity(trail, other) -> None:
-    assert identity(trail.final.calibration) != identity(other.final.calibration)
+    assert identity_of(trail.final.calibration) != identity_of(other.final.calibration)
 
 
 def test_what_else_stands_in_the_folder_stays(folder, other) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import bayescal as bc
 from bayescal._fleet.population import estimates, learn
-from bayescal._model.frame import Reference
 from bayescal_models import mems_gyro
 from tests.support.made_up.gyro_lot import MODEL, NOISE, SEED, table
 
@@ -73,7 +74,7 @@ def _posterior(j, y, mean, covariance) -> tuple[np.ndarray, np.ndarray]:
 def test_devices_with_few_readings_lean_on_the_others(readings) -> None:
     few = {name: readings[name] for name in readings.names}
     few["D00"] = few["D00"].select([0, 1, 2])
-    common: Reference = {"T0": 20.0}
+    common: dict[str, Any] = {"T0": 20.0}
     alone = bc.fit_batch(MODEL, few, reference=common)
     pooled = bc.fit_batch(MODEL, few, population=True, reference=common)
     assert pooled.population is not None and pooled.population.ok
@@ -110,7 +111,7 @@ def test_a_population_agrees_with_effects_per_device() -> None:
         output=made["output [deg/s]"].to_numpy(),
         device=made["device"].to_numpy(),
     )
-    common: Reference = {"T0": 20.0}
+    common: dict[str, Any] = {"T0": 20.0}
     joint = bc.fit(joint_model, whole, seed=1, reference=common)
     split = {
         d: whole.select(np.flatnonzero(whole["device"] == d)) for d in whole.groups("device")[0]

@@ -21,7 +21,6 @@ from bayescal._inference.noise_on_record import total_log_density, whitening
 from bayescal._inference.record import INTERPOLATED, Record, record_of
 from bayescal._inference.sampling import ManyPhi, weighted_draws
 from bayescal._model import forward
-from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout, bind
 from bayescal._model.summed_noise import over_record
 from bayescal._model.terms import ColumnsOf
@@ -33,6 +32,7 @@ from bayescal_models import (
     quartz_beam_accelerometer,
     still_sensor,
 )
+from tests.support.inside import constants_of, frame_of
 from tests.support.tiers import slow_but
 
 GYRO = mems_gyro.INSTRUMENT
@@ -100,7 +100,7 @@ def assembled(case: str, *promoted: str) -> Assembly:
     model, simulate = CASES[case]
     readings = simulate()
     model = model if isinstance(model, bc.Model) else model(readings)
-    record = record_of(model.instrument, readings, reference_of(readings))
+    record = record_of(model.instrument, readings, constants_of(readings))
     model = sized(model, readings, record)
     layout = bind(model, readings)[0].promote(*promoted)
     return Assembly(layout, record.beside(model.instrument.shown_by(record.frame, model.effects)))
@@ -266,7 +266,7 @@ def stepped(place: float) -> Assembly:
         output=output,
     )
     model = (still(readings) + "unknown(time, jump)").with_noise(WANDER)
-    record = record_of(model.instrument, readings, reference_of(readings))
+    record = record_of(model.instrument, readings, constants_of(readings))
     return Assembly(bind(sized(model, readings, record), readings)[0], record)
 
 
@@ -351,6 +351,6 @@ def test_a_response_without_a_slope_somewhere_is_not_taken_for_affine() -> None:
         true_angle=tilt,
         output=np.rad2deg(tilt) * 3600,
     )
-    frame = build_frame(readings, reference_of(readings))
+    frame = frame_of(readings)
     assert Record(instrument, frame, readings["output"]).affine is None
     assert assembled("inclinometer").record.affine is not None  # no tilt: a sum

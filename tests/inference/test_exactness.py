@@ -14,10 +14,10 @@ from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.sampled_products import is_nonlinear
-from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
 from bayescal._model.summed_noise import over_record
 from bayescal_models import mems_gyro, still_sensor
+from tests.support.inside import frame_of
 
 COLUMNS = (
     bc.Column("run", None, "label", required=False),
@@ -213,7 +213,7 @@ def test_what_bends_is_known_before_the_fit(lever, valve) -> None:
         (LEVER.baseline().fix({"scale.constant": 0.2}), lever, False),
     ):
         layout, _ = bind(model, data)
-        assert is_nonlinear(layout, build_frame(data, reference_of(data))) is expected
+        assert is_nonlinear(layout, frame_of(data)) is expected
 
 
 @pytest.fixture(scope="module")
@@ -230,7 +230,7 @@ def test_a_long_record_with_a_lag_is_measured_as_with_every_weight_corrected(
     model = model.with_noise(
         bc.Heteroscedastic("temperature", model.noise.parameters()["noise.white"])
     )
-    frame = build_frame(ramps, reference_of(ramps))
+    frame = frame_of(ramps)
     record = Record(model.instrument, frame, ramps["output"])
     assembly = Assembly(bind(model, ramps)[0], record)
     mode, corrected, draw_joint = find_mode(assembly), [], sampling.draw_joint

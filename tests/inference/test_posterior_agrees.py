@@ -13,10 +13,10 @@ from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import weighted_draws
-from bayescal._model.frame import build_frame
 from bayescal._model.parameters import bind
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
+from tests.support.inside import frame_of
 
 BASELINE = INSTRUMENT.baseline()
 
@@ -219,7 +219,7 @@ def test_laplace_evidence_is_near(least_squares, table) -> None:
 
 def test_evidence_says_its_own_error(marginal, table) -> None:
     layout, _ = bind(BASELINE, table)
-    frame = build_frame(table, marginal.reference)
+    frame = frame_of(table, marginal.reference)
     assembly = Assembly(layout, Record(INSTRUMENT, frame, table["output"]))
     mode = find_mode(assembly)
     found = [weighted_draws(assembly, mode, seed, 256, 2) for seed in range(100)]

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable as can_test
 from bayescal_models import inclinometer
 from bayescal_models.inclinometer import model, reference_problem
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
 from bayescal_models.inclinometer.simulator import WARM_UP_TIME
+from tests.support.inside import constants_of, frame_of
 from tests.support.made_up.supply import AT_SUPPLY
 
 INSTRUMENT = inclinometer.INSTRUMENT
@@ -84,7 +84,7 @@ def test_what_the_zero_test_cannot_see_is_said(lines: bc.Calibration) -> None:
 
 
 def _columns(name: str, readings: bc.Measurements) -> np.ndarray:
-    frame = build_frame(readings, reference_of(readings))
+    frame = frame_of(readings)
     return np.asarray(INSTRUMENT.effect(name).evaluate(frame, {}))
 
 
@@ -94,7 +94,7 @@ def test_aliases_of_the_zero_test_are_exact() -> None:
     np.testing.assert_array_equal(wobble[:, :2], projection)  # m = 1
     np.testing.assert_array_equal(_columns("dividing.face", one), _columns("zero.constant", one))
     # m·sin ω enters through its own slot: as a coefficient of the output it is S_d·sin ω.
-    frame = build_frame(one, reference_of(one))
+    frame = frame_of(one)
     slots = {s.name: jnp.zeros(len(one)) for s in INSTRUMENT.slots}
     leaked = INSTRUMENT.response({**slots, "cross_axis": jnp.ones(len(one))}, frame)
     np.testing.assert_allclose(np.asarray(leaked), projection[:, 1], rtol=1e-12)
@@ -128,7 +128,7 @@ def test_simulated_laws_are_the_catalogues_but_for_their_physics(name: str) -> N
     readings = inclinometer.simulate({name: size}, seed=3, campaign=tilted)
     effect = INSTRUMENT.effect(name)
     shapes = {s.name: np.asarray(WARM_UP_TIME) for s in effect.shapes}
-    frame = build_frame(readings, {**reference_of(readings), **AT_SUPPLY, "T0": 20.0})
+    frame = frame_of(readings, {**constants_of(readings), **AT_SUPPLY, "T0": 20.0})
     slots = {s.name: jnp.zeros(len(readings)) for s in INSTRUMENT.slots}
     unit = model.ARCSEC_PER[effect.coefficients[0].unit]
     share = np.where(readings["axis"] == "x", 1.0, -0.6)
@@ -154,7 +154,7 @@ def test_the_spline_table_goes_through_its_knots() -> None:
     readings = bc.Measurements.from_arrays(
         INSTRUMENT, placement_angle=angles, output=np.arange(10.0)
     )
-    frame = build_frame(readings, reference_of(readings))
+    frame = frame_of(readings)
     basis = np.asarray(model.EFFECTS["zero.table"].evaluate(frame, {}))
     np.testing.assert_allclose(basis[:7], np.eye(7), atol=1e-12)
     np.testing.assert_allclose(

@@ -9,8 +9,8 @@ import bayescal as bc
 from bayescal._calibration.summary import null_directions
 from bayescal._core import null_space
 from bayescal._data import unit_conversion
-from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import quartz_beam_accelerometer as quartz
+from tests.support.inside import frame_of
 
 # 5 temperatures twice, three ramps a reading every 2.5 min: 159 rows, one shape for every fit here.
 SMALL = {"temperatures": (-40.0, -10.0, 20.0, 45.0, 70.0), "interval": 150.0}
@@ -28,7 +28,7 @@ OF_CIRCUIT = (
 
 def design(readings: bc.Measurements, effects, slot: str) -> np.ndarray:
     """Columns of linear effects, output unit per reported unit, (n, p)."""
-    frame = build_frame(readings, reference_of(readings))
+    frame = frame_of(readings)
     columns = [np.asarray(e.evaluate(frame, {}))[:, 0] for e in effects]
     unit = quartz.INSTRUMENT.slot(slot).unit
     factors = [unit_conversion.coefficient_factor(e.coefficients[0].unit, unit) for e in effects]

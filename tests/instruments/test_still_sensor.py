@@ -12,11 +12,11 @@ import bayescal as bc
 from bayescal import effects
 from bayescal._cli.options import ColumnOptions, ModelOptions, ReadRequest
 from bayescal._cli.request import open_request
-from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable as can_test
 from bayescal_models import still_sensor
 from bayescal_models.still_sensor.campaign import LAG_TIME, SLOW_TIME, WARM_UP_TIME
 from bayescal_models.still_sensor.simulator import NOISE_LAWS
+from tests.support.inside import constants_of, frame_of
 from tests.support.made_up.supply import AT_SUPPLY
 
 UNITS = [
@@ -170,7 +170,7 @@ def test_the_simulated_laws_are_the_catalogues() -> None:
     for effect in instrument.candidates:
         with_it = still_sensor.simulate({effect.name: 7.0}, seed=2)
         hidden = with_it["output"] - plain["output"]
-        frame = build_frame(with_it, {**reference_of(with_it), **AT_SUPPLY})
+        frame = frame_of(with_it, {**constants_of(with_it), **AT_SUPPLY})
         if effect.name == "bias.run":
             continue
         shapes = {shape.name: jnp.asarray(shapes_of[effect.name]) for shape in effect.shapes}
@@ -190,7 +190,7 @@ def test_hysteresis_is_the_direction_of_the_temperature() -> None:
         still_sensor.instrument("V"), time=time, temperature=ramp, output=np.sin(time)
     )
     effect = effects.hysteresis("bias", 1.0, "V", source="a test")
-    frame = build_frame(readings, reference_of(readings))
+    frame = frame_of(readings)
     turned, left = np.asarray(effect.evaluate(frame, {"width": jnp.asarray(2.0)})).T
     travel = np.abs(np.diff(ramp, prepend=0.0)).cumsum()
     np.testing.assert_allclose(left, np.exp(-travel / 2.0), atol=1e-12)

@@ -18,6 +18,7 @@ from bayescal_models import accelerometer_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE
 from tests.support.compilations import compiled
 from tests.support.export_check import check_vector_exports
+from tests.support.inside import result_of, text_of
 from tests.support.references import shared
 from tests.support.tiers import slow_but
 
@@ -364,13 +365,11 @@ def test_the_result_holds_the_matrix_and_the_report_the_sphere(tmp_path: Path) -
 
 @pytest.mark.slow
 def test_the_result_holds_the_average_that_exports_hold() -> None:
-    from bayescal._report.result_json import result
-
     # An effect that is hardly visible: structures with and without it share the probability.
     readings = accelerometer_triad.simulate({"square.constant": 1.2}, seed=3, campaign=THERMAL)
     trail = bc.calibrate(MODEL, readings)
     assert trail.average is not None
-    found = result(trail)["vector"]
+    found = result_of(trail)["vector"]
     averaged = bc.vector_correction(trail.calibration)
     assert np.array_equal(found["averaged"]["terms"], averaged.terms)
     assert np.array_equal(found["terms"], bc.vector_correction(trail.final.calibration).terms)
@@ -430,10 +429,9 @@ def test_exports_compute_the_same(made: Any, order: int, tmp_path: Path) -> None
 def test_kalibrs_matrix_and_ours_give_one_magnitude() -> None:
     correct = bc.vector_correction(thermal())
     yaml = pytest.importorskip("yaml")
-    from bayescal._use.correction_files import as_text
     from bayescal._use.vector_parameters import autopilot_parameters
 
-    found = yaml.safe_load(as_text(correct, "yaml"))["imu0"]
+    found = yaml.safe_load(text_of(correct, "yaml"))["imu0"]
     m, turn = (np.array(found["accelerometers"][n]) for n in ("M", "R"))
     assert np.allclose(m, np.tril(m))
     assert np.allclose(m @ turn, correct.matrix, atol=1e-8)  # which second order adds nothing to

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.prior import LogNormal, LogUniform, Positive, multiplied
 from bayescal._model.summed_noise import over_record
 from bayescal_models import mems_gyro, still_sensor
+from tests.support.inside import frame_of
 
 FAST = bc.LeastSquares(draws=200)
 LAW = bc.OrnsteinUhlenbeck(1.0, 1000.0, bc.HalfCauchy(0.3), bc.HalfCauchy(0.3))
@@ -125,7 +125,7 @@ def test_correlated_noise_does_not_take_the_place_of_a_constant(missing) -> None
     model = model if missing else model + "bias.thermal_lag"
     right = mems_gyro.simulate({"bias.thermal_lag": 1.0}, seed=61)
     wrong = right.with_column("output", right["output"] + 1446.0)
-    frame = build_frame(right, reference_of(right))
+    frame = frame_of(right)
     steps, span = np.asarray(frame.step), float(np.max(np.asarray(frame.elapsed)))
     law = over_record(bc.HalfCauchy(0.1), float(np.median(steps[steps > 0])), span)
     errors = []

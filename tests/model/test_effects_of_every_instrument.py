@@ -13,9 +13,9 @@ import pytest
 
 import bayescal as bc
 from bayescal._model import forward
-from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout
 from bayescal_models import INSTRUMENTS
+from tests.support.inside import frame_of
 from tests.support.made_up.rich_gyro import bound
 
 
@@ -110,7 +110,7 @@ def replaced(instrument: bc.Instrument, response) -> bc.Instrument:
 def test_each_reading_responds_to_its_own_slots_alone(name) -> None:
     instrument = import_module(f"bayescal_models.{name}").INSTRUMENT
     data = made_up(instrument, rows=6)
-    frame = build_frame(data, reference_of(data))
+    frame = frame_of(data)
     slots = {s.name: jnp.full(frame.size, 1e-3) for s in instrument.slots}
     moves = jax.jit(jax.jacfwd(lambda s: instrument.response(s, frame)))(slots)
     for slot, matrix in moves.items():

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._model.frame import build_frame, reference_of
 from bayescal_models.mems_gyro import INSTRUMENT
+from tests.support.inside import constants_of, frame_of
 
 
 def thermal(time, temperature, run=None) -> bc.Measurements:
@@ -19,7 +19,7 @@ def thermal(time, temperature, run=None) -> bc.Measurements:
 
 
 def framed(data: bc.Measurements):
-    return build_frame(data, reference_of(data))
+    return frame_of(data)
 
 
 def test_lag_of_a_ramp_and_a_hold_is_the_analytic_one() -> None:
@@ -123,7 +123,7 @@ def test_constants_of_the_bases_are_those_of_the_fit() -> None:
     old, new = found.frame, found.frame_of(later)
     for name, value in old.reference.items():
         assert new.reference[name] == value
-    assert reference_of(later)["T0"] != found.reference["T0"]
+    assert constants_of(later)["T0"] != found.reference["T0"]
     np.testing.assert_array_equal(new.progress, old.progress[10:])
     np.testing.assert_allclose(new.centred(), old.centred()[10:] + 30, rtol=1e-14)
     # Later in a run, a run is still as old as it was; and its coefficients are found by name.
@@ -168,9 +168,9 @@ def test_reference_temperature_lies_in_the_record(low: float, high: float, expec
     temperature = np.linspace(low, high, 50)
     data = thermal(np.arange(50) * 60.0, np.linspace(20, 30, 50))
     narrow = data.with_column("temperature", temperature)
-    assert reference_of(narrow)["T0"] == pytest.approx(expected, rel=1e-14)
+    assert constants_of(narrow)["T0"] == pytest.approx(expected, rel=1e-14)
     skew = narrow.with_column("temperature", np.where(np.arange(50) < 49, low, high + 1))
-    assert low <= float(reference_of(skew)["T0"]) <= high + 1  # pyright: ignore[reportArgumentType]
+    assert low <= float(constants_of(skew)["T0"]) <= high + 1  # pyright: ignore[reportArgumentType]
 
 
 def test_a_narrow_record_does_not_swell_the_constant() -> None:

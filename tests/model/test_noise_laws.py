@@ -15,10 +15,10 @@ from scipy.integrate import quad
 import bayescal as bc
 from bayescal import effects
 from bayescal._inference.nuts import law_of
-from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.noise_law import Parameters
 from bayescal._model.prior import LogUniform
 from bayescal_models.mems_gyro import INSTRUMENT
+from tests.support.inside import constants_of, frame_of
 
 CONSTANT = bc.Model(
     INSTRUMENT, (effects.constant("bias", 10.0, "deg/s", source="none"),), bc.White()
@@ -38,10 +38,6 @@ LAWS: dict[str, tuple[bc.Noise, dict[str, float]]] = {
 def readings(output, **more) -> bc.Measurements:
     temperature = np.linspace(30.0, 80.0, len(output))
     return bc.Measurements.from_arrays(INSTRUMENT, temperature=temperature, output=output, **more)
-
-
-def frame_of(data: bc.Measurements):
-    return build_frame(data, reference_of(data))
 
 
 def arrays(values: dict[str, float]) -> Parameters:
@@ -77,9 +73,9 @@ def test_scatter_follows_a_column_and_stays_as_at_its_end_beyond_it() -> None:
     frame = frame_of(fitted)
     found = law.log_density(jnp.ones(11), jnp.full(11, 0.4), arrays(values), frame)
     np.testing.assert_allclose(found, stats.norm.logpdf(1.0, 0.4, sd), rtol=1e-12)
-    beyond = build_frame(
+    beyond = frame_of(
         bc.Measurements.from_arrays(INSTRUMENT, temperature=[0.0, 200.0], output=[0.0, 0.0]),
-        reference_of(fitted),
+        constants_of(fitted),
     )
     np.testing.assert_allclose(law.variance(arrays(values), beyond), sd[[0, -1]] ** 2, rtol=1e-12)
 

@@ -11,10 +11,10 @@ import pytest
 import bayescal as bc
 from bayescal import effects
 from bayescal._inference.record import Record
-from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.summed_noise import over_octaves
 from bayescal._search.noise_laws import laws_over, on_residuals
 from bayescal_models import still_sensor
+from tests.support.inside import frame_of
 
 SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
 LEVEL = effects.constant("bias", 30.0, "ug", source="none")
@@ -48,7 +48,7 @@ def law(scatter: str = "temperature") -> bc.SummedNoise:
 
 def gain(readings: bc.Measurements) -> float:
     """Log evidence of the scatter, over the same sum without it, nats."""
-    frame = build_frame(readings, reference_of(readings))
+    frame = frame_of(readings)
     record = Record(SENSOR, frame, np.asarray(readings["output"]))
     left = readings["output"] - readings["output"].mean()
     with_it, without = (on_residuals(one, record, left) for one in (law(), law("")))
@@ -57,7 +57,7 @@ def gain(readings: bc.Measurements) -> float:
 
 def test_readings_are_whitened_by_the_dense_covariance(rng) -> None:
     readings = recorded(1, SLOPE, n=60)
-    frame = build_frame(readings, reference_of(readings)).in_time()
+    frame = frame_of(readings).in_time()
     values: dict[str, Any] = {n: jnp.asarray(v) for n, v in TRUTH.items()}
     values["noise.curvature"] = jnp.asarray(-0.4)
     time, t = np.asarray(frame["time"]), readings["temperature"]
@@ -83,7 +83,7 @@ def test_it_is_a_candidate_where_the_temperature_moves() -> None:
     model = bc.Model(SENSOR, (LEVEL,), bc.White(bc.HalfCauchy(1.0)))
     name = "sum(correlated; scatter(temperature))"
     for data, there in ((readings, True), (still, False)):
-        assert (name in laws_over(model, build_frame(data, reference_of(data)))) is there
+        assert (name in laws_over(model, frame_of(data))) is there
     assert law().in_words == "white (scatter follows temperature) + Ornstein–Uhlenbeck"
     assert law("temperature rate").needs == ("time", "temperature")
     assert {law().unit(n, "ug") for n in ("noise.slope", "noise.curvature")} == {"1"}

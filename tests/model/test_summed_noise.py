@@ -14,10 +14,10 @@ import pytest
 from scipy import stats
 
 import bayescal as bc
-from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.noise_terms import ENDLESS, FASTEST, RUNGS
 from bayescal._model.state_space import filtered, of_means
 from bayescal_models import still_sensor
+from tests.support.inside import frame_of
 from tests.support.tiers import slow_but
 
 SENSOR = still_sensor.instrument("ug", size=30.0, constant=300.0, span=20.0)
@@ -122,7 +122,7 @@ def two_runs(seed: int = 3) -> tuple[bc.Frame, np.ndarray, np.ndarray]:
     data = bc.Measurements.from_arrays(
         SENSOR, run=labels, time=time, temperature=np.linspace(10.0, 50.0, 60), output=np.zeros(60)
     )
-    return build_frame(data, reference_of(data)).in_time(), time, labels
+    return frame_of(data).in_time(), time, labels
 
 
 def in_jax(law: bc.Noise) -> dict[str, Any]:
@@ -169,7 +169,7 @@ def test_noise_of_neighbouring_readings_alone(terms, rng) -> None:
     data = bc.Measurements.from_arrays(
         SENSOR, time=STEP * np.arange(n), temperature=np.linspace(10.0, 50.0, n), output=np.zeros(n)
     )
-    frame, law = build_frame(data, reference_of(data)), law_of(terms)
+    frame, law = frame_of(data), law_of(terms)
     time = np.asarray(frame["time"])
     dense = slow_covariance(terms, time[:, None] - time) + VALUES["noise.white"] ** 2 * np.eye(n)
     draw = jax.jit(jax.vmap(lambda k: law.sample(k, jnp.zeros(n), in_jax(law), frame)))

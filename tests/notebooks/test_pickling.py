@@ -12,9 +12,9 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._calibration.description import identity
 from bayescal_models import INSTRUMENTS, mems_gyro, still_sensor
 from tests.support.compilations import compiled
+from tests.support.inside import identity_of
 
 QUICK = bc.LeastSquares(draws=400)
 GYRO = mems_gyro.INSTRUMENT
@@ -71,7 +71,7 @@ def calibration() -> bc.Calibration:
 def test_a_calibration_is_the_same(calibration) -> None:
     assert calibration.tree is not None  # what was computed from it does not travel
     copy = again(calibration)
-    assert identity(copy) == identity(calibration)
+    assert identity_of(copy) == identity_of(calibration)
     assert str(copy) == str(calibration)
     for name in calibration.posterior:
         np.testing.assert_array_equal(copy.samples(name), calibration.samples(name))
@@ -135,13 +135,13 @@ def test_an_instrument_without_a_name_is_refused_in_a_sentence() -> None:
 def summary_of(content: bytes) -> tuple[str, str, int]:
     arrived = pickle.loads(content)
     fitted = bc.fit(arrived.model, arrived.readings, QUICK)
-    return identity(arrived), identity(fitted), len(bc.predict(arrived).mean)
+    return identity_of(arrived), identity_of(fitted), len(bc.predict(arrived).mean)
 
 
 @pytest.mark.slow
 def test_in_a_process_that_never_saw_it(calibration) -> None:
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         there, fitted, size = pool.apply(summary_of, (pickle.dumps(calibration),))
-    assert there == identity(calibration)
-    assert fitted == identity(bc.fit(calibration.model, calibration.readings, QUICK))
+    assert there == identity_of(calibration)
+    assert fitted == identity_of(bc.fit(calibration.model, calibration.readings, QUICK))
     assert size == len(calibration.readings)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import re
-import shlex
 from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import bayescal as bc
-from bayescal._cli.options import ColumnOptions, Commands
-from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import mems_gyro
+from tests.support.command_line import options_of
+from tests.support.inside import frame_of
 from tests.support.lab_files import (
     RATE,
     TEMPERATURE,
@@ -26,19 +24,6 @@ from tests.support.lab_files import (
 )
 
 EXPORTS = lab_exports()
-
-
-def options_of(said: str) -> dict[str, object]:
-    """Options as the command line hands them to `read`."""
-    found: list[dict[str, object]] = []
-    app = Commands()
-
-    @app.example("", data=False)
-    def taken(columns: ColumnOptions) -> None:
-        found.append(columns.for_read())
-
-    assert CliRunner().invoke(app, shlex.split(said)).exit_code == 0
-    return found[0]
 
 
 def test_there_are_twenty() -> None:
@@ -88,6 +73,6 @@ def test_a_dropped_row_is_a_gap_to_rates(put):
     spoilt = with_cell(5, 2, "", with_cell(6, 2, "NaN"))
     m = bc.read(put(spoilt), mems_gyro.INSTRUMENT, missing="drop")
     assert len(m) == len(TIME) - 2
-    frame = build_frame(m, reference_of(m))
+    frame = frame_of(m)
     assert frame.step.tolist().count(30.0) == 1  # s, over the gap
     np.testing.assert_allclose(np.asarray(frame.rates["temperature"])[1:], 0.125, rtol=1e-9)

@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import bayescal as bc
-from bayescal._cli.options import ColumnOptions
 from bayescal._tables.mapping_file import load_mapping, save_mapping
-from tests.support.command_line import GYRO, QUICK, needs_installation, run
+from tests.support.command_line import GYRO, QUICK, needs_installation, options_of, run
 from tests.support.lab_files import HEAD, RATE, TEMPERATURE, TIME, text, with_cell
 
 pytestmark = needs_installation
@@ -79,7 +78,7 @@ def test_a_mapping_that_is_none_is_refused(tmp_path: Path, content, message) -> 
     if content is not None:
         path.write_text(content)
     with pytest.raises(bc.InputError, match=message):
-        ColumnOptions(mapping=path).for_read()
+        options_of(f"--mapping {path}")
 
 
 def test_a_channel_that_looks_like_the_output_is_the_one_problem_of_its_file(

@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._cli.options import ColumnOptions
 from bayescal._data.unit_conversion import base_unit, convert
 from bayescal_models import accelerometer_triad, mems_gyro, still_sensor
-from tests.readings.test_lab_exports import options_of
+from tests.support.command_line import options_of
 from tests.support.lab_headers import RATE, ROWS, RUN, TEMPERATURE, TIME, LabFile, lab_file
 
 SMALL_FAILS = Path(__file__).parents[3] / "shared" / "data" / "small_fails"
@@ -233,21 +232,21 @@ def is_right(found: bc.Measurements, file: LabFile) -> bool:
 
 def completed(asked: str, headers: Mapping[str, str], units: Mapping[str, str]) -> dict[str, Any]:
     """Suggested options as a person completes them who knows the file, and corrects what is not meant."""
-    columns, unit, ignore, gone = list[str](), list[str](), list[str](), set[str]()
+    words, gone = list[str](), set[str]()
     given = shlex.split(asked)
     for option, value in zip(given[::2], given[1::2], strict=True):
         ours, _, said = value.partition("=")
         theirs = headers.get(ours, "")
         if option == "--columns" and theirs and said != theirs:
             gone |= {said}
-            columns.append(f"{ours}={theirs}")
-            unit += [f"{theirs}={units[theirs]}"] if theirs in units else []
+            words += [option, f"{ours}={theirs}"]
+            words += ["--unit", f"{theirs}={units[theirs]}"] if theirs in units else []
         elif option == "--unit" and value.rpartition("=")[0] not in ("HEADER", *gone):
             head = value.rpartition("=")[0]
-            unit.append(f"{head}={units.get(head, '1')}")
+            words += [option, f"{head}={units.get(head, '1')}"]
         elif option in ("--columns", "--ignore"):
-            (columns if option == "--columns" else ignore).append(value)
-    return ColumnOptions(columns=columns, unit=unit, ignore=ignore).for_read()
+            words += [option, value]
+    return options_of(shlex.join(words))
 
 
 @pytest.mark.parametrize("seeds", [range(40), pytest.param(range(40, 200), marks=pytest.mark.slow)])

@@ -15,11 +15,11 @@ import bayescal as bc
 from bayescal import effects
 from bayescal._inference.assembly import Point
 from bayescal._model import forward
-from bayescal._model.frame import build_frame, reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.structures import Structure
 from bayescal.effects.thermal import BODIES
 from bayescal_models import mems_gyro
+from tests.support.inside import constants_of, frame_of
 
 GYRO = mems_gyro.INSTRUMENT
 RUNS, HOURS, STEP, FINE = 3, 4, 60.0, 5.0  # s
@@ -118,7 +118,7 @@ def test_two_stages_are_one_body_behind_another() -> None:
     readings = bc.Measurements.from_arrays(
         GYRO, temperature=air, output=np.zeros(time.size) + air, time=time
     )
-    frame = build_frame(readings, reference_of(readings))
+    frame = frame_of(readings)
     tau = 300.0
     found = sum(w * frame.behind(jnp.asarray(m * tau)) for m, w in BODIES["two_stages"]) + air
     fine, steps = 0.02, int(10 / 0.02)
@@ -136,7 +136,7 @@ def test_two_stages_are_one_body_behind_another() -> None:
 def test_a_family_has_its_odds_whatever_its_forms() -> None:
     """A form more makes nothing more probable: that nothing is missing has one half, of any catalogue."""
     readings, *_ = campaign(1)
-    structures, _ = structures_over(GYRO.baseline(), readings, reference_of(readings))
+    structures, _ = structures_over(GYRO.baseline(), readings, constants_of(readings))
     odds = [
         np.logaddexp.reduce([structures.log_odds[n] for n in own])
         for own in structures.forms.values()
@@ -146,7 +146,7 @@ def test_a_family_has_its_odds_whatever_its_forms() -> None:
 
 def test_a_structure_has_one_form_of_a_family() -> None:
     readings, *_ = campaign(1)
-    structures, _ = structures_over(GYRO.baseline(), readings, reference_of(readings))
+    structures, _ = structures_over(GYRO.baseline(), readings, constants_of(readings))
     open_ = structures.open_to(Structure(frozenset({BODY})))
     assert not [n for n in open_ if structures.family(n) == "bias.thermal_lag"]
     assert "bias.temperature_quadratic" in open_

@@ -19,6 +19,7 @@ from bayescal.effects import deviation
 from bayescal_models import mems_gyro, ng_accelerometer, quartz_beam_accelerometer
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
+from tests.support.inside import result_of
 
 OFFSET = 1446.0  # °/s
 
@@ -267,9 +268,8 @@ def test_the_gates_reasons_are_the_results(line: bc.Calibration) -> None:
         method=bc.LeastSquares(draws=200),
         max_effects=1,
     )
-    from bayescal._report.result_json import result
 
-    verdict = result(trail)["verdict"]
+    verdict = result_of(trail)["verdict"]
     assert verdict["ok"] is False
     assert trail.gate.reason in verdict["reasons"]
     assert "times its plausible size" in trail.gate.reason

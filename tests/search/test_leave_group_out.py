@@ -11,10 +11,10 @@ from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
 from bayescal._inference.noise_on_record import whitening
 from bayescal._inference.record import Record
-from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.noise_terms import CORRELATION_TIME, DIFFUSION
 from bayescal._model.parameters import bind
 from bayescal_models import still_sensor
+from tests.support.inside import frame_of
 
 VALUES = {"noise.white": 20.0, DIFFUSION: 1.5, CORRELATION_TIME: 300.0}
 
@@ -24,7 +24,7 @@ def whole() -> Assembly:
     readings = still_sensor.simulate({}, seed=3, interval=120)
     noise = bc.OrnsteinUhlenbeck(10.0, 1e4)
     model = still_sensor.instrument("ug").baseline().with_noise(noise)
-    frame = build_frame(readings, reference_of(readings))
+    frame = frame_of(readings)
     record = Record(model.instrument, frame, np.asarray(readings["output"]))
     return Assembly(bind(model, readings)[0], record)
 

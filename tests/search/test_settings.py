@@ -10,8 +10,8 @@ import pytest
 
 import bayescal as bc
 from bayescal._inference.trust import unevenness
-from bayescal._report.result_json import result
 from bayescal_models import mems_gyro
+from tests.support.inside import result_of
 from tests.support.made_up import split_search
 
 NAMES = [field.name for field in dataclasses.fields(bc.Settings)]
@@ -58,7 +58,7 @@ def test_a_search_goes_by_them_and_the_result_says_so() -> None:
     assert first is not None and first.sets
     with bc.use_settings(bc.Settings(found_probability=0.9999)):
         trail = bc.calibrate(split_search.trail().steps[0].calibration.model, readings)
-        assert result(trail)["settings"] == {"found_probability": 0.9999}
+        assert result_of(trail)["settings"] == {"found_probability": 0.9999}
     other = trail.steps[0].discovery
     assert other is not None
     assert [s.effects for s in other.sets] != [s.effects for s in first.sets]

@@ -14,7 +14,6 @@ from bayescal._core import deadline
 from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.linear_model import linear_model
-from bayescal._model.frame import reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import on_residuals
@@ -23,6 +22,7 @@ from bayescal._search.scores import View, gain_of
 from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
 from bayescal._search.walk import path, walk
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
+from tests.support.inside import constants_of
 
 INSTRUMENT = mems_gyro.INSTRUMENT
 WANDER = "ornstein_uhlenbeck"
@@ -37,7 +37,7 @@ FEW = (
 
 def structures(readings: bc.Measurements, names: tuple[str, ...] = (), **kwargs) -> Structures:
     model = INSTRUMENT.baseline()
-    made, _ = structures_over(model, readings, reference_of(readings), **kwargs)
+    made, _ = structures_over(model, readings, constants_of(readings), **kwargs)
     if names:
         made.candidates = {n: made.candidates[n] for n in names}
     return made
@@ -225,7 +225,7 @@ def test_a_path_leads_from_the_base_to_the_end_one_change_at_a_time() -> None:
 def test_a_lag_three_times_as_large_as_plausible_is_found_in_the_quartz_record() -> None:
     instrument = quartz_beam_accelerometer.INSTRUMENT
     readings = quartz_beam_accelerometer.simulate({"bias.thermal_lag": 60.0}, seed=1)
-    made, _ = structures_over(instrument.baseline(), readings, reference_of(readings))
+    made, _ = structures_over(instrument.baseline(), readings, constants_of(readings))
     walk(Library(made), max_effects=5)
     assert "bias.thermal_lag" in Posterior.of(made).chosen.effects
 
@@ -319,7 +319,7 @@ def test_the_given_law_has_half_of_the_prior_and_the_other_kinds_share_the_rest(
 def test_models_of_structures_hold_the_sizes_of_their_own_effects_alone() -> None:
     """A structure that is weighed from one with an effect ten times its plausible size, and has it not."""
     readings = mems_gyro.simulate({"bias.drift": 1.0}, seed=1)
-    made, _ = structures_over(mems_gyro.INSTRUMENT.baseline(), readings, reference_of(readings))
+    made, _ = structures_over(mems_gyro.INSTRUMENT.baseline(), readings, constants_of(readings))
     drift = made.weigh(Structure(frozenset({"bias.drift"})))
     stated = made.candidates["bias.drift"].coefficients[0].size
     assert drift.sized_model.effect("bias.drift").coefficients[0].size == pytest.approx(10 * stated)

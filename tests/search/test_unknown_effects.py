@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._model.frame import build_frame, derived, reference_of
+from bayescal._model.frame import derived
 from bayescal._model.unknown_effect import covariate_in
 from bayescal_models import mems_gyro
+from tests.support.inside import constants_of, frame_of
 from tests.support.tiers import slow_but
 
 INSTRUMENT = mems_gyro.INSTRUMENT
@@ -108,7 +109,7 @@ def test_least_squares_fits_and_predicts_with_it(trail: bc.SearchPath) -> None:
 def test_far_beyond_the_range_of_the_fit_it_says_nothing() -> None:
     readings = mems_gyro.simulate(HUMID, seed=1)
     far = readings.with_column("humidity", readings["humidity"] + 10.0)
-    frame = build_frame(far, reference_of(readings))
+    frame = frame_of(far, constants_of(readings))
     shapes = {"length": jnp.asarray(0.3), "amplitude": jnp.asarray(1.0)}
     columns = INSTRUMENT.unknown("humidity").evaluate(frame, shapes)
     assert np.allclose(columns, 0.0, atol=1e-12)
@@ -125,7 +126,7 @@ def test_a_calibration_with_it_is_saved_and_loaded(trail: bc.SearchPath, tmp_pat
 
 def test_its_prior_is_a_smooth_process_of_the_stated_amplitude() -> None:
     readings = mems_gyro.simulate({}, seed=1)
-    frame = build_frame(readings, reference_of(readings))
+    frame = frame_of(readings)
     effect = INSTRUMENT.unknown("temperature")
     shapes = {"length": jnp.asarray(0.3), "amplitude": jnp.asarray(2.0)}
     assert effect.weights is not None
@@ -140,7 +141,7 @@ def test_its_prior_is_a_smooth_process_of_the_stated_amplitude() -> None:
 @pytest.mark.slow
 def test_its_gradient_is_finite_at_any_length() -> None:
     readings = mems_gyro.simulate({}, seed=1).select(np.arange(20))
-    frame = build_frame(readings, reference_of(readings))
+    frame = frame_of(readings)
     effect = INSTRUMENT.unknown("time")
 
     def total(length):

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._model.frame import build_frame, reference_of
 from bayescal_models import quartz_beam_accelerometer as quartz
 from bayescal_models.quartz_beam_accelerometer.campaign import GRID
 from bayescal_models.quartz_beam_accelerometer.simulator import CHANCE, LAWS, OF_BIAS
 from bayescal_models.quartz_beam_accelerometer.world import World
 from bayescal_models.simulated import first_order_body
+from tests.support.inside import constants_of, frame_of
 from tests.support.made_up.supply import AT_SUPPLY
 
 CANDIDATES = {e.name: e for e in quartz.INSTRUMENT.candidates}
@@ -42,7 +42,7 @@ def test_a_hidden_effect_is_linear_in_its_size_and_near_its_basis(name: str) -> 
         assert np.ptp([v[0] for v in shown if v.size]) > 0
         return
     shown = quartz.simulate({name: size}, seed=3)  # with the supply's voltage, where that acts
-    frame = build_frame(shown, {**reference_of(shown), **AT_SUPPLY})
+    frame = frame_of(shown, {**constants_of(shown), **AT_SUPPLY})
     shape = {"thermal_lag": 600.0, "warm_up": 900.0}.get(name.partition(".")[2])
     basis = np.asarray(effect.evaluate(frame, {"tau": jnp.asarray(shape)} if shape else {}))[:, 0]
     a = PLAIN["acceleration"] / 1e6

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import shlex
 import sys
 from functools import cache
 from importlib.metadata import entry_points
@@ -14,8 +15,10 @@ from typing import Any, NamedTuple
 import pandas as pd
 import pytest
 import typer
+from typer.testing import CliRunner
 
 from bayescal._cli import main
+from bayescal._cli.options import ColumnOptions, Commands
 from bayescal_models import mems_gyro
 
 TABLE = mems_gyro.TABLE
@@ -96,3 +99,27 @@ def run(*arguments: object) -> Ran:
                 status = left.code
     assert isinstance(status, int)
     return Ran(status, out.getvalue(), err.getvalue())
+
+
+def commands() -> dict[str, Any]:
+    """Every command by its name, as typer has it."""
+    group: Any = _parser(main.app)
+    return group.commands
+
+
+def options_of(said: str) -> dict[str, Any]:
+    """How columns are to be understood, as the command line hands it to `read`.
+
+    Raises:
+        InputError: an option is not of its form.
+    """
+    found, app = list[dict[str, Any]](), Commands()
+
+    @app.example("", data=False)
+    def taken(columns: ColumnOptions) -> None:
+        found.append(columns.for_read())
+
+    done = CliRunner().invoke(app, shlex.split(said))
+    if done.exception is not None:
+        raise done.exception
+    return found[0]

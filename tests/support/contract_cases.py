@@ -24,11 +24,11 @@ from bayescal._inference.laplace import find_mode
 from bayescal._inference.record import Record, record_of
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model import forward
-from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable
 from bayescal._model.parameters import Layout, bind
 from benchmarks.accuracy import reference_posteriors
 from tests.support import references
+from tests.support.inside import constants_of, frame_of
 
 STEP = 1e-3  # of the finite differences, prior standard deviations
 SEED = 17
@@ -47,7 +47,7 @@ class Bound:
     @classmethod
     def of(cls, model: bc.Model, readings: bc.Measurements) -> Bound:
         layout, _ = bind(model, readings)
-        frame = build_frame(readings, reference_of(readings))
+        frame = frame_of(readings)
         random, v = np.random.default_rng(SEED), jnp.zeros(len(layout.hypers))
         sd = forward.prior_sd(layout, forward.hyper_values(layout, v))
         x = forward.prior_mean(layout) + sd * random.standard_normal(layout.size)
@@ -150,14 +150,14 @@ class Case:
         """The two steps of the default method, as `fit` calls them: mode, then importance sampling."""
         layout, _ = bind(model, readings)
         layout = layout.promote(*self.promoted)
-        frame, y = build_frame(readings, reference_of(readings)), jnp.asarray(readings["output"])
+        frame, y = frame_of(readings), jnp.asarray(readings["output"])
         assembly = Assembly(layout, Record(model.instrument, frame, np.asarray(y)))
         weighted_draws(assembly, find_mode(assembly), 0, None, bc.Marginal().rounds)
 
     @cached_property
     def promoted(self) -> tuple[str, ...]:
         layout, _ = bind(self.model, self.readings)
-        record = record_of(self.instrument, self.readings, reference_of(self.readings))
+        record = record_of(self.instrument, self.readings, constants_of(self.readings))
         return sampled_products.choose(Assembly(layout, record), None)[0].layout.promoted
 
     @cached_property

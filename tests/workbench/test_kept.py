@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 
 import bayescal as bc
-from bayescal._calibration.description import identity
 from bayescal._workbench.kept import Origin
 from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation, run
+from tests.support.inside import identity_of
 from tests.workbench.conftest import Campaign
 from tests.workbench.test_session import OWN
 
@@ -53,7 +53,7 @@ def same_states(one: Session, other: Session) -> None:
         again = other.states[number]
         assert again.step.errors() == state.step.errors()
         assert (again.title, again.parent, again.at) == (state.title, state.parent, state.at)
-        assert identity(again.calibration) == identity(state.calibration)
+        assert identity_of(again.calibration) == identity_of(state.calibration)
 
 
 @pytest.mark.slow

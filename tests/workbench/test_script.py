@@ -16,6 +16,7 @@ from bayescal._workbench.kept import Origin
 from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation
+from tests.support.inside import identity_of
 from tests.workbench.conftest import Campaign
 from tests.workbench.test_session import OWN
 
@@ -46,11 +47,9 @@ def run(script: str, tmp_path: Path) -> dict:
 
 
 def same(session: Session, tmp_path: Path) -> None:
-    from bayescal._calibration.description import identity
-
     told = run(session.script(), tmp_path)
     path = session.path()
-    assert told["identity"] == [identity(s.calibration) for s in path]
+    assert told["identity"] == [identity_of(s.calibration) for s in path]
     assert told["rms"] == path[-1].step.check.rms
     assert told["held_out"] == path[-1].step.holdout_rmse
 

@@ -1,0 +1,44 @@
+"""What tests ask of the inside that has no public way out, each in one place: a redesign changes this file alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import bayescal as bc
+from bayescal._calibration.description import identity
+from bayescal._model.frame import build_frame, reference_of
+from bayescal._report.certificate import Certificate, dcc_text
+from bayescal._report.result_json import result
+from bayescal._use.correction_files import as_text
+
+
+def constants_of(readings: bc.Measurements) -> dict[str, Any]:
+    """Constants of the bases of readings, such as T0."""
+    return dict(reference_of(readings))
+
+
+def frame_of(readings: bc.Measurements, constants: Mapping[str, Any] | None = None) -> bc.Frame:
+    """What bases are evaluated over: readings, with their own constants or others."""
+    return build_frame(readings, reference_of(readings) if constants is None else constants)
+
+
+def identity_of(calibration: bc.Calibration) -> str:
+    """The SHA-256 by which every artefact names a calibration."""
+    return identity(calibration)
+
+
+def result_of(trail: bc.SearchPath) -> dict[str, Any]:
+    """What `trail.save` writes as result.json, nothing drawn."""
+    return result(trail)
+
+
+def text_of(correction: Any, format: str, **how: Any) -> str:
+    """An export as text, no file written."""
+    return as_text(correction, format, **how)
+
+
+def dcc_of(calibration: bc.Calibration, stated: Any, decided: bc.Decisions | None = None) -> str:
+    """The digital calibration certificate as XML; `stated`: its file, or what stands in it."""
+    given = Certificate(stated) if isinstance(stated, dict) else stated
+    return dcc_text(calibration, given, decisions=decided)
