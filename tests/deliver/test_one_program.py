@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 from functools import cache
 from inspect import signature
@@ -15,6 +14,7 @@ import pytest
 import bayescal as bc
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler, run_c
 from tests.support.made_up import bent_sensor
+from tests.support.shown_output import load_module
 
 UNITS = {"accelerometer_triad": "g", "gyro_triad": "deg/s", "magnetometer_triad": "uT"}
 AT = {"accelerometer_triad": 1.0, "gyro_triad": 50.0, "magnetometer_triad": 48.0}
@@ -149,14 +149,6 @@ def test_two_sensors_of_one_name_do_not_compile(tmp_path: Path) -> None:
         assert "ensor: export one of them with another name" in done.stderr
     twice = '#include "a.h"\n#include "a.h"\nint main(void) { return 0; }\n'
     assert run_c(twice, np.zeros(0), tmp_path).size == 0
-
-
-def load_module(path: Path) -> Any:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_all_modules_in_one_process(tmp_path: Path) -> None:

@@ -15,14 +15,13 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 import bayescal as bc
 from bayescal_models import INSTRUMENTS, mems_gyro
 from tests.support.command_line import needs_installation, run
-from tests.support.shown_output import NUMBER, assert_as_shown
+from tests.support.shown_output import NUMBER, assert_as_shown, load_module
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -37,15 +36,7 @@ TESTED_ELSEWHERE = ("own_effect.md",)  # by test_own_effects.py
 RUN = [name for name, page in PAGES.items() if re.search("^```(python|sh)", page, re.MULTILINE)]
 
 
-def _hooks() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("site_hooks", DOCS / "site_hooks.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-HOOKS = _hooks()
+HOOKS = load_module(DOCS / "site_hooks.py")
 
 
 # Pages and links.

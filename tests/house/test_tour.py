@@ -6,19 +6,17 @@ Steps share one namespace, as the lines of the script do. Those that sample and 
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import io
 from collections.abc import Container, Iterable
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.support.export_check import needs_compiler
-from tests.support.shown_output import assert_as_shown, blocks
+from tests.support.shown_output import assert_as_shown, blocks, load_module
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 SHOWN = blocks((DOCS / "tour.md").read_text("utf-8"), "text")
@@ -27,12 +25,8 @@ BY_HAND = (6, 8)  # of these those that print what they worked out themselves
 
 
 @cache
-def hooks() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("site_hooks", DOCS / "site_hooks.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def hooks() -> Any:
+    return load_module(DOCS / "site_hooks.py")
 
 
 def follow(numbers: Iterable[int], compared: Container[int]) -> dict[str, Any]:

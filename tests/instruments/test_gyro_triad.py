@@ -13,6 +13,7 @@ from bayescal_models import gyro_triad
 from bayescal_models.gyro_triad import Campaign
 from bayescal_models.gyro_triad.simulator import BASELINE
 from bayescal_models.triad.simulator import SHARES
+from tests.support.coverage import assert_intervals_cover
 from tests.support.export_check import check_vector_exports
 from tests.support.triad_truth import TRUE
 
@@ -146,12 +147,8 @@ def test_at_rest_the_bias_alone_is_measured() -> None:
 
 @pytest.mark.slow
 def test_intervals_cover() -> None:
-    covered = []
-    for seed in range(60):
+    def fitted(seed: int) -> bc.Calibration:
         readings = gyro_triad.simulate(seed=1000 + seed)
-        calibration = bc.fit(MODEL, readings, bc.Marginal(proposals=2048), seed=seed)
-        for name, true in TRUE.items():
-            low, high = np.quantile(calibration.samples(name), [0.025, 0.975])
-            covered.append(low <= true <= high)
-    each = np.mean(np.reshape(covered, (-1, len(TRUE))), axis=1)
-    assert abs(each.mean() - 0.95) < 4 * each.std() / np.sqrt(len(each))
+        return bc.fit(MODEL, readings, bc.Marginal(proposals=2048), seed=seed)
+
+    assert_intervals_cover(map(fitted, range(60)), TRUE)

@@ -23,6 +23,7 @@ from bayescal_models.gyro_triad.simulator import BASELINE
 from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
 from bayescal_models.triad.simulator import OFF_DIAGONAL
 from tests.support.command_line import needs_installation, run
+from tests.support.coverage import assert_intervals_cover
 from tests.support.export_check import COMPILER, run_c
 from tests.support.triad_truth import TRUE
 
@@ -429,13 +430,9 @@ def test_poses_that_err_each_by_itself_make_the_gyroscopes_as_much_less_sure() -
 
 @pytest.mark.slow
 def test_intervals_cover() -> None:
-    covered = []
-    for seed in range(60):
+    def fitted(seed: int) -> bc.Calibration:
         forces, log = both(simulate_log(seed=1000 + seed))
         correct = bc.vector_correction(bc.fit(FORCE.baseline(), bc.poses(forces, FORCE), seed=seed))
-        calibration = bc.fit(gyro_triad.moved(), bc.moves(log, TURNS, forces, correct), seed=seed)
-        for name, true in TRUE.items():
-            low, high = np.quantile(calibration.samples(name), [0.025, 0.975])
-            covered.append(low <= true <= high)
-    each = np.mean(np.reshape(covered, (-1, len(TRUE))), axis=1)
-    assert abs(each.mean() - 0.95) < 4 * each.std() / np.sqrt(len(each))
+        return bc.fit(gyro_triad.moved(), bc.moves(log, TURNS, forces, correct), seed=seed)
+
+    assert_intervals_cover(map(fitted, range(60)), TRUE)

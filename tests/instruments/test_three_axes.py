@@ -17,6 +17,7 @@ from bayescal._model.vector import excess, inverted
 from bayescal_models import accelerometer_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE
 from tests.support.compilations import compiled
+from tests.support.coverage import assert_intervals_cover
 from tests.support.export_check import check_vector_exports
 from tests.support.inside import result_of, text_of
 from tests.support.references import shared
@@ -277,16 +278,11 @@ def test_a_family_is_found_as_one_effect() -> None:
     ],
 )
 def test_intervals_cover(campaign: Campaign) -> None:
-    covered = []
-    for seed in range(100):
+    def fitted(seed: int) -> bc.Calibration:
         readings = accelerometer_triad.simulate(seed=2000 + seed, campaign=campaign)
-        calibration = bc.fit(MODEL, readings, bc.Marginal(proposals=2048), seed=seed)
-        for name, true in zip(NAMES, TRUE, strict=True):
-            low, high = np.quantile(calibration.samples(name), [0.025, 0.975])
-            covered.append(low <= true <= high)
-    each = np.mean(np.reshape(covered, (-1, len(NAMES))), axis=1)
-    error = each.std() / np.sqrt(len(each))
-    assert abs(each.mean() - 0.95) < 4 * error
+        return bc.fit(MODEL, readings, bc.Marginal(proposals=2048), seed=seed)
+
+    assert_intervals_cover(map(fitted, range(100)), dict(zip(NAMES, TRUE, strict=True)))
 
 
 @pytest.mark.slow

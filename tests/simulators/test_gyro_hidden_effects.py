@@ -12,13 +12,11 @@ from bayescal_models.mems_gyro import INSTRUMENT
 from bayescal_models.mems_gyro.campaign import Campaign
 from bayescal_models.mems_gyro.simulator import (
     LAWS,
-    simulate_arrays,
     simulated_columns,
 )
 from bayescal_models.simulated import Simulated
+from tests.simulators.test_gyro_campaign import DEFAULT, RATES, in_run, simulated
 
-DEFAULT = Campaign()
-RATES = (0.0, 100.0, -100.0)
 SIZES = {e.name: e.coefficients[0].size for e in INSTRUMENT.candidates}
 SIZES["bias.rate"] = INSTRUMENT.effect("bias.rate").coefficients[0].size  # a form of the lag
 UNLISTED = {"unlisted.periodic": 0.1, "unlisted.step": 0.2, "unlisted.humidity": 0.02}
@@ -29,15 +27,6 @@ HIDDEN = list(ALL)
 def hidden(name: str, campaign: Campaign = DEFAULT, seed: int = 1) -> Simulated:
     """One effect of its plausible size, hidden alone."""
     return simulated(campaign, {name: ALL[name]}, seed=seed)
-
-
-def simulated(campaign: Campaign, effects: dict | None = None, **options) -> Simulated:
-    return simulate_arrays(effects, campaign=campaign, **options)
-
-
-def in_run(sim: Simulated, run: str, values: np.ndarray) -> np.ndarray:
-    """The values of one run."""
-    return values[sim.columns["run"] == run]
 
 
 @pytest.mark.parametrize("name", HIDDEN)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -44,3 +47,12 @@ def _last(number: str) -> float:
     digits, _, power = number.partition("e")
     places = len(digits.partition(".")[2])
     return 10.0 ** (int(power or 0) - places)
+
+
+def load_module(path: Path) -> Any:
+    """A Python file that is no part of a package, run."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
