@@ -29,7 +29,7 @@ from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
 from bayescal._core.formatting import number
 from bayescal._core.settings import settings
-from bayescal._data.dataset_checks import Oddity, oddities, pieces, rounding_step
+from bayescal._data.dataset_checks import Oddity, pieces, rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.model import Model
 from bayescal._model.unknown_effect import FREED, IN_TIME, covariate_in
@@ -144,13 +144,9 @@ def of_thermometers(calibration: Calibration, model: Model) -> list[Claim]:
     """What is odd in the column of a thermometer that the coefficients of a model hang on."""
     readings = calibration.readings
     warm = [n for n in readings.columns if n in model.columns and readings.unit(n) == "degC"]
-    every = [n for n in readings.columns if readings.unit(n) == "degC"]
-    if not warm:
-        return []
-    found = oddities({n: readings[n] for n in readings.columns}, every, readings.output)
     return [
         Claim("column.odd", one.column, said=one.said)
-        for one in found
+        for one in readings.oddities
         if one.column in warm and not (one.jumped and _followed(calibration, one))
     ]
 

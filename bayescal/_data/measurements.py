@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,8 +26,10 @@ from bayescal._data.column import (
 )
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import (
+    Oddity,
     distinct,
     flags_of,
+    oddities,
     problems_of_whole,
     repeated_rows,
 )
@@ -162,6 +165,12 @@ class Measurements(Printed):
             missing=missing,
         )
         return measured([table], instrument, options, allow_one_temperature)
+
+    @cached_property
+    def oddities(self) -> tuple[Oddity, ...]:
+        """What is odd in the columns of thermometers."""
+        warm = [n for n in self.columns if self.unit(n) == "degC"]
+        return tuple(oddities(self.values, warm, self.output))
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A column, in its fixed unit; labels as text.

@@ -148,8 +148,7 @@ def _wrong(readings: Measurements, needed: Collection[str], begun: int) -> Fault
     Where too much would go, or a device's readings or all temperatures but one, they stay, and the fault is a reason
     not to believe the result.
     """
-    warm = [n for n in readings.columns if readings.unit(n) == "degC"]
-    for odd in checks.oddities(readings.values, warm, readings.output):
+    for odd in readings.oddities:
         if odd.column in needed and _can_go(readings.values, odd, begun):
             said = f"{len(odd.wrong)} reading(s) set aside, column {odd.column!r} {odd.said}"
             return Fault(odd.wrong, f"{said}; keep_spikes keeps them")

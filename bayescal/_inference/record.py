@@ -32,6 +32,7 @@ DRAWS_A_CALL = 48  # draws in one call of a program, or half of that,
 CALL_NUMBERS = 16_384  # and more of a short record: draws times readings, up to which the call itself is what costs
 # As good as this part of the largest number in a column, tried between some nodes.
 INTERPOLATED = 1e-9
+RANKED_ROWS = 4096  # of many readings, by which the sums are chosen
 KEPT_OF_IT = 1e-10  # part of the largest singular value, down to which the columns are sums of singular vectors
 
 
@@ -206,16 +207,19 @@ class Record:
         found = found.reshape(len(found), -1)
         nodes, there = found[: len(NODES)], found[len(NODES) :]
         apart = np.max(np.abs(weights(BETWEEN) @ nodes - there))
-        if not apart <= INTERPOLATED * np.max(np.abs(nodes), initial=1e-300):
+        largest = np.max(np.abs(nodes), initial=1e-300)
+        if not apart <= INTERPOLATED * largest:
             return None
-        # QR first, so that the singular vectors are those of a small matrix.
-        q, upper = np.linalg.qr(nodes.T)
-        u, size, vh = np.linalg.svd(upper)
-        # A family of columns that runs smoothly along its shape has low numerical rank: its left singular vectors,
-        # times their values, stand in the table, the right ones are the shares at the nodes.
-        rank = max(1, int(np.sum(size > KEPT_OF_IT * size[0])))
-        columns = (q @ (u[:, :rank] * size[:rank])).reshape(self.size, count, rank)
-        return Basis(columns, vh[:rank])
+        # A family of columns that runs smoothly along its shape has low numerical rank. The right singular vectors are
+        # the shares at the nodes, and times these the columns are sums of few; some rows of many tell them as well,
+        # where all others are then found to be such sums.
+        for step in {max(1, nodes.shape[1] // RANKED_ROWS): None, 1: None}:
+            _, size, vh = np.linalg.svd(np.linalg.qr(nodes.T[::step], mode="r"))
+            shares = vh[: max(1, int(np.sum(size > KEPT_OF_IT * size[0])))]
+            columns = nodes.T @ shares.T
+            if step == 1 or np.max(np.abs(columns @ shares - nodes.T)) <= KEPT_OF_IT * largest:
+                break
+        return Basis(columns.reshape(self.size, count, len(shares)), shares)
 
     def _fixed_columns(self, key: programs.Basis) -> Float[np.ndarray, "n k"]:
         if key not in self._fixed:
