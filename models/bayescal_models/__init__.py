@@ -19,4 +19,5 @@ INSTRUMENTS = (
     "accelerometer_triad",
     "magnetometer_triad",
     "gyro_triad",
+    "accelerometer_dividing_head",
 )

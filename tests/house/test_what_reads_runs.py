@@ -18,7 +18,11 @@ from tests.support import references
 
 TRIADS = "accelerometer_triad", "gyro_triad", "magnetometer_triad"
 DOCUMENTS = "mems_gyro", "ng_accelerometer", "quartz_beam_accelerometer", "differential_pair"
-INSTRUMENTS = *DOCUMENTS, "inclinometer", "still_sensor", *TRIADS
+INSTRUMENTS = (
+    *DOCUMENTS,
+    *("inclinometer", "still_sensor", "accelerometer_dividing_head"),
+    *TRIADS,
+)
 FAST = "mems_gyro"
 
 

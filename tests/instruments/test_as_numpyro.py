@@ -21,7 +21,7 @@ from tests.support.tiers import slow_but
 # Of the others the latent quantities are not the framework's own: nothing but draws compares.
 SAME_LATENTS = (
     *("mems_gyro", "inclinometer", "ng_accelerometer", "quartz_beam_accelerometer"),
-    *("still_sensor", "gyro_triad"),
+    *("still_sensor", "gyro_triad", "accelerometer_dividing_head"),
 )
 
 

@@ -1,0 +1,11 @@
+"""The public names. `lazy_loader` reads this file when the package is imported."""
+
+import bayescal as bc
+
+from .campaign import Campaign as Campaign
+from .model import INSTRUMENT as INSTRUMENT
+from .model import simulate as simulate
+
+COLUMNS: tuple[bc.Column, ...]
+NOMINAL_SCALE: bc.NominalScale
+VOLTS: float

@@ -1,0 +1,51 @@
+"""An accelerometer on a dividing head, lines over temperature: the model whole, in NumPyro.
+
+What `bc.fit(equal(), readings)` fits. Nothing here is used by the rest: it is to be read, run and changed.
+
+    MCMC(NUTS(model, dense_mass=True), num_warmup=1000, num_samples=1000).run(key, **data(readings))
+
+Output y of reading i, µg, at the angle θ and the temperature T:
+
+    y = K0 + k0·(T − T0) + (1 + κ + λ·(T − T0))·g·sin(θ + ψ) + e,     e ~ N(0, σ²)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+from numpyro.distributions import HalfCauchy, Normal
+
+import bayescal as bc
+from bayescal_models.accelerometer_dividing_head import reference_problem
+
+G = 1e6  # µg
+
+
+def model(temperature, angle, T0, output=None) -> None:
+    """Temperatures °C and angles rad (n,); T0 °C; output µg (n,), or None to simulate."""
+    change = temperature - T0
+    k0 = numpyro.sample("bias.constant", Normal(0.0, 4000.0))  # µg
+    k0 += numpyro.sample("bias.temperature", Normal(0.0, 30.0)) * change
+    kappa = numpyro.sample("scale.constant", Normal(0.0, 20000.0))  # ppm
+    kappa += numpyro.sample("scale.temperature", Normal(0.0, 180.0)) * change
+    zero = numpyro.sample("zero.constant", Normal(0.0, 2000.0))  # µrad
+    a = jnp.sin(angle + 1e-6 * zero)  # g
+    noise = numpyro.sample("noise.white", HalfCauchy(10.0))  # µg
+    numpyro.sample("output", Normal(k0 + (1 + 1e-6 * kappa) * G * a, noise), obs=output)
+
+
+def data(readings: bc.Measurements) -> dict[str, Any]:
+    """The readings as arguments of `model`."""
+    taken = {n: readings[n] for n in ("temperature", "output")}
+    return taken | {
+        "angle": readings["position_angle"],
+        "T0": np.round(taken["temperature"].mean()),
+    }
+
+
+def equal() -> bc.Model:
+    """The same model as a sum of named effects."""
+    return reference_problem.model()

@@ -1,0 +1,126 @@
+"""Pendulous accelerometer on a dividing head, over temperature (IEEE Std 1293).
+
+Measurement equation, output in µg of nominal scale (volts become µg by the nominal scale factor):
+
+    output = K0 + (1 + κ)·g·aᵢ + K2·aᵢ² + K3·aᵢ³ + Kip·aᵢ·aₚ,      aᵢ = sin(θ + ψ),  aₚ = cos(θ + ψ), in g
+
+θ is set on the head (column `position_angle`), whose axis lies level; ψ is the zero of the head with the tilt of the
+fixture and of the input axis about that axis, which one mounting does not part. A tilt η of the head's own axis with a
+tilt β of the input axis along it adds g·sin β·sin η: below 1 µg for 1 mrad each, and an exact alias of K0; so is
+1 − cos β of κ. K0 is not multiplied by 1 + κ.
+
+Slots: `bias` = K0, µg; `scale` = κ; `zero` = ψ, rad; `second_order` = K2 and `cross_coupling` = Kip, µg/g²;
+`third_order` = K3, µg/g³. Plausible sizes are those of a quartz-flexure accelerometer (Q-flex): bias 4 mg, 30 µg/°C,
+180 ppm/°C, misalignment 2 mrad. K2 shows as cos 2θ beside a constant, Kip as sin 2θ, K3 as sin 3θ: eight positions or
+more tell them from K0, κ and ψ, four do not. A dividing error that goes once round is the same as K2 and Kip, whatever
+the number of positions: both are said, and a head of known error or the device turned over in its fixture tells.
+
+Baseline: `bias.constant`, `bias.temperature`, `scale.constant`, `scale.temperature`, `zero.constant`. Candidates:
+`second_order.constant`, `third_order.constant` and `cross_coupling.constant`; `zero.temperature`, a fixture that tilts
+with the temperature; `zero.run`, one that is mounted anew; `zero.harmonic`, the head's dividing error.
+
+Noise: white, of unknown size.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+import bayescal as bc
+from bayescal_models import catalogue
+from bayescal_models.accelerometer_dividing_head import COLUMNS, NOMINAL_SCALE
+from bayescal_models.accelerometer_dividing_head.campaign import Campaign
+from bayescal_models.accelerometer_dividing_head.simulator import simulated_columns
+from bayescal_models.catalogue import HOUR, MINUTE, EffectTable, centred, effect, one
+from bayescal_models.simulated import experiments, readings_of
+
+G = 1e6  # µg
+
+
+def _response(slots, r):
+    angle = r["position_angle"] + slots["zero"]
+    a = jnp.sin(angle)
+    return _along(a, slots) + slots["cross_coupling"] * a * jnp.cos(angle)
+
+
+def _along(a, slots):
+    powers = slots["second_order"] * a**2 + slots["third_order"] * a**3
+    return slots["bias"] + (1 + slots["scale"]) * G * a + powers
+
+
+def _in_use(acceleration, slots, r):
+    """Off the head: what acts along the input axis is asked for, and across it nothing is known."""
+    return _along(acceleration / G, slots)
+
+
+def _round(r):
+    return jnp.stack([jnp.cos(r["position_angle"]), jnp.sin(r["position_angle"])], axis=-1)
+
+
+CONSTANT = effect(one, "c", "position_angle")
+WARM = effect(centred, "c·(T − T0)", "position_angle", "temperature")
+DIVIDING = effect(_round, "c·cos θ + s·sin θ", "position_angle", parts=("cos", "sin"))
+
+EFFECTS = EffectTable.of(
+    "data sheets of quartz-flexure accelerometers (Q-flex); size ours",
+    baseline=(
+        ("bias.constant", catalogue.constant, 4000.0, "ug"),
+        ("bias.temperature", catalogue.linear, 30.0, "ug/degC"),
+        ("scale.constant", catalogue.constant, 20000.0, "ppm"),
+        ("scale.temperature", catalogue.linear, 180.0, "ppm/degC"),
+        ("zero.constant", catalogue.constant, 2000.0, "urad"),
+    ),
+    candidates=(
+        ("second_order.constant", CONSTANT, 20.0, "ug/g^2"),
+        ("second_order.temperature", WARM, 0.2, "ug/g^2/degC"),
+        ("third_order.constant", CONSTANT, 20.0, "ug/g^3"),
+        ("cross_coupling.constant", CONSTANT, 20.0, "ug/g^2"),
+        ("zero.temperature", catalogue.linear, 5.0, "urad/degC"),
+        ("zero.run", catalogue.deviation, 50.0, "urad"),
+        ("zero.harmonic", DIVIDING, 10.0, "urad"),
+        ("bias.temperature_quadratic", catalogue.quadratic, 0.2, "ug/degC^2"),
+        ("bias.hysteresis", catalogue.hysteresis, 50.0, "ug"),
+        ("bias.warm_up", catalogue.warm_up(2 * MINUTE, 3 * HOUR), 50.0, "ug"),
+        ("bias.drift", catalogue.drift, 50.0, "ug"),
+        ("bias.run", catalogue.deviation, 50.0, "ug"),
+        ("scale.temperature_quadratic", catalogue.quadratic, 1.0, "ppm/degC^2"),
+        ("scale.run", catalogue.deviation, 50.0, "ppm"),
+    ),
+)
+INSTRUMENT = bc.Instrument(
+    name="accelerometer_dividing_head",
+    title="accelerometer on a dividing head: K0, K1, K2, K3 and zero over temperature",
+    columns=COLUMNS,
+    slots=(
+        bc.Slot("bias", "ug", "K0"),
+        bc.Slot("scale", "1", "κ, relative deviation of the scale factor K1"),
+        bc.Slot("zero", "rad", "ψ, added to θ: zero of the head, tilt of fixture and input axis"),
+        bc.Slot("second_order", "ug/g^2", "K2"),
+        bc.Slot("third_order", "ug/g^3", "K3"),
+        bc.Slot("cross_coupling", "ug/g^2", "Kip, with what acts along the pendulous axis"),
+    ),
+    response=_response,
+    effects=EFFECTS.baseline,
+    candidates=EFFECTS.candidates,
+    noise=bc.White(bc.HalfCauchy(10.0)),
+    nominal_scale=NOMINAL_SCALE,
+    structures=(
+        ("line", lambda: INSTRUMENT.baseline()),
+        (
+            "with K2 and K3",
+            lambda: INSTRUMENT.baseline() + ["second_order.constant", "third_order.constant"],
+        ),
+    ),
+    simulator=simulated_columns,
+    experiments=experiments(
+        simulated_columns,
+        {
+            "the same again": Campaign(),
+            "three mountings": Campaign(runs=3),
+            "down as well as up": Campaign(temperatures=(-20.0, 25.0, 70.0, 25.0, -20.0)),
+        },
+    ),
+    use=bc.Use("acceleration", "ug", _in_use, ("bias", "scale", "second_order", "third_order")),
+    source="IEEE Std 1293",
+)
+simulate = readings_of(INSTRUMENT, simulated_columns)

@@ -1,0 +1,51 @@
+"""An accelerometer on a dividing head: intervals cover, and K2, K3 and a fixture that tilts are found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal_models import accelerometer_dividing_head as head
+from bayescal_models.accelerometer_dividing_head.simulator import BASELINE
+from tests.support.tiers import slow_but
+
+LS = bc.LeastSquares()
+HIDDEN = {"second_order.constant": 20.0, "third_order.constant": 25.0, "zero.temperature": 5.0}
+
+
+def test_intervals_cover_the_truth() -> None:
+    """30 campaigns of 24 positions at five temperatures: 95 % intervals of all that is estimated."""
+    model, true = head.INSTRUMENT.baseline() + [*HIDDEN], {**BASELINE, **HIDDEN}
+    inside, z = [], []
+    for seed in range(30):
+        found = bc.fit(model, head.simulate(HIDDEN, seed=seed), LS)
+        for name, value in true.items():
+            draws = found.samples(name)
+            low, high = np.quantile(draws, [0.025, 0.975])
+            inside.append(low < value < high)
+            z.append((draws.mean() - value) / draws.std())
+    assert 0.91 < np.mean(inside) < 0.985
+    assert abs(np.mean(z)) < 0.2 and 0.85 < np.std(z) < 1.15
+
+
+@pytest.mark.parametrize("name", slow_but(["second_order.constant"], list(HIDDEN)))
+def test_what_is_hidden_is_found(name: str) -> None:
+    readings = head.simulate({name: HIDDEN[name]}, seed=3)
+    found = bc.discover(bc.fit(head.INSTRUMENT.baseline(), readings, LS))
+    assert name in {e.name for e in found.best}
+
+
+def test_nothing_is_found_where_nothing_is_hidden() -> None:
+    found = bc.discover(bc.fit(head.INSTRUMENT.baseline(), head.simulate(seed=4), LS))
+    assert not found.sets
+
+
+def test_off_the_head_what_acts_along_the_input_axis_is_what_is_asked_for() -> None:
+    readings = head.simulate(HIDDEN, seed=1)
+    fitted = bc.fit(head.INSTRUMENT.baseline() + [*HIDDEN], readings, LS)
+    made = bc.compensator(fitted)(readings)
+    departure = readings["temperature"] - 25.0
+    zero = BASELINE["zero.constant"] + HIDDEN["zero.temperature"] * departure
+    acting = 1e6 * np.sin(readings["position_angle"] + 1e-6 * zero)
+    assert np.std(made.value - acting) < 8.0  # µg, of which 5 are noise
