@@ -37,6 +37,8 @@ NAMES = {
     "elapsed_time relative_time messzeit laufzeit sekunden seconds temps x_value millis zeit uhrzeit time_of_day heure "
     "| date datum",
     "temperature": "T temperatur thermometer",
+    "supply_voltage": "supply supply_v v_supply vsupply vcc vdd power_supply | battery battery_voltage v_bat vbat ubat "
+    "u_bat versorgung versorgungsspannung betriebsspannung alimentation tension_d_alimentation",
     "run": "run_no run_nr run_number run_id test_run",
     "device": "device_id serial serial_no serial_number sn",
 }

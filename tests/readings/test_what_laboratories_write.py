@@ -160,6 +160,13 @@ def test_labels_of_an_unknown_name_are_asked_about_and_never_left_out(put, head)
 # --- units ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("head", ["supply [V]", "Vcc (V)", "VDD_V", "Versorgungsspannung [V]"])
+def test_the_voltage_of_the_supply_is_known(put, head) -> None:
+    lines = [f"{10 * i},{20 + i / 20},{5 + 0.01 * (i % 7)},{0.1 * (i % 5)}" for i in range(60)]
+    path = put("\n".join([f"time [s],temperature [degC],{head},output [deg/s]", *lines]))
+    assert bc.read(path, mems_gyro.INSTRUMENT).unit("supply_voltage") == "V"
+
+
 @pytest.mark.parametrize(
     ("unit", "size", "base"),
     [
