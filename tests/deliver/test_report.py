@@ -248,7 +248,7 @@ def test_it_prints_on_one_page_and_four_of_appendices(pages, folder: Path) -> No
     """A4, by Chromium: what is signed on the first."""
     chromium()
     page = pages("a trail")
-    assert page.source.index('class="result') < page.source.index('class="appendix"')
+    assert page.source.index('class="two result"') < page.source.index('class="appendix"')
     printed = Opened(folder / "a_trail.html", folder).pdf().read_bytes()
     assert 2 <= len(re.findall(rb"/Type\s*/Page\b", printed)) <= 5
 
