@@ -187,7 +187,7 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
         calibration: the fitted model.
         standardised: its whitened residuals.
     """
-    order, step = calibration.assembly.record.in_time
+    order, step = calibration.problem.record.in_time
     first = np.flatnonzero((step[1:] >= 0) | (not calibration.readings.has("time")))
     ordered = standardised[order]
     before, after = ordered[first], ordered[first + 1]

@@ -62,12 +62,12 @@ def confounders(
     linear: LinearModel, columns: Mapping[str, Float[np.ndarray, "n"]]
 ) -> tuple[Confounder, ...]:
     """Of some columns those that add a fifth or more to the standard uncertainty of a coefficient of a model."""
-    layout, line = linear.assembly.layout, linear.line
+    layout, line = linear.problem.layout, linear.line
     blocks, p = layout.x_blocks, layout.size
     main = np.repeat([_stands_alone(b, layout) for b in blocks], [b.size for b in blocks])
     if not main.any():
         return ()
-    x = linear.mode.point.x - linear.assembly.mean_of_x
+    x = linear.mode.point.x - linear.problem.mean_of_x
     size = SIZE * float(np.std(line.jacobian[:, main] @ x[main]))
     root, found = linear.root[:p] * linear.sd[:p, None], list[Confounder]()
     known = np.linalg.norm(root, axis=1)

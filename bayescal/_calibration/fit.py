@@ -13,12 +13,12 @@ from bayescal._core import deadline
 from bayescal._core.errors import InputError, ModelError, NotConverged
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._data.measurements import Measurements
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method, Outcome
 from bayescal._inference.origin import with_origin
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
 from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, origins, reference_of
@@ -76,10 +76,10 @@ def fit(
     model = sized(model, readings, record)
     layout, levels = bind(model, readings, reference=reference)
 
-    assembly = Assembly(layout, record)
+    problem = Problem(layout, record)
 
     def run() -> Outcome:
-        return method.run(assembly, seed, start)
+        return method.run(problem, seed, start)
 
     with deadline.until(time_limit):
         outcome = deadline.within(run)
@@ -98,7 +98,7 @@ def fit(
         start=dict(start),
     )
     if outcome.layout is layout:
-        vars(calibration)["assembly"] = assembly
+        vars(calibration)["problem"] = problem
     _refuse_nothing(calibration)
     if strict and not calibration.verdict.ok:
         raise NotConverged(

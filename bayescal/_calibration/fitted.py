@@ -14,10 +14,10 @@ from bayescal._calibration.confounding import Confounder, confounders, unexplain
 from bayescal._calibration.on_readings import Vectors, pointwise
 from bayescal._core.errors import InputError
 from bayescal._data.measurements import Measurements
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.method import Draws, Verdict
+from bayescal._inference.problem import Problem
 from bayescal._inference.programs import padded_length
 from bayescal._inference.record import Record, record_of
 from bayescal._model.frame import Frame, Reference, build_frame, reference_name
@@ -85,23 +85,23 @@ class Fitted:
 
     @property
     def frame(self) -> Frame:
-        return self.assembly.record.frame
+        return self.problem.record.frame
 
     @cached_property
-    def assembly(self) -> Assembly:
+    def problem(self) -> Problem:
         """The fitted structure on its readings, as the engine sees it."""
         instrument, effects = self.model.instrument, self.model.effects
         record = record_of(instrument, self.readings, self.reference)
         record.library = instrument.shown_by(record.frame, effects)
-        return Assembly(self.layout, record)
+        return Problem(self.layout, record)
 
-    def assembly_on(self, frame: Frame) -> Assembly:
+    def problem_on(self, frame: Frame) -> Problem:
         """The fitted structure on other readings; columns are computed in the fit's own program where it fits."""
-        fitted, counts = self.assembly.record, dict(self.layout.counts)
+        fitted, counts = self.problem.record, dict(self.layout.counts)
         if frame is fitted.frame:
-            return self.assembly
+            return self.problem
         if all(frame.columns[n] is column for n, column in fitted.frame.columns.items()):
-            return Assembly(self.layout, fitted.beside(fitted.library, frame))
+            return Problem(self.layout, fitted.beside(fitted.library, frame))
         alike = (
             padded_length(frame.size) == padded_length(fitted.size)
             and set(frame.columns) == set(fitted.frame.columns)
@@ -109,14 +109,14 @@ class Fitted:
         )
         layout = replace(self.layout, counts=tuple({**counts, "reading": frame.size}.items()))
         library = fitted.library if alike else ()
-        return Assembly(
+        return Problem(
             layout, Record(self.model.instrument, frame, np.asarray(frame["output"]), library)
         )
 
     @cached_property
     def linear(self) -> LinearModel:
         """The fitted structure as a linear model about its mode."""
-        return linear_model(self.assembly, self.mode)
+        return linear_model(self.problem, self.mode)
 
     @property
     def unit(self) -> str:
@@ -174,7 +174,7 @@ class Fitted:
         Under correlated noise it is that of each reading given those before it in its run.
         """
         vectors, chains = self.thinned(limit)
-        shaped = pointwise(self.assembly, vectors).reshape(chains, -1, len(self.readings))
+        shaped = pointwise(self.problem, vectors).reshape(chains, -1, len(self.readings))
         return xr.Dataset({"output": (("chain", "draw", "reading"), shaped)})
 
 

@@ -14,9 +14,9 @@ from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.summary import summary
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import across, find_mode, prior_draws
+from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
@@ -118,13 +118,13 @@ def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[
         for e in instrument.effects
         if len(e.coefficients) == 1 and instrument.slot(e.slot).unit in (instrument.unit, "1")
     }
-    assembly = Assembly(
-        calibration.layout, calibration.assembly.record, dict.fromkeys(own, FREE_SIZES)
+    problem = Problem(
+        calibration.layout, calibration.problem.record, dict.fromkeys(own, FREE_SIZES)
     )
     there = calibration.mode
     starts = [there.v, np.zeros_like(there.v)]
-    mode = find_mode(assembly, starts, there.covariance, there.point, still=0.01)
-    _, found = Density(assembly, mode.point, mode.flat, mode.v).at(mode.v)
+    mode = find_mode(problem, starts, there.covariance, there.point, still=0.01)
+    _, found = Density(problem, mode.point, mode.flat, mode.v).at(mode.v)
     if found is None:
         return []
     mean, sd = found.mean, np.sqrt(np.diag(found.covariance))
@@ -145,26 +145,26 @@ def doubts_of_the_mode(calibration: Fitted) -> list[Claim]:
     The curvature is not positive definite; or shapes far from the mode's explain the readings nearly as well, which is
     looked for from the best of some prior draws, and along shapes whose evidence has many maxima.
     """
-    assembly, mode = calibration.assembly, calibration.mode
+    problem, mode = calibration.problem, calibration.mode
     if not math.isfinite(mode.log_evidence):
         return []
     if mode.indefinite:
         return [Claim("mode.indefinite")]
-    shapes = [i for i, h in enumerate(assembly.hypers) if h.kind == "shape"]
+    shapes = [i for i, h in enumerate(problem.hypers) if h.kind == "shape"]
     sd = np.sqrt(np.diag(mode.covariance))
 
     def far(v: np.ndarray) -> np.ndarray:
         return np.abs(v - mode.v)[shapes] > MODES_APART_SD * sd[shapes]
 
-    density = Density(assembly, mode.point, mode.flat, mode.v)
-    tried = np.concatenate([prior_draws(assembly), *across(assembly, mode.v)])
+    density = Density(problem, mode.point, mode.flat, mode.v)
+    tried = np.concatenate([prior_draws(problem), *across(problem, mode.v)])
     starts = [v for v in tried if far(v).any()] if shapes else []
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:STARTS_TRIED]]:
-        other = find_mode(assembly, [start], None, mode.point, still=0.01)
+        other = find_mode(problem, [start], None, mode.point, still=0.01)
         behind = mode.log_evidence - other.log_evidence
         if far(other.v).any() and behind < MODES_NEARLY_NATS:
-            apart = (assembly.hypers[i] for i in np.array(shapes)[far(other.v)])
-            here, there = assembly.hyper(mode.v), assembly.hyper(other.v)
+            apart = (problem.hypers[i] for i in np.array(shapes)[far(other.v)])
+            here, there = problem.hyper(mode.v), problem.hyper(other.v)
             values = {
                 h.name: f"{h.name} {number(here[h.name])} or {number(there[h.name])} {h.unit}"
                 for h in apart
@@ -230,10 +230,10 @@ def _known_effects(calibration: Fitted) -> float:
     own = (*model.instrument.effects, *model.instrument.candidates)
     effects = tuple(e for e in own if testable(e, readings) is None)
     layout = bind(Model(model.instrument, effects, model.noise), readings)[0]
-    assembly = Assembly(layout, calibration.assembly.record)
-    hyper = assembly.hyper(np.zeros(len(assembly.hypers)))
-    prior = assembly.prior(hyper, np.ones(assembly.size))
-    slopes = assembly.linearise(assembly.start, hyper).jacobian * (prior.sd * prior.weight)
+    problem = Problem(layout, calibration.problem.record)
+    hyper = problem.hyper(np.zeros(len(problem.hypers)))
+    prior = problem.prior(hyper, np.ones(problem.size))
+    slopes = problem.linearise(problem.start, hyper).jacobian * (prior.sd * prior.weight)
     return float(np.sqrt(np.sum(np.var(slopes, axis=0))))
 
 
@@ -281,7 +281,7 @@ def following_members(calibration: Fitted, accepted: Collection[str] = ()) -> li
         accepted: names of coefficients or effects whose members may follow something.
     """
     means = {row["name"]: row["mean"] for row in summary(calibration)[0]}
-    codes, found = calibration.assembly.record.codes, list[Claim]()
+    codes, found = calibration.problem.record.codes, list[Claim]()
     blocks = [b for b in calibration.layout.blocks if b.coefficient.per in codes]
     for b in blocks:
         names = b.member_names(calibration.levels)
@@ -293,7 +293,7 @@ def following_members(calibration: Fitted, accepted: Collection[str] = ()) -> li
             one = len(term.coefficients) == 1 and not (term.shapes or term.coefficients[0].per)
             if not (one and term.varies) or term.slot != b.effect.slot or term.name in accepted:
                 continue
-            column = calibration.assembly.record.columns(ColumnsOf.of(term), ())[:, 0]
+            column = calibration.problem.record.columns(ColumnsOf.of(term), ())[:, 0]
             count = np.bincount(own[own >= 0], minlength=len(values))
             total = np.bincount(own[own >= 0], column[own >= 0], minlength=len(values))
             there = count > 0

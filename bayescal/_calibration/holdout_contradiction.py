@@ -121,13 +121,13 @@ class HoldoutTest:
         if not self.unseen:
             return found
         calibration = with_columns(self.calibration, self.readings.columns)
-        assembly = calibration.assembly_on(calibration.frame_of(self.readings))
+        problem = calibration.problem_on(calibration.frame_of(self.readings))
         mode = calibration.mode
         rows = np.zeros((len(self.readings), mode.point.rows.shape[1]))
-        slopes = assembly.slopes(mode.point._replace(rows=rows), assembly.hyper(mode.v))
+        slopes = problem.slopes(mode.point._replace(rows=rows), problem.hyper(mode.v))
         for effect, size in self.unseen:
             c = effect.coefficients[0]
-            column = assembly.record.columns(ColumnsOf.of(effect), ())[:, 0]
+            column = problem.record.columns(ColumnsOf.of(effect), ())[:, 0]
             column = column * factor_of(calibration.model.instrument, effect, c)
             codes = self.readings.groups(str(c.per))[1]
             drawn = size * random.standard_normal((count, int(codes.max()) + 2))[:, codes]
@@ -139,12 +139,12 @@ class HoldoutTest:
     def _columns(self) -> list[tuple[str, str | None, Float[np.ndarray, "n"]]]:
         """Of each coefficient its name, its group, and its column over the noise, at the mean of the draws."""
         calibration, readings = with_columns(self.calibration, self.readings.columns), self.readings
-        assembly = calibration.assembly_on(calibration.frame_of(readings))
+        problem = calibration.problem_on(calibration.frame_of(readings))
         x, rows, v = calibration.draws()
         none = np.zeros((1, len(readings), rows.shape[2]))
-        terms = [t for t in assembly.terms if t.place == "x"]
-        hyper = assembly.hyper(v.mean(axis=0))
-        slopes = assembly.expected_with_slopes(x.mean(axis=0)[None], none, hyper, terms)[1]
+        terms = [t for t in problem.terms if t.place == "x"]
+        hyper = problem.hyper(v.mean(axis=0))
+        slopes = problem.expected_with_slopes(x.mean(axis=0)[None], none, hyper, terms)[1]
         each = (np.broadcast_to(slope, (1, len(readings)))[0] / self._noise for slope in slopes)
         names = (t.known.effect.coefficient_name(t.index) for t in terms)
         return [(n, t.known.per, c) for n, t, c in zip(names, terms, each, strict=True)]

@@ -17,10 +17,10 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.part import Part
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
-from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Gram, Prior, condition
 from bayescal._inference.laplace import Mode, climb
+from bayescal._inference.problem import Point, Problem
 
 # Readings, below which a group's error is a matter of chance: it is three times too large once in 10⁷ groups of 5.
 FEW_IN_GROUP = 5
@@ -85,7 +85,7 @@ def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
     if not calibration.model.noise.gaussian:
         return None
     kind, members, codes = groups_of(calibration.readings)
-    mode, whole = calibration.mode, calibration.assembly
+    mode, whole = calibration.mode, calibration.problem
     # Products of all readings, once: a part's are these less the others'.
     _ = Density(whole, mode.point, mode.flat, mode.v).products
     scores, surprise, by_chance = np.full((3, len(members)), np.nan)
@@ -127,7 +127,7 @@ class _Fold(NamedTuple):
         return float(fdtrc(own, known, self.squares / whole))
 
 
-def _fold(whole: Assembly, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fold | None:
+def _fold(whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fold | None:
     """The readings left out, given the kept; None where these say nothing."""
     fitted, predicted = (_density(whole, mode, rows) for rows in (kept, out))
     v, _ = climb(fitted, [mode.v], mode.covariance, NOTHING_LEFT)
@@ -162,7 +162,7 @@ def _given(fitted: Density, predicted: Density, v: np.ndarray) -> tuple[np.ndarr
     return centred, Gram(turned.T @ turned, pull, float(table[:, -1] @ table[:, -1]), logdet)
 
 
-def _density(whole: Assembly, mode: Mode, rows: np.ndarray) -> Density:
+def _density(whole: Problem, mode: Mode, rows: np.ndarray) -> Density:
     """Of some readings, linearised where all of them were."""
-    part = Assembly(whole.layout, Part(whole.record, rows), whole.size_factors)
+    part = Problem(whole.layout, Part(whole.record, rows), whole.size_factors)
     return Density(part, Point(mode.point.x, mode.point.rows[rows]), mode.flat, mode.v)

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool
 
 from bayescal._calibration.fitted import Fitted
-from bayescal._inference.assembly import Point
 from bayescal._inference.method import CHAINS, Draws
+from bayescal._inference.problem import Point
 from bayescal._inference.trust import CHAIN_DRAWS
 from bayescal._model.frame import GROUPS
 

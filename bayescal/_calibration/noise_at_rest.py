@@ -28,9 +28,9 @@ from bayescal._core.settings import settings
 from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode, find_mode, flat_scales
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import WeightedDraws, weighted_draws
 from bayescal._inference.trust import FEWEST_DRAWS, unevenness
@@ -157,10 +157,10 @@ class _AtRest(NamedTuple):
         scale = HalfCauchy(self.size)
         return RestingSum(self.step, self.longest, terms, self.count, self.means, scale, scale)
 
-    def assembly(self, terms: Terms) -> Assembly:
+    def problem(self, terms: Terms) -> Problem:
         """Levels, the curve over temperature and this sum, on the readings."""
         model = self.layout.model.with_noise(self.law(terms))
-        return Assembly(replace(self.layout, model=model), self.record)
+        return Problem(replace(self.layout, model=model), self.record)
 
 
 class WeighedNoise(NamedTuple):
@@ -403,16 +403,16 @@ def _fit(channel: _AtRest, terms: Terms, known: Mapping[str, float] | None = Non
         terms: of the sum.
         known: coordinates at the mode of a part of it, by name: a search begins there and at the best start beside.
     """
-    assembly = channel.assembly(terms)
-    priors = assembly.noise.parameters()
+    problem = channel.problem(terms)
+    priors = problem.noise.parameters()
     starts = list(_starts(channel, terms, priors))
     if known is not None:
         least = starts[-1]  # further terms as small as any start has them
         starts.append(np.array([known.get(n, v) for n, v in zip(priors, least, strict=True)]))
-    order = np.argsort(-_density(assembly).values(np.array(starts)))[:STARTS]
-    tries = [find_mode(assembly, [starts[i]], still=SETTLED, curved=False) for i in order]
+    order = np.argsort(-_density(problem).values(np.array(starts)))[:STARTS]
+    tries = [find_mode(problem, [starts[i]], still=SETTLED, curved=False) for i in order]
     best = max(tries, key=lambda t: t.log_density)
-    return find_mode(assembly, [best.v], covariance=best.covariance, still=SETTLED)
+    return find_mode(problem, [best.v], covariance=best.covariance, still=SETTLED)
 
 
 def _starts(
@@ -451,10 +451,10 @@ def _starts(
             yield np.array([float(p.coordinate(scaled[n])) for n, p in priors.items()])
 
 
-def _density(assembly: Assembly) -> Density:
+def _density(problem: Problem) -> Density:
     """Of the sum's coordinates, levels and the curve integrated out."""
-    nothing = np.zeros(len(assembly.hypers))
-    return Density(assembly, assembly.start, flat_scales(assembly, assembly.start, nothing))
+    nothing = np.zeros(len(problem.hypers))
+    return Density(problem, problem.start, flat_scales(problem, problem.start, nothing))
 
 
 def _sampled(channel: _AtRest, terms: Terms, mode: Mode, seed: int, share: float) -> WeightedDraws:
@@ -463,11 +463,9 @@ def _sampled(channel: _AtRest, terms: Terms, mode: Mode, seed: int, share: float
     Args:
         share: of all draws; a sum of little probability has few of those that are kept.
     """
-    assembly, share, found = channel.assembly(terms), max(share, FEWEST_SHARE), None
+    problem, share, found = channel.problem(terms), max(share, FEWEST_SHARE), None
     for _ in range(ROUNDS):
-        found = weighted_draws(
-            assembly, mode, seed, math.ceil(DRAWS * share), ROUNDS, earlier=found
-        )
+        found = weighted_draws(problem, mode, seed, math.ceil(DRAWS * share), ROUNDS, earlier=found)
         weights, k_hat = smoothed(found.log_weight)
         if not unevenness(weights, k_hat, enough=FEWEST_DRAWS * share):
             break

@@ -111,7 +111,7 @@ def allan_check(calibration: Calibration) -> AllanCheck | None:
         measured = of_runs(readings, linear.settled, runs)
     except InputError:
         return None
-    mode = calibration.assembly.hyper(calibration.mode.v)
+    mode = calibration.problem.hyper(calibration.mode.v)
     variance = float(np.mean(linear.variance))
     noise = calibration.model.noise
     law = noise.allan_variance(mode, variance, runs.factors, runs.step)
@@ -203,7 +203,7 @@ def noise_floor(calibration: Calibration) -> float:
     residual = calibration.linear.settled
     readings = calibration.readings
     if readings.has("time"):
-        order, step = calibration.assembly.record.in_time
+        order, step = calibration.problem.record.in_time
         linked = step >= 0
     else:
         key = readings["temperature"] if readings.has("temperature") else np.arange(len(readings))

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.parallel import on_one_thread
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.gaussian import LOG_2PI
 from bayescal._inference.noise_on_record import Each, log_densities, samples, variances
+from bayescal._inference.problem import Problem
 from bayescal._model.effect import Coefficient
 from bayescal._model.prior import Known
 from bayescal._model.terms import Term
@@ -44,27 +44,27 @@ class PredictiveMoments(NamedTuple):
 
 @on_one_thread
 def moments(
-    assembly: Assembly, draws: Vectors, carried: Callable[[np.ndarray], np.ndarray] | None = None
+    problem: Problem, draws: Vectors, carried: Callable[[np.ndarray], np.ndarray] | None = None
 ) -> PredictiveMoments:
     """Of readings, per-reading coefficients and members of groups that are not known (of code −1) beside the mean.
 
     Draws are taken a stretch at a time and never held together; sums are of differences from the first.
 
     Args:
-        assembly: the model on the readings.
+        problem: the model on the readings.
         draws: of its unknowns.
         carried: what known readings say of the correlated noise of all, by what each draw expects of them (b, n): it
             is added to the mean, and its variance is no part of that of the noise.
     """
-    count, size = len(draws.x), assembly.record.size
+    count, size = len(draws.x), problem.record.size
     first, total, squares, noise, beside = np.zeros((5, size))
     begin = True
-    for part, own_structure, some, hyper in _stretches(assembly, draws):
+    for part, own_structure, some, hyper in _stretches(problem, draws):
         mean, own = _with_beside(own_structure, some, hyper)
-        own_noise = variances(assembly.noise, hyper, assembly.record)
+        own_noise = variances(problem.noise, hyper, problem.record)
         if carried is not None:
             mean = mean + carried(mean)
-            own_noise = own_noise - np.atleast_1d(assembly.noise.slow_variance(hyper))[:, None]
+            own_noise = own_noise - np.atleast_1d(problem.noise.slow_variance(hyper))[:, None]
         first = mean[0].copy() if begin else first
         begin = False
         away = mean - first
@@ -79,20 +79,20 @@ def moments(
 
 
 @on_one_thread
-def pointwise(assembly: Assembly, draws: Vectors) -> Float[np.ndarray, "b n"]:
+def pointwise(problem: Problem, draws: Vectors) -> Float[np.ndarray, "b n"]:
     """Log likelihood of each reading under each draw: under correlated noise, given those before it in its run.
 
     Under Gaussian noise the per-reading coefficients are averaged over their prior, to first order in them.
     """
-    found = np.empty((len(draws.x), assembly.record.size))
-    for part, own, some, hyper in _stretches(assembly, draws):
+    found = np.empty((len(draws.x), problem.record.size))
+    for part, own, some, hyper in _stretches(problem, draws):
         found[part] = _densities(own, some, hyper)
     return found
 
 
 @on_one_thread
 def replicate(
-    assembly: Assembly,
+    problem: Problem,
     draws: Vectors,
     random: np.random.Generator,
     members: Mapping[str, np.ndarray] | None = None,
@@ -100,46 +100,46 @@ def replicate(
     """Readings simulated by the model's own equation and noise, from each draw once.
 
     Args:
-        assembly: the model on the readings.
+        problem: the model on the readings.
         draws: joint ones.
         random: of the noise.
         members: by group, a code of each reading's member (n,): of those that the fit does not know, and of readings
             with coefficients of their own, deviations are drawn from their prior. None where all are known.
     """
-    found = np.empty((len(draws.x), assembly.record.size))
-    for part, own, some, hyper in _stretches(assembly, draws):
+    found = np.empty((len(draws.x), problem.record.size))
+    for part, own, some, hyper in _stretches(problem, draws):
         if members is None:
             mean = own.expected(some.x, some.rows, hyper)
         else:
             mean = _with_new_members(own, some, hyper, random, members)
         seed = int(random.integers(2**31))
-        found[part] = samples(assembly.noise, assembly.record, mean, hyper, seed)
+        found[part] = samples(problem.noise, problem.record, mean, hyper, seed)
     return found
 
 
 def _with_new_members(
-    assembly: Assembly,
+    problem: Problem,
     draws: Vectors,
     hyper: Each,
     random: np.random.Generator,
     members: Mapping[str, np.ndarray],
 ) -> Float[np.ndarray, "b n"]:
     """Expected outputs, each unknown member's deviation drawn once for each draw."""
-    own = _of_their_own(assembly)
-    mean, slopes = assembly.expected_with_slopes(draws.x, draws.rows, hyper, own)
+    own = _of_their_own(problem)
+    mean, slopes = problem.expected_with_slopes(draws.x, draws.rows, hyper, own)
     for t, slope in zip(own, slopes, strict=True):
         codes = np.arange(mean.shape[1]) if t.place == "row" else members[str(t.known.per)]
         normal = random.standard_normal((len(mean), int(codes.max()) + 2))[:, codes]  # −1: the last
-        mean = mean + slope * normal * _own_sd(assembly, draws, hyper, t)
+        mean = mean + slope * normal * _own_sd(problem, draws, hyper, t)
     return mean
 
 
 def _stretches(
-    assembly: Assembly, draws: Vectors
-) -> Iterator[tuple[np.ndarray, Assembly, Vectors, Each]]:
+    problem: Problem, draws: Vectors
+) -> Iterator[tuple[np.ndarray, Problem, Vectors, Each]]:
     """Which draws, some at a time; the structure that they are of, and they in its terms; their φ by name."""
-    many = max(1, CELLS // max(1, assembly.record.size))
-    for places, own, those in _by_structure(assembly, draws):
+    many = max(1, CELLS // max(1, problem.record.size))
+    for places, own, those in _by_structure(problem, draws):
         for start in range(0, len(places), many):
             part = slice(start, start + many)
             some = Vectors(*(np.asarray(a)[part] for a in those))
@@ -149,14 +149,14 @@ def _stretches(
 
 
 def _by_structure(
-    assembly: Assembly, draws: Vectors
-) -> Iterator[tuple[np.ndarray, Assembly, Vectors]]:
+    problem: Problem, draws: Vectors
+) -> Iterator[tuple[np.ndarray, Problem, Vectors]]:
     """Draws of an average, together those of structures whose columns are the same: of each draw that has them known
     coefficients are what they are by definition, and zero of others."""
-    layout = assembly.layout
+    layout = problem.layout
     held = [b for b in layout.x_blocks if b.index in b.effect.held]
     if not held:
-        yield np.arange(len(draws.x)), assembly, draws
+        yield np.arange(len(draws.x)), problem, draws
         return
     there, which = np.unique(
         np.asarray(draws.x)[:, [b.start for b in held]] != 0, axis=0, return_inverse=True
@@ -176,58 +176,58 @@ def _by_structure(
         in_v = np.array([h.name in hypers for h in layout.hypers], dtype=bool)
         places = np.flatnonzero(which.reshape(-1) == k)
         those = Vectors(draws.x[places][:, in_x], draws.rows[places], draws.v[places][:, in_v])
-        yield places, Assembly(own, assembly.record), those
+        yield places, Problem(own, problem.record), those
 
 
 def _by_definition(c: Coefficient) -> Coefficient:
     return replace(c, prior=Known(c.mean)) if isinstance(c.prior, Known) else c
 
 
-def _with_beside(assembly: Assembly, draws: Vectors, hyper: Each) -> tuple[np.ndarray, Any]:
+def _with_beside(problem: Problem, draws: Vectors, hyper: Each) -> tuple[np.ndarray, Any]:
     """Expected output, and its variance from per-reading coefficients and from members that are not known."""
-    own = _of_their_own(assembly)
+    own = _of_their_own(problem)
     if not own:
-        return assembly.expected(draws.x, draws.rows, hyper), 0.0
-    mean, slopes = assembly.expected_with_slopes(draws.x, draws.rows, hyper, own)
+        return problem.expected(draws.x, draws.rows, hyper), 0.0
+    mean, slopes = problem.expected_with_slopes(draws.x, draws.rows, hyper, own)
     beside = np.zeros_like(mean)
     for t, slope in zip(own, slopes, strict=True):
-        beside += (slope * _own_sd(assembly, draws, hyper, t)) ** 2
+        beside += (slope * _own_sd(problem, draws, hyper, t)) ** 2
     return mean, beside
 
 
-def _of_their_own(assembly: Assembly) -> list[Term]:
+def _of_their_own(problem: Problem) -> list[Term]:
     """Terms of single readings, and of members that are not known to some of them."""
-    return [t for t in assembly.terms if t.place == "row" or _unseen(assembly, t).any()]
+    return [t for t in problem.terms if t.place == "row" or _unseen(problem, t).any()]
 
 
-def _own_sd(assembly: Assembly, draws: Vectors, hyper: Each, term: Term) -> Any:
+def _own_sd(problem: Problem, draws: Vectors, hyper: Each, term: Term) -> Any:
     """Standard deviation of such a term's coefficient: zero at readings whose member is known."""
     if term.place == "row":
         return term.prior_sd
     sd = term.prior_sd if term.group_sd_name is None else hyper[term.group_sd_name][:, None]
-    return np.where(_unseen(assembly, term), sd * _there(assembly, draws, term)[:, None], 0.0)
+    return np.where(_unseen(problem, term), sd * _there(problem, draws, term)[:, None], 0.0)
 
 
-def _there(assembly: Assembly, draws: Vectors, term: Term) -> Float[np.ndarray, "b"]:
+def _there(problem: Problem, draws: Vectors, term: Term) -> Float[np.ndarray, "b"]:
     """1 for draws of a structure that has a term's effect; of others all its coefficients are exactly zero."""
-    own = [t.at for t in assembly.terms if t.place == "x" and t.known.of == term.known.of]
+    own = [t.at for t in problem.terms if t.place == "x" and t.known.of == term.known.of]
     if not own:
         return np.ones(len(draws.x))
     return np.any([np.any(draws.x[:, at] != 0, axis=1) for at in own], axis=0).astype(float)
 
 
-def _unseen(assembly: Assembly, term: Term) -> np.ndarray:
+def _unseen(problem: Problem, term: Term) -> np.ndarray:
     """Which readings belong to a member of the term's group that is not known."""
     if term.known.per in (None, "reading") or term.place == "fixed":
         return np.zeros(1, dtype=bool)
-    return assembly.record.codes[term.known.per] < 0
+    return problem.record.codes[term.known.per] < 0
 
 
-def _densities(assembly: Assembly, draws: Vectors, hyper: Each) -> Float[np.ndarray, "b n"]:
-    noise, record = assembly.noise, assembly.record
-    if len(assembly.row_sd) and noise.gaussian:
-        mean, beside = _with_beside(assembly, draws._replace(rows=np.zeros_like(draws.rows)), hyper)
+def _densities(problem: Problem, draws: Vectors, hyper: Each) -> Float[np.ndarray, "b n"]:
+    noise, record = problem.noise, problem.record
+    if len(problem.row_sd) and noise.gaussian:
+        mean, beside = _with_beside(problem, draws._replace(rows=np.zeros_like(draws.rows)), hyper)
         variance = variances(noise, hyper, record) + beside
         return -0.5 * ((record.y - mean) ** 2 / variance + np.log(variance) + LOG_2PI)
-    mean = assembly.expected(draws.x, draws.rows, hyper)
+    mean = problem.expected(draws.x, draws.rows, hyper)
     return log_densities(noise, record, record.y - mean, hyper)

@@ -36,7 +36,7 @@ def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTre
     )
     units = {"units": readings.unit("output")}
     thin, chains = c.thinned(cells)
-    made = replicate(c.assembly, thin, np.random.default_rng([c.seed, 1]))
+    made = replicate(c.problem, thin, np.random.default_rng([c.seed, 1]))
     made = made.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
     groups = {
         "posterior": c.posterior,
@@ -125,7 +125,7 @@ def _slope(prior: Any, v: np.ndarray) -> np.ndarray:
 
 def _prior_draws(calibration: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Joint draws (x, rows, v) from the prior, as one chain; none where a prior is flat."""
-    layout, assembly = calibration.layout, calibration.assembly
+    layout, problem = calibration.layout, calibration.problem
     if layout.improper:
         return None
     random = np.random.default_rng([calibration.seed, 2])
@@ -135,7 +135,7 @@ def _prior_draws(calibration: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarra
             v[:, i] = random.standard_cauchy(PRIOR_DRAWS)
         if isinstance(h.prior, (HalfCauchy, HalfNormal)):
             v[:, i] = np.log(np.abs(v[:, i]))
-    sd = assembly.prior(assembly.hyper(v.T), np.ones(assembly.size), (PRIOR_DRAWS,)).sd
-    x = assembly.mean_of_x + sd * random.standard_normal(sd.shape)
-    rows = random.standard_normal((PRIOR_DRAWS, assembly.record.size, len(assembly.row_sd)))
-    return x[None], (assembly.row_sd * rows)[None], v[None]
+    sd = problem.prior(problem.hyper(v.T), np.ones(problem.size), (PRIOR_DRAWS,)).sd
+    x = problem.mean_of_x + sd * random.standard_normal(sd.shape)
+    rows = random.standard_normal((PRIOR_DRAWS, problem.record.size, len(problem.row_sd)))
+    return x[None], (problem.row_sd * rows)[None], v[None]

@@ -105,7 +105,7 @@ def replicates(
     def made(some: Measurements, frame: Frame) -> np.ndarray:
         members = {per: some.groups(per)[1] for per in frame.codes}
         vectors = calibration.draws(draws).on(len(some))
-        found = replicate(calibration.assembly_on(frame), vectors, random, members)
+        found = replicate(calibration.problem_on(frame), vectors, random, members)
         return found + (some["output"] - frame["output"])
 
     on = _going_on(calibration, readings)
@@ -161,7 +161,7 @@ def _predicted(
     vectors = calibration.draws(draws)
     if not as_fitted or vectors.rows.shape[1] != len(readings):
         vectors = vectors.on(len(readings))
-    found = moments(calibration.assembly_on(frame), vectors)
+    found = moments(calibration.problem_on(frame), vectors)
     model_variance = found.variance + found.beside
     total = np.sqrt(model_variance + found.noise)
     residual = np.asarray(frame["output"]) - found.mean
@@ -186,7 +186,7 @@ def _continued(
     if not calibration.model.noise.independent:
         noise = _CarriedOn.of(calibration, past, later, beyond=True)
         spread = noise.variance
-    found = moments(calibration.assembly_on(frame), vectors, noise)
+    found = moments(calibration.problem_on(frame), vectors, noise)
     model = found.variance[tail] + found.beside[tail]
     made = {
         "mean": (whole["output"] - frame["output"] + found.mean)[tail],
@@ -227,8 +227,8 @@ class _CarriedOn(NamedTuple):
         cls, calibration: Calibration, past: np.ndarray, readings: Measurements, beyond: bool
     ) -> _CarriedOn:
         """Of a fit's readings `past`, at others; `beyond`: also before and after a run's fitted readings."""
-        fitted, record = calibration.readings.select(past), calibration.assembly.record
-        law, values = calibration.model.noise, calibration.assembly.hyper(calibration.mode.v)
+        fitted, record = calibration.readings.select(past), calibration.problem.record
+        law, values = calibration.model.noise, calibration.problem.hyper(calibration.mode.v)
         total = variance(law, values, record)
         white = np.maximum(total - law.slow_variance(values), ROUNDING * total)[past]
         (names, known), (asked, codes) = run_codes(fitted), run_codes(readings)

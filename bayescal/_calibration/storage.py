@@ -40,9 +40,9 @@ from bayescal._core.json_shape import parsed_json
 from bayescal._core.netcdf_bytes import netcdf_bytes, netcdf_tree
 from bayescal._data.column import NominalScale, Source
 from bayescal._data.measurements import Measurements
-from bayescal._inference.assembly import Point
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
+from bayescal._inference.problem import Point
 from bayescal._model.effect import Effect
 from bayescal._model.frame import origins, reference_of
 from bayescal._model.instrument import Instrument

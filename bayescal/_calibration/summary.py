@@ -226,7 +226,7 @@ def untold(
         levels: names of the members of its groups.
         exactly: whether combinations that change no reading at all are told apart from those that hardly do.
     """
-    layout = linear.assembly.layout
+    layout = linear.problem.layout
     if layout.size == 0:
         return []
     names = [name for b in layout.x_blocks for name in b.member_names(levels)]
@@ -240,7 +240,7 @@ def null_vectors(
     linear: LinearModel, exactly: bool = True
 ) -> tuple[list[Direction], list[Direction], list[Direction]]:
     """Directions that are not told, in prior standard deviations: exactly; nearly; of members of groups alone."""
-    layout = linear.assembly.layout
+    layout = linear.problem.layout
     main = np.concatenate([np.full(b.size, _single(b, layout)) for b in layout.x_blocks])
     unknown = linear.sd[: layout.size] > 0  # the others are numbers by definition
     white = linear.white_nuisance[:, : layout.size][:, unknown]

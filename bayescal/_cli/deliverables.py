@@ -33,7 +33,7 @@ from bayescal._core.flag import code_of
 from bayescal._report.whole_folder import MANIFEST, drawing, files_of, list_files, whole_folder
 
 if TYPE_CHECKING:
-    from bayescal._tables.raw_table import Problem
+    from bayescal._tables.raw_table import Objection
 
 commands = Commands()
 MOST_ADDED = 5  # effects that are added
@@ -136,7 +136,7 @@ def imu(
     magnetometers: str | None = None,
 ) -> Answer:
     """Calibrate accelerometers by poses, gyroscopes by moves between them, magnetometers: one log, one frame."""
-    from bayescal._tables.raw_table import Problems
+    from bayescal._tables.raw_table import Objections
     from bayescal._use.correction_files import names_in_unit, sensor_name
 
     sensor_name(asked.name, "")
@@ -148,7 +148,7 @@ def imu(
     given = dict(zip(SENSORS, (accelerometers, gyroscopes), strict=False))
     given |= {"magnetometer_triad": magnetometers} if magnetometers else {}
     instruments = {name: request.instrument_named(name) for name in given}
-    logs, problems = {}, Problems()
+    logs, problems = {}, Objections()
     for name, three in given.items():
         named = {**how, "columns": _three(three) | how["columns"]}
         if SENSORS[name] != "magnetometers":
@@ -221,9 +221,9 @@ def _three(given: str | None) -> dict[str, str]:
     return dict(zip((f"output_{a}" for a in "xyz"), names, strict=False))
 
 
-def _of_sensor(sensors: str, instrument: Any, problems: Sequence[Problem]) -> Sequence[Problem]:
-    """Problems of a log, with one sentence in place of three where it has none of a sensor's three columns."""
-    from bayescal._tables.raw_table import Problem
+def _of_sensor(sensors: str, instrument: Any, problems: Sequence[Objection]) -> Sequence[Objection]:
+    """Objections of a log, with one sentence in place of three where it has none of a sensor's three columns."""
+    from bayescal._tables.raw_table import Objection
 
     three = {f"output_{axis}" for axis in "xyz"}
     missing = [p for p in problems if p.column in three]
@@ -231,7 +231,7 @@ def _of_sensor(sensors: str, instrument: Any, problems: Sequence[Problem]) -> Se
         return problems
     columns = ",".join(f"{sensors[0]}{axis}" for axis in "xyz")
     return [
-        Problem(
+        Objection(
             missing[0].file,
             f"holds no three columns called as those of {sensors} are, in a unit that converts to {instrument.unit}",
             cure=f"Say which they are (--{sensors} {columns}), or take a log that has them",

@@ -21,7 +21,7 @@ class InputError(BayescalError):
     """What came in cannot be used; the message says where, what and what to do.
 
     Attributes:
-        problems: of files, one by one (`bayescal._tables.raw_table.Problem`); empty for other refusals.
+        problems: of files, one by one (`bayescal._tables.raw_table.Objection`); empty for other refusals.
     """
 
     def __init__(self, message: str, problems: tuple[Any, ...] = ()) -> None:

@@ -38,7 +38,7 @@ from bayescal._data.unit_conversion import (
     unit_in,
 )
 from bayescal._tables.cells import EXAMPLE, Cells, date_text, from_first, unit_of_counts
-from bayescal._tables.raw_table import Header, Problem, Problems, Table, load_whole, option
+from bayescal._tables.raw_table import Header, Objection, Objections, Table, load_whole, option
 
 _TEXTS = 3  # of a column, that are quoted
 _OVERLOAD = "reads {:.4g}, an instrument's code for an overload or no reading at all (SCPI writes ±9.9E37 and 9.91E37)"
@@ -56,7 +56,7 @@ def convert_columns(
     table: Table,
     instrument: InstrumentLike,
     options: ReadOptions,
-    problems: Problems | None = None,
+    problems: Objections | None = None,
 ) -> ConvertedColumns:
     """Check a file's columns and convert them.
 
@@ -74,7 +74,7 @@ def convert_columns(
         InputError: a column, a unit or a cell cannot be used, and there are no `problems` to add to; the message
             names file, row and column.
     """
-    own = Problems() if problems is None else problems
+    own = Objections() if problems is None else problems
     before = len(own)
     converted = _converted(table, instrument, options, own)
     if converted.missing and len(own) == before:
@@ -85,7 +85,7 @@ def convert_columns(
 
 
 def _converted(
-    table: Table, instrument: InstrumentLike, options: ReadOptions, problems: Problems
+    table: Table, instrument: InstrumentLike, options: ReadOptions, problems: Objections
 ) -> ConvertedColumns:
     file = MatchedFile(table, instrument, options, problems)
     offered, proposed = file.note_missing()
@@ -148,14 +148,14 @@ def _day_position(table: Table, positions: Mapping[str, int]) -> int | None:
     return found[0] if len(found) == 1 else None
 
 
-def _drop(table: Table, converted: ConvertedColumns, problems: Problems) -> None:
+def _drop(table: Table, converted: ConvertedColumns, problems: Objections) -> None:
     """Leave the rows out in which a reading is missing, and say so; a problem if none would be left."""
     missing = converted.missing
     gone = np.unique(np.concatenate(list(missing.values())))
     if len(gone) == table.rows:
         counts = ", ".join(f"{name} in {len(rows)}" for name, rows in missing.items())
         came = f"no row without a missing reading: {counts} of {table.rows} rows"
-        problems.append(Problem(table.file, came))
+        problems.append(Objection(table.file, came))
         return
     converted.kept = np.setdiff1d(np.arange(table.rows), gone)
     converted.tables = (table.take(converted.kept),)

@@ -22,7 +22,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.settings import settings
 from bayescal._data.column import ARRAYS, MAY_BE_EMPTY, ConvertedColumns, file_names
 from bayescal._data.unit_conversion import base_unit, convert, unit_label
-from bayescal._tables.raw_table import Problem, Problems, Table, option
+from bayescal._tables.raw_table import Objection, Objections, Table, option
 
 # What a record may not be, and what of it is no reading of the sensor. "Good records" are the campaigns that the six
 # instruments simulate, as they are, rounded as displays do, and noisy (tests/readings/test_thermometers.py).
@@ -548,7 +548,7 @@ Where = Callable[[int], str]  # index of a reading → "row 12 of 'tilt.csv'"
 
 def problems_of_whole(
     converted: ConvertedColumns, instrument: Any, one_temperature: bool
-) -> Problems:
+) -> Objections:
     """What is wrong with readings as a whole: one temperature only, time that runs backwards.
 
     Args:
@@ -557,7 +557,7 @@ def problems_of_whole(
             temperature to change, it need not.
         one_temperature: accept one temperature all the same.
     """
-    problems, files = Problems(), [table.file for table in converted.tables]
+    problems, files = Objections(), [table.file for table in converted.tables]
     effects = getattr(instrument, "effects", None)
     needed = effects is None or any("temperature" in effect.varies for effect in effects)
     required = any(c.name == "temperature" and c.required for c in instrument.columns)
@@ -601,7 +601,7 @@ def refuse_one_temperature(columns: Columns, names: str) -> None:
         )
         came = f"reads {seen} °C, one temperature only"
         said = f"{names}, column 'temperature': {came}. {cure}"  # of files, or of a device
-        problem = Problem(names, came, cure=cure, column="temperature", sentence=said)
+        problem = Objection(names, came, cure=cure, column="temperature", sentence=said)
         raise InputError(said, (problem,))
 
 
@@ -646,7 +646,7 @@ def refuse_backward_time(columns: Columns, where: Where) -> None:
         if period:
             came += f", as a clock does that begins anew at {period}"
             cure, undo = "Undo it, if that is so", option("--unwrap", f"time={period}")
-        problem = Problem(file, came, cure=cure, option=undo, column="time", places=places)
+        problem = Objection(file, came, cure=cure, option=undo, column="time", places=places)
         raise InputError(str(problem), (problem,))
 
 
@@ -668,7 +668,7 @@ def _refuse_clock_set(columns: Columns, order: np.ndarray, inner: np.ndarray, wh
         "time is needed, leave it out: --ignore time)"
     )
     place, _, file = where(row).partition(" of ")
-    problem = Problem(file.strip("'"), came, cure=cure, column="time", places=(place,))
+    problem = Objection(file.strip("'"), came, cure=cure, column="time", places=(place,))
     raise InputError(str(problem), (problem,))
 
 

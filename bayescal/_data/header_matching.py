@@ -53,8 +53,8 @@ from bayescal._data.unit_conversion import (
 from bayescal._tables.cells import LATEST, ORDERS
 from bayescal._tables.raw_table import (
     Header,
-    Problem,
-    Problems,
+    Objection,
+    Objections,
     Table,
     in_one_line,
     load_whole,
@@ -279,7 +279,7 @@ class MatchedFile:
     table: Table
     instrument: InstrumentLike
     options: ReadOptions
-    problems: Problems
+    problems: Objections
     expected: dict[str, Column] = field(init=False)
     positions: dict[str, int] = field(init=False, default_factory=dict)
 
@@ -414,7 +414,7 @@ class MatchedFile:
         rows: Sequence[int] | np.ndarray = (),
     ) -> None:
         """Note a problem of a column, given by its header; of some of its readings, if `rows` are given."""
-        made = Problem(self.table.file, came, expected, cure, option, column, sentence=sentence)
+        made = Objection(self.table.file, came, expected, cure, option, column, sentence=sentence)
         self.problems.append(made.at([int(row) for row in rows], self.table.place))
 
     def note_missing(self) -> tuple[dict[str, tuple[int, Header]], set[int]]:
@@ -630,7 +630,7 @@ def period_of(text: str) -> tuple[float, str]:
 _PERIOD = re.compile(r"(\d+\.?\d*)(?:\^(\d{1,2}))?\s*([^\d\s.^].*)?")
 
 
-def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Problems) -> None:
+def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Objections) -> None:
     """Note each unit for a column that no file has, and each column to ignore: it was meant for one."""
     known = {
         name
@@ -647,7 +647,7 @@ def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Prob
             came = f"no such column, but {asked}"
             others = "".join(f", nor has {t.file!r}" for t in tables[1:])
             cure = _there(tables[0], name) + others
-            problems.append(Problem(tables[0].file, came, cure=cure, column=name))
+            problems.append(Objection(tables[0].file, came, cure=cure, column=name))
 
 
 def names_in(table: Table) -> str:

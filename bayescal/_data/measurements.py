@@ -38,7 +38,7 @@ from bayescal._data.joined_files import joined
 from bayescal._data.pose_rows import MAGNITUDE, MAGNITUDE_READ, scalar_readings
 from bayescal._data.unit_conversion import ANY, STANDARD_GRAVITY, parse
 from bayescal._tables.cells import date_text, equally_long
-from bayescal._tables.raw_table import ROW, Problems, Table
+from bayescal._tables.raw_table import ROW, Objections, Table
 from bayescal._tables.write import write
 
 if TYPE_CHECKING:
@@ -393,7 +393,7 @@ def measured(
     options: ReadOptions,
     one_temperature: bool,
     labels: Sequence[str] = ("",),
-    problems: Problems | None = None,
+    problems: Objections | None = None,
 ) -> Measurements:
     """Tables of files, or of arrays, as one record; all that is wrong with any of them is refused at once.
 
@@ -408,7 +408,7 @@ def measured(
     Raises:
         InputError: a column, a unit or a cell cannot be used, or the whole cannot.
     """
-    problems, parts = Problems(problems or ()), list[ConvertedColumns]()
+    problems, parts = Objections(problems or ()), list[ConvertedColumns]()
     if not problems:
         unused_options(tables, options, problems)
     for table in tables:

@@ -20,7 +20,7 @@ from bayescal._data.header_matching import (
 from bayescal._data.measurements import Measurements, measured
 from bayescal._data.unit_conversion import STANDARD_GRAVITY
 from bayescal._tables.open_table import MAX_BYTES, check_files, open_table
-from bayescal._tables.raw_table import Problems, Table
+from bayescal._tables.raw_table import Objections, Table
 
 
 @overload
@@ -113,7 +113,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
     )
 
     def one(options: ReadOptions) -> Measurements:
-        problems, tables = Problems(), list[Table]()
+        problems, tables = Objections(), list[Table]()
         for path, name in zip(paths, names, strict=True):
             with problems.collecting(name):
                 asked = tuple(options.columns.values())
@@ -132,7 +132,7 @@ def _each(
     """Readings of several outputs, each as `one` reads it; what is wrong with any is said at once."""
     if not outputs or len(set(outputs)) < len(outputs):
         raise InputError(f"outputs={list(outputs)}: name each channel once, and one at least")
-    problems, found = Problems(), dict[str, Measurements]()
+    problems, found = Objections(), dict[str, Measurements]()
     if (output := output_name(instrument)) in options.columns:
         raise InputError(f"{output}={options.columns[output]}, and channels: say only the channels")
     for name in (expected_columns(instrument).keys() - {output}).intersection(outputs):
@@ -144,7 +144,7 @@ def _each(
         others = frozenset(outputs) - {name}
         with problems.collecting():
             found[name] = one(replace(options, columns=columns, others=others))
-    Problems(dict.fromkeys(problems)).refuse()
+    Objections(dict.fromkeys(problems)).refuse()
     return found
 
 

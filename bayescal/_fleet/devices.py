@@ -34,7 +34,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import base_unit
 from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES, open_table
-from bayescal._tables.raw_table import Problems, Table, load_whole
+from bayescal._tables.raw_table import Objections, Table, load_whole
 
 DEVICE = "device"
 
@@ -301,7 +301,7 @@ def split_table(
     Raises:
         InputError: as `split_devices`.
     """
-    problems = Problems(table.problems)
+    problems = Objections(table.problems)
     unused_options([table], options, problems)
     problems.refuse()
     further = _further(table, instrument, options, needs)
@@ -386,11 +386,11 @@ def _convert_usable(
     """The columns of all devices whose cells can be used, their rows of the table, and why the others cannot."""
     rows, refused = np.argsort(codes, kind="stable"), dict[str, str]()
     while rows.size:
-        problems, some = Problems(), table.take(rows)
+        problems, some = Objections(), table.take(rows)
         converted = convert_columns(some, instrument, options, problems)
         if not problems:
             return converted, rows if converted.kept is None else rows[converted.kept], refused
-        Problems(p for p in problems if not p.rows).refuse()
+        Objections(p for p in problems if not p.rows).refuse()
         bad: dict[int, str] = {}
         for problem in problems:
             for index in problem.rows:
@@ -411,7 +411,7 @@ def _useless(block: DeviceBlock, instrument: InstrumentLike) -> dict[str, str]:
         bad |= set(np.flatnonzero(span < settings().temperature_span).tolist())
     refused = {}
     for i in sorted(bad):
-        columns, file, problems = block.columns(i), f"device {block.names[i]}", Problems()
+        columns, file, problems = block.columns(i), f"device {block.names[i]}", Objections()
         with problems.collecting(file):
             if need:
                 refuse_one_temperature(columns, file)

@@ -41,12 +41,12 @@ from bayescal._fleet.devices import DEVICE, DeviceBlock, Devices, joined
 from bayescal._fleet.partial_pooling import pooled
 from bayescal._fleet.population import Named
 from bayescal._inference import least_squares, sampled_products, trust
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
 from bayescal._inference.sampling import WeightedDraws, weighted_draws
 from bayescal._model import forward
@@ -634,7 +634,7 @@ class _Fits:
             return _by_least_squares(one, self.method)
         if one.layout not in self._promoted:  # decided on the first device of its kind, for all
             record = Record(one.layout.model.instrument, one.frame, one.y)
-            found = sampled_products.choose(Assembly(one.layout, record), self.method.promote)
+            found = sampled_products.choose(Problem(one.layout, record), self.method.promote)
             self._promoted[one.layout] = found[0].layout, found[1]
         layout, notes = self._promoted[one.layout]
         return _by_sampling(one._replace(layout=layout), self.method, self.options.seed, notes)
@@ -700,8 +700,8 @@ def _held(covariance: np.ndarray, free: Sequence[int], size: int) -> np.ndarray:
 def _by_least_squares(one: DeviceFrame, method: LeastSquares) -> _Solved:
     """`LeastSquares` itself."""
     layout, places = one.layout, one.layout.positions("shape", "promoted")
-    assembly = Assembly(layout, Record(layout.model.instrument, one.frame, one.y))
-    solution = least_squares.solution_on(assembly, method.curvature == "hessian")
+    problem = Problem(layout, Record(layout.model.instrument, one.frame, one.y))
+    solution = least_squares.solution_on(problem, method.curvature == "hessian")
     v, priors = solution.mode.v, [h.prior for h in layout.hypers]
     ends = [[float(priors[i].value(v[i] + d)) for d in (-NUDGE, NUDGE)] for i in places]
     slopes = np.append(np.ones(layout.size), [(b - a) / (2 * NUDGE) for a, b in ends])
@@ -720,10 +720,10 @@ def drawn(
     layout: Layout, frame: Frame, y: np.ndarray, method: Marginal, seed: int, device: int
 ) -> tuple[WeightedDraws, Mode]:
     """Weighted joint draws of one device, and the mode that they were proposed around."""
-    assembly = Assembly(layout, Record(layout.model.instrument, frame, y))
-    mode = find_mode(assembly)
+    problem = Problem(layout, Record(layout.model.instrument, frame, y))
+    mode = find_mode(problem)
     own = int(np.random.SeedSequence([seed, device]).generate_state(1)[0])
-    found = weighted_draws(assembly, mode, own, method.proposals, method.rounds)
+    found = weighted_draws(problem, mode, own, method.proposals, method.rounds)
     return found, found.mode
 
 

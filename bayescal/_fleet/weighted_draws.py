@@ -17,9 +17,9 @@ from bayescal._core.importance_weights import smoothed
 from bayescal._data.measurements import Measurements
 from bayescal._fleet.fit_devices import drawn
 from bayescal._inference import sampled_products
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import Mode
 from bayescal._inference.marginal import Marginal
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import Model
@@ -93,7 +93,7 @@ def weighted_draws(
         )
     ys = [np.asarray(one["output"]) for one in readings]
     layout, levels, frame = each[0]
-    first = Assembly(layout, Record(model.instrument, frame, ys[0]))
+    first = Problem(layout, Record(model.instrument, frame, ys[0]))
     layout = sampled_products.choose(first, method.promote or ())[0].layout
     made = [
         drawn(layout, frame, y, method, seed, i)

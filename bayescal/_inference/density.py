@@ -12,7 +12,6 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._inference.assembly import Assembly, Point, Values
 from bayescal._inference.gaussian import LOG_2PI, Conditional, Gram, Prior, condition
 from bayescal._inference.noise_on_record import (
     Terms,
@@ -22,6 +21,7 @@ from bayescal._inference.noise_on_record import (
     sloped_log_densities,
     variance,
 )
+from bayescal._inference.problem import Point, Problem, Values
 from bayescal._inference.products import DEGREES, Axes, Polynomials, Products, basis_of
 from bayescal._model.composition import Linearised
 
@@ -40,24 +40,24 @@ class Density:
     """log p(y, φ) as a function of φ's coordinates, x integrated out of the structure linearised at a point.
 
     Attributes:
-        assembly: the structure on its record.
+        problem: the structure on its record.
         point: where.
         flat: scales of the coefficients with flat priors.
         there: coordinates of φ at which a nonlinear structure is linearised in its shapes too; the middle of their
             priors if not given.
     """
 
-    assembly: Assembly
+    problem: Problem
     point: Point
     flat: Float[np.ndarray, "p"]
     there: Float[np.ndarray, "d"] | None = None
 
     def __post_init__(self) -> None:
-        noise, record = self.assembly.noise, self.assembly.record
+        noise, record = self.problem.noise, self.problem.record
         # One variance for all readings: products over them do not depend on it.
-        self.even = noise.even(record.frame) and not len(self.assembly.row_sd)
+        self.even = noise.even(record.frame) and not len(self.problem.row_sd)
         # Without a coefficient the density is the noise law's own.
-        self.alone = not (self.even or self.assembly.terms)
+        self.alone = not (self.even or self.problem.terms)
         self._lines: dict[tuple[float, ...], tuple[Linearised, Gram | None]] = {}
         self._kept: dict[bytes, tuple[float, Values, Prior, Conditional | None]] = {}
         self._mode = self.point.x  # of x, where it was sought
@@ -66,22 +66,22 @@ class Density:
     @cached_property
     def products(self) -> Products | None:
         """The structure's products as functions of φ; None where φ moves them otherwise than by shapes."""
-        assembly = self.assembly
-        if not self.even or assembly.corrected or any(t.place == "phi" for t in assembly.terms):
+        problem = self.problem
+        if not self.even or problem.corrected or any(t.place == "phi" for t in problem.terms):
             return None
-        if any(basis_of(t, assembly) is None for t in assembly.terms):
+        if any(basis_of(t, problem) is None for t in problem.terms):
             return None
-        there = np.zeros(len(assembly.hypers)) if self.there is None else self.there
-        return Products(assembly, self.point, np.clip(there, -4.0, 4.0))
+        there = np.zeros(len(problem.hypers)) if self.there is None else self.there
+        return Products(problem, self.point, np.clip(there, -4.0, 4.0))
 
     # from the readings ------------------------------------------------------------------------------------------
 
     def _line(self, v: np.ndarray, hyper: Values) -> tuple[Linearised, Gram | None]:
         # Only shapes and promoted coefficients move J; what else is in φ (noise, sizes) leaves it as it is.
-        key = tuple(float(v[i]) for i in self.assembly.moving)
+        key = tuple(float(v[i]) for i in self.problem.moving)
         found = self._lines.get(key)
         if found is None:
-            line = self.assembly.linearise(self.point, hyper)
+            line = self.problem.linearise(self.point, hyper)
             gram = None
             if self.even:
                 beside = self._beside(line)
@@ -93,7 +93,7 @@ class Density:
 
     def residual(self, line: Linearised) -> Float[np.ndarray, "n"]:
         """What the expected output leaves, with the per-reading coefficients at zero."""
-        return self.assembly.record.y - line.mean + np.sum(line.rows * self.point.rows, axis=1)
+        return self.problem.record.y - line.mean + np.sum(line.rows * self.point.rows, axis=1)
 
     def _beside(self, line: Linearised) -> np.ndarray:
         """J and r in one table."""
@@ -103,18 +103,18 @@ class Density:
 
     def extra(self, line: Linearised) -> Float[np.ndarray, "n"] | float:
         """Variance that the per-reading coefficients add."""
-        if not len(self.assembly.row_sd):
+        if not len(self.problem.row_sd):
             return 0.0
-        return np.sum((line.rows * self.assembly.row_sd) ** 2, axis=1)
+        return np.sum((line.rows * self.problem.row_sd) ** 2, axis=1)
 
     def _white(self, line: Linearised, hyper: Values) -> Whitening:
-        return Whitening(self.assembly.noise, hyper, self.assembly.record, self.extra(line))
+        return Whitening(self.problem.noise, hyper, self.problem.record, self.extra(line))
 
     def whitened(
         self, v: np.ndarray, x: Float[np.ndarray, "p"]
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n q"], float]:
         """Residuals at φ and x, output unit; whitened Jacobian and these residuals beside each other; log|Σ|."""
-        hyper = self.assembly.hyper(v)
+        hyper = self.problem.hyper(v)
         line = self._line(v, hyper)[0]
         residual = self.residual(line) - line.jacobian @ (x - self.point.x)
         return residual, *self._white(line, hyper).both(np.column_stack([line.jacobian, residual]))
@@ -124,21 +124,21 @@ class Density:
         line, gram = self._line(v, hyper)
         if gram is not None:
             # Σ = σ²·I: the products of the plain table, made once, over σ², and log|Σ| = n·log σ².
-            shared, size = float(self.assembly.noise.shared_variance(hyper)), len(line.mean)
+            shared, size = float(self.problem.noise.shared_variance(hyper)), len(line.mean)
             jtj, jtr, rtr = (part / shared for part in gram[:3])
             return Gram(jtj, jtr, rtr, size * math.log(shared))
         if self.alone:
             # What stands for squares and log|Σ| is twice the density.
             value = self._of_noise(hyper)[0]
             return Gram(np.zeros((0, 0)), np.zeros(0), -2 * value - len(line.mean) * LOG_2PI, 0.0)
-        if not self.assembly.noise.gaussian:
+        if not self.problem.noise.gaussian:
             return self._about_the_mode(self._beside(line), hyper)
         return Gram.of(*self._white(line, hyper).gram(self._beside(line)))
 
     def _of_noise(self, hyper: Values) -> tuple[float, dict[str, float]]:
         """Log density of readings of which nothing is fitted, and its slopes by the parameters; the last is kept."""
         if self._last is None or self._last[0] != hyper:
-            law, record = self.assembly.noise, self.assembly.record
+            law, record = self.problem.noise, self.problem.record
             value, slopes = sloped_log_densities(law, record, record.y, hyper)
             self._last = hyper, (float(value[0]), {n: float(one[0]) for n, one in slopes.items()})
         return self._last[1]
@@ -150,8 +150,8 @@ class Density:
         never does. With the mode's distance m from here, products there become JᵀWJ, JᵀWr + JᵀWJ·m, and so on.
         Source: L. Tierney and J. Kadane, JASA 81 (1986) 82 (Laplace).
         """
-        noise, record = self.assembly.noise, self.assembly.record
-        prior, jacobian = self.assembly.prior(hyper, self.flat), table[:, :-1]
+        noise, record = self.problem.noise, self.problem.record
+        prior, jacobian = self.problem.prior(hyper, self.flat), table[:, :-1]
         residual = table[:, -1]
         x, move = self.point.x, self._mode - self.point.x
 
@@ -189,12 +189,12 @@ class Density:
 
     def squares(self, hyper: Values, gram: Gram) -> float:
         """Of the whitened residuals at the point itself; under a heavy-tailed law what stands in their place."""
-        noise, record = self.assembly.noise, self.assembly.record
+        noise, record = self.problem.noise, self.problem.record
         if noise.gaussian:
             return gram.rtr
         # For a law with outliers: −2·log of the density against that of no residual at all, zero at best as squares
         # are.
-        line = self.assembly.linearise(self.point, hyper)
+        line = self.problem.linearise(self.point, hyper)
         return density_terms(noise, hyper, record, self.residual(line)).squares
 
     # the density ------------------------------------------------------------------------------------------------
@@ -210,8 +210,8 @@ class Density:
         return self._kept[key]
 
     def _found(self, v: np.ndarray) -> tuple[float, Values, Prior, Conditional | None]:
-        hyper = self.assembly.hyper(v)
-        prior, at = self.assembly.prior(hyper, self.flat), self.point.x
+        hyper = self.problem.hyper(v)
+        prior, at = self.problem.prior(hyper, self.flat), self.point.x
         products = self.products
         if products is not None and products.reaches(v):
             prior, at = products.prior(prior), products.at
@@ -220,45 +220,45 @@ class Density:
             gram = self.gram(v, hyper)
         if not math.isfinite(gram.rtr + gram.logdet) or not np.all(np.isfinite(prior.sd)):
             return NOWHERE, hyper, prior, None
-        found = condition(gram, self.assembly.record.size, prior, at)
+        found = condition(gram, self.problem.record.size, prior, at)
         if found is None:
             return NOWHERE, hyper, prior, None
-        return found.log_marginal + self.assembly.log_prior(v), hyper, prior, found
+        return found.log_marginal + self.problem.log_prior(v), hyper, prior, found
 
     def at(self, v: np.ndarray) -> tuple[float, Conditional | None]:
         """The log density at a coordinate, and x given φ there; none where there is no density."""
         value, _, _, found = self._given(v)
         if found is None or not math.isfinite(value):
             return NOWHERE, None
-        return value, found.first(self.assembly.size)
+        return value, found.first(self.problem.size)
 
     def values(self, vs: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k"]:
         """The log density at several coordinates."""
         if self.alone:
-            assembly = self.assembly
+            problem = self.problem
             found = sloped_log_densities(
-                assembly.noise, assembly.record, assembly.record.y, assembly.hyper(vs.T)
+                problem.noise, problem.record, problem.record.y, problem.hyper(vs.T)
             )[0]
-            return np.nan_to_num(found + assembly.log_priors(vs), nan=NOWHERE, neginf=NOWHERE)
+            return np.nan_to_num(found + problem.log_priors(vs), nan=NOWHERE, neginf=NOWHERE)
         return np.array([self.at(v)[0] for v in vs])
 
     def slope(self, v: np.ndarray) -> tuple[float, np.ndarray]:
         """The log density and its gradient."""
-        assembly = self.assembly
+        problem = self.problem
         value, hyper, prior, found = self._given(v)
         if found is None or not math.isfinite(value):
             return NOWHERE, np.zeros(len(v))
-        made = assembly.log_prior_slope(v)
+        made = problem.log_prior_slope(v)
         # Fisher's identity: the slope of log p(y|φ) is the posterior mean of that of log p(y, x|φ). By log s the
         # normal prior has the slope z² − 1, of which the mean is z̄² + var z − 1.
-        excess = ((found.z**2 + found.variance_of_z - 1) * prior.weight)[: assembly.size]
-        for i, log_sd in assembly.log_sd_slopes(v, hyper):
+        excess = ((found.z**2 + found.variance_of_z - 1) * prior.weight)[: problem.size]
+        for i, log_sd in problem.log_sd_slopes(v, hyper):
             made[i] += excess @ log_sd
         if self.products is not None and self.products.reaches(v):
             made += self.products.slopes(v, hyper, prior, found)
         elif self.alone:
-            made += by_parameter(assembly, v, self._of_noise(hyper)[1])
-        elif assembly.noise.gaussian:
+            made += by_parameter(problem, v, self._of_noise(hyper)[1])
+        elif problem.noise.gaussian:
             made += self._slopes_by_readings(v, hyper, prior, found)
         else:
             made += self._slopes_about_the_mode(v, hyper, prior, found)
@@ -268,9 +268,9 @@ class Density:
         self, v: np.ndarray, hyper: Values, prior: Prior, found: Conditional
     ) -> np.ndarray:
         """What moves the products moves the density by, x's posterior held (see `Products.slopes`)."""
-        assembly, made, p = self.assembly, np.zeros(len(v)), len(found.z)
+        problem, made, p = self.problem, np.zeros(len(v)), len(found.z)
         line, move = self._line(v, hyper)[0], found.mean - self.point.x
-        moved = [(i, assembly.along(self.point, v, i)) for i in assembly.moving]
+        moved = [(i, problem.along(self.point, v, i)) for i in problem.moving]
         # Beside J and the residuals at the mean: the slopes of J, and of what it leaves, by each coordinate.
         table = self._beside(line)
         table[:, -1] -= line.jacobian @ move
@@ -282,15 +282,15 @@ class Density:
         # = p − tr W·var z, the degrees of freedom that x took.
         if self.even:
             taken = found.squares + p - float(prior.weight @ found.variance_of_z)
-            beyond = 0.5 * (taken - assembly.record.size)
-            for i in assembly.layout.positions("noise"):
-                made[i] = beyond * assembly.log_variance_slope(v, i)
-            shared = float(assembly.noise.shared_variance(hyper))
+            beyond = 0.5 * (taken - problem.record.size)
+            for i in problem.layout.positions("noise"):
+                made[i] = beyond * problem.log_variance_slope(v, i)
+            shared = float(problem.noise.shared_variance(hyper))
             white = np.column_stack(beside) / math.sqrt(shared)
         else:
             whiten = self._white(line, hyper)
             turned = np.column_stack([line.jacobian @ found.root, table[:, -1]])
-            made += noise_slopes(assembly, v, whiten, turned)
+            made += noise_slopes(problem, v, whiten, turned)
             white = whiten(np.column_stack(beside)) if moved else table
         # −½·d(eᵀΣ⁻¹e + tr C·JᵀΣ⁻¹J) for a change dJ of the columns and −d(output) of e, all of it whitened.
         across, end = white[:, :p] @ found.covariance, p + 1
@@ -299,9 +299,9 @@ class Density:
             made[i] += white[:, p] @ output - np.sum(across[:, m.at] * by_j)
             end += len(m.at) + 1
             if np.any(m.rows):  # and the variance that coefficients of single readings add
-                further = 2 * (line.rows * m.rows) @ assembly.row_sd**2
+                further = 2 * (line.rows * m.rows) @ problem.row_sd**2
                 squares = np.sum(across * white[:, :p], axis=1) + white[:, p] ** 2
-                own = variance(assembly.noise, hyper, assembly.record) + self.extra(line)
+                own = variance(problem.noise, hyper, problem.record) + self.extra(line)
                 made[i] += 0.5 * np.sum((squares - 1) * further / own)
         return made
 
@@ -314,8 +314,8 @@ class Density:
         C = A⁻¹. By ρᵢ the volume has the slope ½·hᵢ·f‴, h the diagonal of J·C·Jᵀ; the mode moves by C·∂G, G = −Jᵀf′ −
         D·(x − m), and so the volume by −qᵀ∂G with q = C·Jᵀ(½·h·f‴).
         """
-        assembly, made = self.assembly, np.zeros(len(v))
-        noise, record = assembly.noise, assembly.record
+        problem, made = self.problem, np.zeros(len(v))
+        noise, record = problem.noise, problem.record
         table = self._beside(self._line(v, hyper)[0])
         jacobian, move = table[:, :-1], found.mean - self.point.x
         left = table[:, -1] - jacobian @ move
@@ -327,16 +327,16 @@ class Density:
         of_volume = 0.5 * leverage * further.third
         q = across.T @ of_volume
         along = jacobian @ q
-        for i, h in enumerate(assembly.hypers):
+        for i, h in enumerate(problem.hypers):
             if h.kind == "noise":
                 plain, first, second = further.by_parameter[h.name]
                 slope = np.sum(plain + 0.5 * leverage * second + along * first)
-                made[i] = slope * assembly.value_change(v, i)
+                made[i] = slope * problem.value_change(v, i)
         tightness = np.where(prior.sd > 0, found.z / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
-        for i, log_sd in assembly.log_sd_slopes(v, hyper):
+        for i, log_sd in problem.log_sd_slopes(v, hyper):
             made[i] -= q @ (2 * prior.weight * tightness * log_sd)
-        for i in assembly.moving:
-            at, by_j, mean, _ = assembly.along(self.point, v, i)
+        for i in problem.moving:
+            at, by_j, mean, _ = problem.along(self.point, v, i)
             output = mean + by_j @ move[at]
             weighted = terms.curvature * output
             made[i] += terms.slope @ output - np.sum(terms.curvature @ (across[:, at] * by_j))
@@ -353,7 +353,7 @@ def turn(root: Float[np.ndarray, "p p"], back: Float[np.ndarray, "p"]) -> np.nda
 
 
 def noise_slopes(
-    assembly: Assembly, v: Float[np.ndarray, "d"], white: Whitening, table: Float[np.ndarray, "n m"]
+    problem: Problem, v: Float[np.ndarray, "d"], white: Whitening, table: Float[np.ndarray, "n m"]
 ) -> Float[np.ndarray, "d"]:
     """Slopes of the log marginal likelihood by the coordinates of a Gaussian law's parameters; zero by others.
 
@@ -361,22 +361,22 @@ def noise_slopes(
     −½·(tr TᵀΣ⁻¹T + log|Σ|) by, the table T = [J·C^½ | e] held.
 
     Args:
-        assembly: the structure on its record.
+        problem: the structure on its record.
         v: coordinates of φ.
         white: of the noise there.
         table: T, output unit.
     """
-    return by_parameter(assembly, v, white.slopes(table))
+    return by_parameter(problem, v, white.slopes(table))
 
 
 def by_parameter(
-    assembly: Assembly, v: Float[np.ndarray, "d"], by_name: dict[str, float]
+    problem: Problem, v: Float[np.ndarray, "d"], by_name: dict[str, float]
 ) -> Float[np.ndarray, "d"]:
     """Slopes by the law's parameters as slopes by coordinates of φ; zero by others."""
     made = np.zeros(len(v))
-    for i, h in enumerate(assembly.hypers):
+    for i, h in enumerate(problem.hypers):
         if h.kind == "noise":
-            made[i] = by_name[h.name] * assembly.value_change(v, i)
+            made[i] = by_name[h.name] * problem.value_change(v, i)
     return made
 
 
@@ -392,20 +392,20 @@ def about(
         close: log density, within which polynomials are good; of others the best, if they will do.
         proposals: φ that will be asked for; none are made where it costs less to compute each from the readings.
     """
-    assembly = density.assembly
-    axes = Axes(assembly)
+    problem = density.problem
+    axes = Axes(problem)
     dim = len(axes.names)
     if dim not in DEGREES or not np.all(np.isfinite(covariance)):
         return None
     # They must hold where the importance sampler goes: draws of the Gaussian fit say how far that is along each axis.
     normal = np.random.default_rng(0).standard_normal((400, len(v)))
     draws = v + normal @ np.linalg.cholesky(covariance).T
-    coordinates = axes.of(assembly.hyper(draws.T), draws)
+    coordinates = axes.of(problem.hyper(draws.T), draws)
     if not np.all(np.isfinite(coordinates)):
         return None
     # Judged by what they are for: the largest error of the log density, at draws that they were not fitted to.
     tried = draws[:DRAWS_TRIED]
-    products = Products(assembly, density.point, v, axes)
+    products = Products(problem, density.point, v, axes)
     if not _pay(products, Polynomials(coordinates, DEGREES[dim][-2]), proposals):
         return None
     there = np.array([density.at(one)[0] for one in tried])
@@ -430,20 +430,20 @@ def about(
 def _pay(products: Products, polynomials: Polynomials, proposals: float) -> bool:
     """Whether products as polynomials of a usual degree cost less than so many passes over the readings."""
     # In numbers multiplied: to compute products at the points and use them, or to whiten and multiply each time.
-    assembly, n, width = products.assembly, products.size, products.width
+    problem, n, width = products.problem, products.size, products.width
     # Each is then computed by itself, or the output linearised anew for it.
-    if assembly.corrected or len(assembly.row_sd) or not assembly.affine:
+    if problem.corrected or len(problem.row_sd) or not problem.affine:
         return True
     points, terms = len(polynomials.points), polynomials.count
     fitting = points * (CALL_COST + PASS_COST * n * width)
     using = width**2 * terms * (proposals + 2 * points)
-    return fitting + using < PASS_COST * proposals * n * (assembly.size + 1)
+    return fitting + using < PASS_COST * proposals * n * (problem.size + 1)
 
 
 def _log_density(products: Products, flat: np.ndarray, v: np.ndarray) -> float:
     """Of one φ, by products."""
-    assembly = products.assembly
-    hyper = assembly.hyper(v)
-    prior = products.prior(assembly.prior(hyper, flat))
+    problem = products.problem
+    hyper = problem.hyper(v)
+    prior = products.prior(problem.prior(hyper, flat))
     found = condition(products.gram(v, hyper), products.size, prior, products.at)
-    return NOWHERE if found is None else found.log_marginal + assembly.log_prior(v)
+    return NOWHERE if found is None else found.log_marginal + problem.log_prior(v)

@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.parallel import on_one_thread
-from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import LOG_2PI, Conditional, column_scale, condition
 from bayescal._inference.noise_on_record import variance
+from bayescal._inference.problem import Point, Problem
 from bayescal._inference.record import Record
 from bayescal._model.composition import Linearised
 
@@ -50,7 +50,7 @@ class Mode(NamedTuple):
 
 @on_one_thread
 def find_mode(
-    assembly: Assembly,
+    problem: Problem,
     starts: Iterable[np.ndarray] | None = None,
     covariance: np.ndarray | None = None,
     point: Point | None = None,
@@ -61,7 +61,7 @@ def find_mode(
     """The mode, from the best of some coordinates of φ. Deterministic.
 
     Args:
-        assembly: the structure on its record.
+        problem: the structure on its record.
         starts: coordinates to begin at; prior draws if not given. The most probable is taken.
         covariance: what the Gaussian fit at the mode may look like; the climb is shorter for it.
         point: where x̂ may be; its prior mean, or what directions of an ellipsoid give, if not given.
@@ -71,57 +71,57 @@ def find_mode(
         start: φ by name where the mode may be, a start beside the prior draws; what it does not name is at its prior's
             middle.
     """
-    point, dim = _start(assembly) if point is None else point, len(assembly.hypers)
-    flat = flat_scales(assembly, point, np.zeros(dim))
-    wanted = prior_draws(assembly) if starts is None else list(starts)
-    if starts is None and assembly.kinds == ["noise"]:  # one hill
+    point, dim = _start(problem) if point is None else point, len(problem.hypers)
+    flat = flat_scales(problem, point, np.zeros(dim))
+    wanted = prior_draws(problem) if starts is None else list(starts)
+    if starts is None and problem.kinds == ["noise"]:  # one hill
         wanted = wanted[:5]
     if start:
         known = np.zeros(dim)
-        for i, h in enumerate(assembly.hypers):
+        for i, h in enumerate(problem.hypers):
             known[i] = h.prior.coordinate(start[h.name]) if h.name in start else 0.0
         wanted = [known, *wanted]
 
     def climbed(starts: Sequence[np.ndarray], point: Point) -> _Summit:
-        return _climbed(assembly, starts, covariance, point, flat, still)
+        return _climbed(problem, starts, covariance, point, flat, still)
 
     highest = partial(max, key=attrgetter("value"))
     top = climbed(wanted if dim else wanted[:1], point)
     if starts is None:
         # A product a·b is that of −a and −b: its density has two hills, and which one the prior draws met was chance.
-        promoted = np.array([h.kind == "promoted" for h in assembly.hypers], dtype=bool)
+        promoted = np.array([h.kind == "promoted" for h in problem.hypers], dtype=bool)
         if promoted.any():  # of a product both factors may have the other sign
             top = highest(top, climbed([np.where(promoted, -top.v, top.v)], point))
-        for along in across(assembly, top.v):  # and one of many maxima may be higher
+        for along in across(problem, top.v):  # and one of many maxima may be higher
             top = highest(top, climbed([*along], top.point))
     if not curved and top.value > NOWHERE:
         return Mode(top.point, top.v, top.wide, top.value, top.value, top.change, flat, False)
     density = top.density
     if density is None:
-        density = Density(assembly, top.point, flat, top.v)
+        density = Density(problem, top.point, flat, top.v)
     return at_mode(density, top.v, top.change, top.point)
 
 
-def _start(assembly: Assembly) -> Point:
+def _start(problem: Problem) -> Point:
     """Where x̂ may be, nothing known: at its prior mean, or of three axes as `Vector.with_directions` has it."""
-    record, start = assembly.record, assembly.start
+    record, start = problem.record, problem.start
     vector = record.instrument.vector
     known = None if vector is None else vector.with_directions(record.frame, record.y)
     if known is None:
         return start
-    there = Assembly(assembly.layout, Record(record.instrument, *known), assembly.size_factors)
-    middle = np.zeros(len(assembly.hypers))
+    there = Problem(problem.layout, Record(record.instrument, *known), problem.size_factors)
+    middle = np.zeros(len(problem.hypers))
     found = mode_of_x(there, start, middle, flat_scales(there, start, middle))
     return start._replace(x=found.x)
 
 
 def flat_scales(
-    assembly: Assembly, point: Point, v: Float[np.ndarray, "d"]
+    problem: Problem, point: Point, v: Float[np.ndarray, "d"]
 ) -> Float[np.ndarray, "p"]:
     """Scales of the coefficients with flat priors; one for others."""
-    if assembly.weight_of_x.all():
-        return np.ones(assembly.size)
-    return column_scale(assembly.linearise(point, assembly.hyper(v)).jacobian)
+    if problem.weight_of_x.all():
+        return np.ones(problem.size)
+    return column_scale(problem.linearise(point, problem.hyper(v)).jacobian)
 
 
 class _Summit(NamedTuple):
@@ -136,7 +136,7 @@ class _Summit(NamedTuple):
 
 
 def _climbed(
-    assembly: Assembly,
+    problem: Problem,
     starts: Sequence[np.ndarray],
     covariance: np.ndarray | None,
     point: Point,
@@ -150,25 +150,25 @@ def _climbed(
     """
     # A step of `still` standard deviations gains about still²/2 nats: a fiftieth of that is nothing.
     nothing = max(NOTHING_LEFT, 0.01 * still**2)
-    density = Density(assembly, point, flat, starts[0])
+    density = Density(problem, point, flat, starts[0])
     # Where the output is affine the linearisation is exact wherever it is made: one climb, no alternation.
-    if assembly.affine:
+    if problem.affine:
         v, wide = climb(density, starts, covariance, nothing)
         value, found = density.at(v)
         if found is None:
             return _Summit(value, 0.0, v, point, wide, density)
-        point = _with_rows(assembly, density, found, v)
-        if len(assembly.row_sd):
-            density = Density(assembly, point, flat, v)
+        point = _with_rows(problem, density, found, v)
+        if len(problem.row_sd):
+            density = Density(problem, point, flat, v)
             value = max(value, density.at(v)[0])
         return _Summit(value, 0.0, v, point, wide, density)
     v = starts[int(np.argmax(density.values(np.array(starts))))] if len(starts) > 1 else starts[0]
-    density, value = _about_x(assembly, point, v, flat, still)
+    density, value = _about_x(problem, point, v, flat, still)
     change, wide = math.inf, covariance
     for _ in range(ROUNDS):
         goal, wide = climb(density, [v], wide, nothing)
         for _ in range(HALVINGS):
-            there, higher = _about_x(assembly, density.point, goal, flat, still)
+            there, higher = _about_x(problem, density.point, goal, flat, still)
             if higher > value - nothing:
                 break
             goal = v + 0.3 * (goal - v)
@@ -182,17 +182,17 @@ def _climbed(
 
 
 def _about_x(
-    assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray, still: float
+    problem: Problem, point: Point, v: np.ndarray, flat: np.ndarray, still: float
 ) -> tuple[Density, float]:
     """The density of φ about x̂ given φ, and its value there."""
-    density = Density(assembly, mode_of_x(assembly, point, v, flat, still), flat, v)
+    density = Density(problem, mode_of_x(problem, point, v, flat, still), flat, v)
     return density, density.at(v)[0]
 
 
-def across(assembly: Assembly, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
+def across(problem: Problem, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
     """For each shape whose evidence has many maxima: coordinates along it, all else as it is."""
-    names, made = [h.name for h in assembly.hypers], []
-    shapes = ((e, s) for e in assembly.layout.model.effects for s in e.column_shapes if s.ragged)
+    names, made = [h.name for h in problem.hypers], []
+    shapes = ((e, s) for e in problem.layout.model.effects for s in e.column_shapes if s.ragged)
     for name in (e.shape_name(s) for e, s in shapes):
         if name in names:
             made.append(np.tile(v, (len(AHEAD), 1)))
@@ -249,28 +249,28 @@ def climb(
     return v, wide
 
 
-def prior_draws(assembly: Assembly) -> list[np.ndarray]:
+def prior_draws(problem: Problem) -> list[np.ndarray]:
     """Where the mode may be looked for: the middle of φ's prior, and draws half as wide again. Deterministic."""
-    dim = len(assembly.hypers)
+    dim = len(problem.hypers)
     draws = 1.5 * np.random.default_rng(0).standard_normal((STARTS, dim))
     return [np.zeros(dim), *draws]
 
 
 def mode_of_x(
-    assembly: Assembly, point: Point, v: np.ndarray, flat: np.ndarray, still: float = STILL_SD
+    problem: Problem, point: Point, v: np.ndarray, flat: np.ndarray, still: float = STILL_SD
 ) -> Point:
     """x̂ given φ: Gauss–Newton on the residuals and the prior's, each step halved until the sum falls."""
-    hyper = assembly.hyper(v)
-    prior = assembly.prior(hyper, flat)
+    hyper = problem.hyper(v)
+    prior = problem.prior(hyper, flat)
 
     def look(at: Point) -> tuple[float, Conditional | None, Density]:
-        density = Density(assembly, at, flat)
+        density = Density(problem, at, flat)
         gram = density.gram(v, hyper)
         if not math.isfinite(gram.rtr + gram.logdet):
             return math.inf, None, density
         # Squares at the point itself, not at the linear model's minimum.
         z = prior.weight * (at.x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
-        found = condition(gram, assembly.record.size, prior, at.x)
+        found = condition(gram, problem.record.size, prior, at.x)
         return density.squares(hyper, gram) + float(z @ z), found, density
 
     squares, found, _ = look(point)
@@ -291,36 +291,36 @@ def mode_of_x(
         else:
             return point
         gain, squares = squares - there, there
-        point = _with_rows(assembly, density, None, v, trial.x)
-        if len(assembly.row_sd):
+        point = _with_rows(problem, density, None, v, trial.x)
+        if len(problem.row_sd):
             squares, found, _ = look(point)
         elif share == 1.0 and gain < still**2:
             return point
     return point
 
 
-def _with_rows(assembly, density: Density, found, v, x=None) -> Point:
+def _with_rows(problem, density: Density, found, v, x=None) -> Point:
     """A point with its per-reading coefficients at their conditional mean."""
     x = found.mean if x is None else x
     point = Point(x, density.point.rows)
-    if not len(assembly.row_sd):
+    if not len(problem.row_sd):
         return point
-    hyper = assembly.hyper(v)
-    line = assembly.linearise(point, hyper)
-    left = assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
-    precision, pull = of_single_readings(assembly, line, left, hyper)
+    hyper = problem.hyper(v)
+    line = problem.linearise(point, hyper)
+    left = problem.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
+    precision, pull = of_single_readings(problem, line, left, hyper)
     return Point(x, np.linalg.solve(precision, pull[:, :, None])[:, :, 0])
 
 
 def of_single_readings(
-    assembly: Assembly, line: Linearised, left: Float[np.ndarray, "n"], hyper: Mapping[str, float]
+    problem: Problem, line: Linearised, left: Float[np.ndarray, "n"], hyper: Mapping[str, float]
 ) -> tuple[Float[np.ndarray, "n k k"], Float[np.ndarray, "n k"]]:
     """Precision of each reading's own coefficients, all else given, and the pull of what is `left` of it."""
     # They are seen by this reading alone: (r·rᵀ/σ² + D⁻¹)·c = r·left/σ² with its slopes r and their prior variances
     # D, a small system for each.
-    noise = variance(assembly.noise, hyper, assembly.record)
+    noise = variance(problem.noise, hyper, problem.record)
     precision = line.rows[:, :, None] * line.rows[:, None, :] / noise[:, None, None]
-    return precision + np.diag(1 / assembly.row_sd**2), line.rows * (left / noise)[:, None]
+    return precision + np.diag(1 / problem.row_sd**2), line.rows * (left / noise)[:, None]
 
 
 def at_mode(

@@ -25,12 +25,12 @@ from scipy.optimize import minimize, root
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._inference import trust
-from bayescal._inference.assembly import Assembly, Point, differences
 from bayescal._inference.density import Density, noise_slopes, turn
 from bayescal._inference.gaussian import LOG_2PI, Prior
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.noise_on_record import Independent, Whitening, whitening
+from bayescal._inference.problem import Point, Problem, differences
 from bayescal._model import forward
 from bayescal._model.composition import Linearised
 from bayescal._model.noise_law import in_time
@@ -62,12 +62,12 @@ class LeastSquares(Method):
     draws: int = 4000
     name: ClassVar[str] = "least-squares"
 
-    def run(self, assembly, seed, start=NOTHING_KNOWN):
+    def run(self, problem, seed, start=NOTHING_KNOWN):
         with stage("least squares"):
-            mode = find_mode(assembly, start=start)
+            mode = find_mode(problem, start=start)
             # From where the mode is known to be, the last digits are a few steps of Gauss–Newton away.
-            found = refine(assembly, mode, self.curvature == "hessian", by_optimistix=not start)
-        return self.outcome(assembly.layout, found, seed)
+            found = refine(problem, mode, self.curvature == "hessian", by_optimistix=not start)
+        return self.outcome(problem.layout, found, seed)
 
     def outcome(self, layout: Layout, found: Solution, seed: int) -> Outcome:
         """What a solution comes to: draws of the Gaussian approximation about it, and whether to trust it."""
@@ -92,9 +92,9 @@ class LeastSquares(Method):
         )
 
 
-def solution_on(assembly: Assembly, hessian: bool = False) -> Solution:
+def solution_on(problem: Problem, hessian: bool = False) -> Solution:
     """The fit of a structure whose noise the engine whitens by, on a record that others may share."""
-    return refine(assembly, find_mode(assembly), hessian)
+    return refine(problem, find_mode(problem), hessian)
 
 
 @on_one_thread  # else the last digits would hang on how many cores there are
@@ -184,34 +184,34 @@ class _Given(NamedTuple):
 
 @on_one_thread
 def refine(
-    assembly: Assembly, mode: Mode, full_hessian: bool, by_optimistix: bool = False
+    problem: Problem, mode: Mode, full_hessian: bool, by_optimistix: bool = False
 ) -> Solution:
     """From the mode: (x, shapes) by least squares and scales by restricted likelihood in turn, until both rest.
 
     Args:
-        assembly: the structure on its record.
+        problem: the structure on its record.
         mode: its mode.
         full_hessian: whether the covariance takes second derivatives of the expected output.
         by_optimistix: begin with its solver where anything is not linear, rather than where Gauss–Newton fails only.
     """
-    fit = _Refinement(assembly, mode)
+    fit = _Refinement(problem, mode)
     # Where JᵀJ has no Cholesky factor the mode is nowhere; from the prior's centre, QR may find it.
     found = np.all(np.isfinite(mode.point.x)) and math.isfinite(mode.log_evidence)
-    x = mode.point.x if found else assembly.start.x
+    x = mode.point.x if found else problem.start.x
     v = np.where(np.isfinite(mode.v), mode.v, 0.0)
     theta, converged = np.concatenate([x, v[fit.places]]), False
     if by_optimistix and not (
-        assembly.affine and not fit.places
+        problem.affine and not fit.places
     ):  # what is linear is one step of QR
         theta = fit.solved(theta, v)
     for round_ in range(ROUNDS):
         theta, converged = fit.fit_theta(theta, v)
-        if round_ == 0 and not converged and not assembly.affine:
+        if round_ == 0 and not converged and not problem.affine:
             theta, converged = fit.from_afar(v)
             if not converged:  # how long its steps are hangs on the size of the noise
-                usual = np.where([kind == "noise" for kind in assembly.kinds], 0.0, v)
+                usual = np.where([kind == "noise" for kind in problem.kinds], 0.0, v)
                 theta, converged = fit.from_afar(usual)
-        moved = fit.fit_scales(theta, _put(theta[assembly.size :], fit.places, v))
+        moved = fit.fit_scales(theta, _put(theta[problem.size :], fit.places, v))
         change = float(np.max(np.abs(moved - v), initial=0.0))
         v = moved
         if not change > ROUND_CHANGE:
@@ -223,24 +223,24 @@ def refine(
     converged = converged or bool(np.max(np.abs(given.theta - theta) / sd, initial=0.0) < STILL_SD)
     if (full_hessian or not fit.gaussian) and np.all(np.isfinite(covariance)):
         covariance = fit.curved(theta, v, given.root)
-    point = Point(theta[: assembly.size], mode.point.rows)
+    point = Point(theta[: problem.size], mode.point.rows)
     return Solution(mode._replace(point=point, v=v), covariance, converged)
 
 
 class _Refinement:
     """One fit of θ = (x, w), w the shapes' coordinates, and v, those of all φ; where both have w, that in θ counts."""
 
-    def __init__(self, assembly: Assembly, mode: Mode) -> None:
-        self.assembly, self.mode = assembly, mode
-        self.density = Density(assembly, mode.point, mode.flat)
-        layout, self.gaussian = assembly.layout, assembly.noise.gaussian
+    def __init__(self, problem: Problem, mode: Mode) -> None:
+        self.problem, self.mode = problem, mode
+        self.density = Density(problem, mode.point, mode.flat)
+        layout, self.gaussian = problem.layout, problem.noise.gaussian
         # Of a law that is not Gaussian they stay where the marginal likelihood of the mode has them.
         self.scales = layout.positions("noise", "group_sd") if self.gaussian else []
         self.places = layout.moving
 
     def prior(self, v: Float[np.ndarray, "d"]) -> Prior:
         """Of θ: that of x given φ, and the standard normal one of w."""
-        own = self.assembly.prior(self.assembly.hyper(v), self.mode.flat)
+        own = self.problem.prior(self.problem.hyper(v), self.mode.flat)
         further = np.ones(len(self.places))
         return Prior(
             np.append(own.mean, 0 * further),
@@ -250,22 +250,20 @@ class _Refinement:
 
     def table(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray | float]:
         """Slopes by θ beside what the expected output leaves, and the variance that the rows add."""
-        size = self.assembly.size
+        size = self.problem.size
         point = Point(theta[:size], self.mode.point.rows)
 
         def linearised(located: np.ndarray) -> Linearised:
-            return self.assembly.linearise(
-                point, self.assembly.hyper(_put(located, self.places, v))
-            )
+            return self.problem.linearise(point, self.problem.hyper(_put(located, self.places, v)))
 
         line = linearised(theta[size:])
         moved = differences(lambda w: linearised(w).mean, theta[size:], SHIFT)
-        rest = self.assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
+        rest = self.problem.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
         return np.column_stack([line.jacobian, *moved, rest]), self.density.extra(line)
 
     def whiten(self, v: np.ndarray, extra: Any, left: np.ndarray) -> Whitening | Independent:
-        assembly = self.assembly
-        return whitening(assembly.noise, assembly.hyper(v), assembly.record, extra, left)
+        problem = self.problem
+        return whitening(problem.noise, problem.hyper(v), problem.record, extra, left)
 
     def fit_theta(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, bool]:
         """θ by least squares of the whitened residuals and the prior's, given the scales in v."""
@@ -315,14 +313,14 @@ class _Refinement:
         unknown. Laws that are not Gaussian have no such residuals, and no derivative forward is known of what
         correlated noise whitens by.
         """
-        assembly, mode = self.assembly, self.mode
-        layout, noise = assembly.layout, assembly.noise
+        problem, mode = self.problem, self.mode
+        layout, noise = problem.layout, problem.noise
         if not (noise.gaussian and noise.independent and begin.size):
             return begin
         prior, scale = self.prior(v), np.array(self.prior(v).sd)
         for b in (b for b in layout.x_blocks if b.coefficient.flat):
             scale[b.start : b.start + b.size] = b.coefficient.size
-        record = assembly.record
+        record = problem.record
         extra = np.broadcast_to(self.table(begin, v)[1], record.y.shape)
         # Padded to one of a few lengths, for each of which it is compiled once.
         counts = {**dict(layout.counts), "reading": record.padded_size}
@@ -340,7 +338,7 @@ class _Refinement:
 
     def from_afar(self, v: np.ndarray) -> tuple[np.ndarray, bool]:
         """θ where Gauss–Newton ran away or stalled: from where the mode was looked for first."""
-        begin = np.append(self.assembly.start.x, np.zeros(len(self.places)))
+        begin = np.append(self.problem.start.x, np.zeros(len(self.places)))
         return self.fit_theta(self.solved(begin, v, afar=True), v)
 
     def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Given]:
@@ -355,7 +353,7 @@ class _Refinement:
         def given(v: np.ndarray, sloped: bool = False) -> _Given:
             prior, white = self.prior(v), None
             if even:
-                variance = float(self.assembly.noise.shared_variance(self.assembly.hyper(v)))
+                variance = float(self.problem.noise.shared_variance(self.problem.hyper(v)))
                 if not variance > np.finfo(float).tiny:
                     return nowhere
                 made, logdet = upper / math.sqrt(variance), size * math.log(variance)
@@ -389,7 +387,7 @@ class _Refinement:
                 slopes = self._slopes(v, excess, (squares, spent))
             if sloped and isinstance(white, Whitening):
                 turned = table @ turn(root, theta - mean)
-                slopes += noise_slopes(self.assembly, v, white, turned)
+                slopes += noise_slopes(self.problem, v, white, turned)
             return _Given(total, mean, root, squares, spent, slopes)
 
         return given
@@ -398,13 +396,13 @@ class _Refinement:
         """v with its scales where the restricted likelihood, times the prior of the spreads, is greatest."""
         if not self.scales:
             return v
-        given, assembly = self.conditional(theta, v), self.assembly
-        if self.density.even and [assembly.kinds[i] for i in self.scales] == ["noise"]:
+        given, problem = self.conditional(theta, v), self.problem
+        if self.density.even and [problem.kinds[i] for i in self.scales] == ["noise"]:
             return self._noise(given, v)
         # Restricted likelihood: θ is integrated out, so that σ² is divided by the degrees of freedom that are left
         # (H. Patterson and R. Thompson, Biometrika 58 (1971) 545). A minimiser on values stops where these have no
         # digits; a root of the slopes goes on.
-        hypers = [(i, assembly.hypers[i]) for i in self.scales]
+        hypers = [(i, problem.hypers[i]) for i in self.scales]
         # The priors of the noise's own positive parameters do not count.
         priors = [i for i, h in hypers if h.kind != "noise" or isinstance(h.prior, Normal)]
         if not math.isfinite(given(v).log_marginal):
@@ -416,8 +414,8 @@ class _Refinement:
             found = given(there, sloped=True)
             slopes = found.slopes[self.scales]
             counts = np.isin(self.scales, priors)
-            slopes += counts * assembly.log_prior_slope(there)[self.scales]
-            own = sum(float(assembly.hypers[i].prior.log_density(there[i])) for i in priors)
+            slopes += counts * problem.log_prior_slope(there)[self.scales]
+            own = sum(float(problem.hypers[i].prior.log_density(there[i])) for i in priors)
             return -found.log_marginal - own, -slopes
 
         def slope(scales: np.ndarray) -> np.ndarray:
@@ -440,18 +438,18 @@ class _Refinement:
         self, v: np.ndarray, excess: np.ndarray, spent: tuple[float, float]
     ) -> Float[np.ndarray, "d"]:
         """By the spreads' coordinates, and by that of one white standard deviation for all readings."""
-        assembly, found = self.assembly, np.zeros(len(v))
-        for i, log_sd in assembly.log_sd_slopes(v, assembly.hyper(v)):
-            found[i] = excess[: assembly.size] @ log_sd
+        problem, found = self.problem, np.zeros(len(v))
+        for i, log_sd in problem.log_sd_slopes(v, problem.hyper(v)):
+            found[i] = excess[: problem.size] @ log_sd
         if self.density.even:
-            left = sum(spent) - assembly.record.size
-            for i in assembly.layout.positions("noise"):
-                found[i] = 0.5 * left * assembly.log_variance_slope(v, i)
+            left = sum(spent) - problem.record.size
+            for i in problem.layout.positions("noise"):
+                found[i] = 0.5 * left * problem.log_variance_slope(v, i)
         return found
 
     def _noise(self, given: Callable[[np.ndarray], _Given], v: np.ndarray) -> np.ndarray:
         """The one standard deviation of independent noise: squares over the degrees of freedom left."""
-        (place,), y = self.scales, self.assembly.record.y
+        (place,), y = self.scales, self.problem.record.y
         least = (np.finfo(float).eps * float(np.max(np.abs(y)))) ** 2  # what the digits can tell
         # Its maximum is σ² = squares/(n − spent); priors make `spent` follow σ, hence the rounds.
         for _ in range(100):
@@ -459,7 +457,7 @@ class _Refinement:
             if not (left := len(y) - found.spent) > 0:
                 return v
             ratio = max(found.squares / left, least)  # of variances
-            step = 0.5 * math.log(ratio) / self.assembly.value_slope(v, place)
+            step = 0.5 * math.log(ratio) / self.problem.value_slope(v, place)
             v = _put(v[place] + step, [place], v)
             if abs(step) < 1e-12:
                 break

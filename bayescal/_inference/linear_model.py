@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
-from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import column_scale
 from bayescal._inference.laplace import Mode
@@ -22,6 +21,7 @@ from bayescal._inference.noise_on_record import (
     variance,
     whitening,
 )
+from bayescal._inference.problem import Point, Problem
 from bayescal._inference.record import Record
 from bayescal._model.composition import Linearised
 from bayescal._model.effect import Effect
@@ -34,18 +34,18 @@ RANK = 1e-12  # of the largest eigenvalue, below which a direction was not fitte
 GAUSS_NEWTON = 4  # linearisations of the expected output: enough for an order of magnitude
 
 
-def learned_size(effect: Effect, assembly: Assembly, mode: Mode) -> tuple[float, float] | None:
+def learned_size(effect: Effect, problem: Problem, mode: Mode) -> tuple[float, float] | None:
     """Spread or amplitude that says how large an effect is, with its standard uncertainty; None if nothing does."""
     spread = effect.coefficients[0].group_sd is not None
     learned = f"{effect.coefficient_name(0)}.group_sd" if spread else ""
     if effect.measure:
         learned = f"{effect.name}.{effect.measure}"
-    names = [h.name for h in assembly.hypers]
+    names = [h.name for h in problem.hypers]
     if learned not in names:
         return None
     # By the logarithm of the value: its standard uncertainty relative to itself, from that of its coordinate.
-    i, value = names.index(learned), float(assembly.hyper(mode.v)[learned])
-    return value, abs(value * assembly.value_slope(mode.v, i)) * math.sqrt(mode.covariance[i, i])
+    i, value = names.index(learned), float(problem.hyper(mode.v)[learned])
+    return value, abs(value * problem.value_slope(mode.v, i)) * math.sqrt(mode.covariance[i, i])
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class LinearModel:
     """The readings as y = μ + columns·θ + noise about a mode.
 
     Attributes:
-        assembly, mode: of the structure.
+        problem, mode: of the structure.
         line: at the mode.
         residual: at the posterior mean of θ, output unit (n,).
         nuisance: slopes by x and by the moving entries of φ, times their prior's standard deviations (n, q).
@@ -64,7 +64,7 @@ class LinearModel:
         extra: variance that the per-reading coefficients add (n,), or 0.
     """
 
-    assembly: Assembly
+    problem: Problem
     mode: Mode
     line: Linearised
     residual: Float[np.ndarray, "n"]
@@ -147,11 +147,11 @@ class LinearModel:
     def scores(self) -> Float[np.ndarray, "n"]:
         """Settled residuals as independent standard normal numbers if the noise law is right: whitened, or by their
         probabilities where it is not Gaussian."""
-        assembly = self.assembly
-        if assembly.noise.gaussian:
+        problem = self.problem
+        if problem.noise.gaussian:
             return self.white_settled
-        values = assembly.hyper(self.mode.v)
-        return normal_scores(assembly.noise, values, assembly.record, self.settled)
+        values = problem.hyper(self.mode.v)
+        return normal_scores(problem.noise, values, problem.record, self.settled)
 
     def along(
         self, columns: Float[np.ndarray, "n k"]
@@ -163,8 +163,8 @@ class LinearModel:
     @cached_property
     def variance(self) -> Float[np.ndarray, "n"]:
         """Of each reading about its expected output."""
-        hyper, extra = self.assembly.hyper(self.mode.v), self.extra
-        return variance(self.assembly.noise, hyper, self.assembly.record) + extra
+        hyper, extra = self.problem.hyper(self.mode.v), self.extra
+        return variance(self.problem.noise, hyper, self.problem.record) + extra
 
     @cached_property
     def rest(self) -> float:
@@ -198,7 +198,7 @@ class LinearModel:
     @cached_property
     def slopes(self) -> dict[str, np.ndarray]:
         """Of the expected output by each slot, at the mode."""
-        return self.assembly.slopes(self.mode.point, self.assembly.hyper(self.mode.v))
+        return self.problem.slopes(self.mode.point, self.problem.hyper(self.mode.v))
 
 
 def taken_up(
@@ -233,42 +233,42 @@ def _factors(matrices: Float[np.ndarray, "*b k k"]) -> Float[np.ndarray, "*b k k
         return np.stack([_factors(one) for one in matrices])
 
 
-def linear_model(assembly: Assembly, mode: Mode) -> LinearModel:
+def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     """A structure about its mode."""
-    density = Density(assembly, mode.point, mode.flat, mode.v)
-    hyper = assembly.hyper(mode.v)
-    line = assembly.linearise(mode.point, hyper)
-    prior = assembly.prior(hyper, mode.flat)
+    density = Density(problem, mode.point, mode.flat, mode.v)
+    hyper = problem.hyper(mode.v)
+    line = problem.linearise(mode.point, hyper)
+    prior = problem.prior(hyper, mode.flat)
     _, found = density.at(mode.v)
     x = mode.point.x if found is None else found.mean
     back = np.sum(line.rows * mode.point.rows, axis=1)
-    residual = assembly.record.y - line.mean + back - line.jacobian @ (x - mode.point.x)
+    residual = problem.record.y - line.mean + back - line.jacobian @ (x - mode.point.x)
     columns, sd = [line.jacobian * prior.sd], [prior.sd]
     there = Point(x, mode.point.rows)
     # To first order a shape is one more unknown: the slope of the output by its coordinate is its column, of prior
     # width one.
-    for i in assembly.moving:
+    for i in problem.moving:
         up, down = mode.v.copy(), mode.v.copy()
         up[i] += STEP
         down[i] -= STEP
-        ends = [assembly.linearise(there, assembly.hyper(v)).mean for v in (up, down)]
+        ends = [problem.linearise(there, problem.hyper(v)).mean for v in (up, down)]
         columns.append(((ends[0] - ends[1]) / (2 * STEP))[:, None])
         sd.append(np.ones(1))
     # Where x stands in units of its prior: a prior of no width has its coefficient at the mean.
     z = np.where(prior.sd > 0, (x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
-    own = [t.known.of for t in assembly.in_x for _ in range(t.at.start, t.at.stop)]
+    own = [t.known.of for t in problem.in_x for _ in range(t.at.start, t.at.stop)]
     extra = density.extra(line)
     return LinearModel(
-        assembly=assembly,
+        problem=problem,
         mode=mode,
         line=line,
         residual=residual,
         nuisance=np.concatenate(columns, axis=1),
-        weight=np.append(prior.weight, np.ones(len(assembly.moving))),
+        weight=np.append(prior.weight, np.ones(len(problem.moving))),
         sd=np.concatenate(sd),
-        owners=(*own, *(assembly.hypers[i].name.rpartition(".")[0] for i in assembly.moving)),
-        z=np.append(prior.weight * z, mode.v[assembly.moving]),
-        whiten=whitening(assembly.noise, hyper, assembly.record, extra, residual),
+        owners=(*own, *(problem.hypers[i].name.rpartition(".")[0] for i in problem.moving)),
+        z=np.append(prior.weight * z, mode.v[problem.moving]),
+        whiten=whitening(problem.noise, hyper, problem.record, extra, residual),
         extra=extra,
     )
 
@@ -301,7 +301,7 @@ def sized(model: Model, readings: Measurements, record: Record) -> Model:
 def amplitudes(model: Model, readings: Measurements, record: Record) -> tuple[float, float]:
     """Plausible amplitudes of what a model lacks, output unit: see `sized`."""
     frame, y = record.frame, record.y
-    left = _left(Assembly(bind(model, readings)[0], record.beside(model.effects)))
+    left = _left(Problem(bind(model, readings)[0], record.beside(model.effects)))
     # Neighbours differ by √2 of white noise's standard deviation, which is 1.4826 times its median absolute value;
     # what the model lacks hardly changes from one reading to the next.
     change, step = np.diff(left[np.asarray(frame.order)]), np.asarray(frame.step)[1:]
@@ -318,14 +318,14 @@ def _half_range(values: Float[np.ndarray, "n"]) -> float:
     return 0.5 * float(high - low)
 
 
-def _left(assembly: Assembly) -> Float[np.ndarray, "n"]:
+def _left(problem: Problem) -> Float[np.ndarray, "n"]:
     """What the effects leave of the output at least, shapes and deviations of groups at their priors' middle."""
-    hyper = assembly.hyper(np.zeros(len(assembly.hypers)))
-    point, y = assembly.start, assembly.record.y
-    plain = [t.at.start for t in assembly.in_x if t.known.per is None and t.group_sd_name is None]
+    hyper = problem.hyper(np.zeros(len(problem.hypers)))
+    point, y = problem.start, problem.record.y
+    plain = [t.at.start for t in problem.in_x if t.known.per is None and t.group_sd_name is None]
     left = y - np.mean(y)
     for _ in range(GAUSS_NEWTON):
-        line = assembly.linearise(point, hyper)
+        line = problem.linearise(point, hyper)
         if not np.all(np.isfinite(line.mean)):
             break
         left = y - line.mean

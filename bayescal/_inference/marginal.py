@@ -18,10 +18,10 @@ from bayescal._core.parallel import over
 from bayescal._core.progress import stage
 from bayescal._core.settings import settings
 from bayescal._inference import nuts_chains, sampled_products, trust
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.least_squares import LeastSquares, refine
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome
+from bayescal._inference.problem import Problem
 from bayescal._inference.sampling import PROPOSALS, WeightedDraws, weighted_draws
 from bayescal._inference.trust import FEWEST_DRAWS, K_HAT
 
@@ -65,48 +65,46 @@ class Marginal(Method):
     chains: bool = True
     name: ClassVar[str] = "marginal"
 
-    def run(self, assembly, seed, start=NOTHING_KNOWN):
+    def run(self, problem, seed, start=NOTHING_KNOWN):
         with stage("finding the mode"):
-            assembly, notes, mode = sampled_products.choose(assembly, self.promote, start)
-            mode = find_mode(assembly, start=start) if mode is None else mode
-        layout, noise = assembly.layout, assembly.noise
-        deadline.offer(lambda why: self.about_the_mode(assembly, mode, seed, notes, why))
+            problem, notes, mode = sampled_products.choose(problem, self.promote, start)
+            mode = find_mode(problem, start=start) if mode is None else mode
+        layout, noise = problem.layout, problem.noise
+        deadline.offer(lambda why: self.about_the_mode(problem, mode, seed, notes, why))
         if not noise.gaussian and layout.row_blocks:
             words = f"{noise.law} noise is not Gaussian, and readings have coefficients of their own: sampled jointly."
-            return self._exact(assembly, mode, seed, (*notes, words))
+            return self._exact(problem, mode, seed, (*notes, words))
         if self.sampler == "nuts" or not mode.log_evidence > -np.inf:
-            return self._exact(assembly, mode, seed, notes)
+            return self._exact(problem, mode, seed, notes)
 
         def result(judged: _Judged, why: str = "") -> Outcome:
             return self._from_weights(layout, judged, notes, seed, why)
 
         with stage("sampling"):
-            judged = self._sampled(assembly, mode, seed, result)
+            judged = self._sampled(problem, mode, seed, result)
             if judged.limit < judged.k_hat <= K_HAT and not layout.row_blocks:
-                judged = self._sampled(assembly, mode, seed, result, heavy=True)
+                judged = self._sampled(problem, mode, seed, result, heavy=True)
         if not judged.why_not:
             return result(judged)
         if not self.chains:
             return result(judged, "chains=False")
         deadline.offer(partial(result, judged))
-        words = (
-            TOO_HEAVY if not noise.gaussian else TOO_NONLINEAR if not assembly.affine else UNEVEN
-        )
-        return self._exact(assembly, mode, seed, (*notes, words.format(judged.why_not)))
+        words = TOO_HEAVY if not noise.gaussian else TOO_NONLINEAR if not problem.affine else UNEVEN
+        return self._exact(problem, mode, seed, (*notes, words.format(judged.why_not)))
 
     def about_the_mode(
-        self, assembly: Assembly, mode: Mode, seed: int, notes: tuple[str, ...], why: str
+        self, problem: Problem, mode: Mode, seed: int, notes: tuple[str, ...], why: str
     ) -> Outcome:
         """What there is before anything is sampled: the Gaussian approximation about the mode."""
         found = LeastSquares(draws=self.draws).outcome(
-            assembly.layout, refine(assembly, mode, False), seed
+            problem.layout, refine(problem, mode, False), seed
         )
         notes = (*notes, NOT_SAMPLED.format(why), *found.verdict.notes)
         return replace(found, verdict=replace(found.verdict, notes=notes))
 
     def _sampled(
         self,
-        assembly: Assembly,
+        problem: Problem,
         mode: Mode,
         seed: int,
         result: Callable[[_Judged, str], Outcome],
@@ -119,11 +117,11 @@ class Marginal(Method):
         model, where the usual bound of k̂ holds.
         """
         proposals, most = self.proposals, MOST_DRAWS
-        if width := len(assembly.row_sd):
-            most = min(MOST_DRAWS, MOST_NUMBERS // (assembly.record.size * width))
+        if width := len(problem.row_sd):
+            most = min(MOST_DRAWS, MOST_NUMBERS // (problem.record.size * width))
         found = None
         while True:
-            found = weighted_draws(assembly, mode, seed, proposals, self.rounds, heavy, found)
+            found = weighted_draws(problem, mode, seed, proposals, self.rounds, heavy, found)
             judged = _judged(found, heavy)
             tried = len(judged.weights)
             limit = PROPOSALS if self.proposals is None else 0
@@ -155,10 +153,10 @@ class Marginal(Method):
             log_evidence=None if layout.improper else evidence,
         )
 
-    def _exact(self, assembly: Assembly, mode: Mode, seed: int, notes) -> Outcome:
+    def _exact(self, problem: Problem, mode: Mode, seed: int, notes) -> Outcome:
         """NUTS; for a while only where neither it nor a time limit was asked for."""
-        layout, asked = assembly.layout, self.sampler == "nuts"
-        log_density, unpack, start, covariance = nuts_chains.whitened(assembly, mode)
+        layout, asked = problem.layout, self.sampler == "nuts"
+        log_density, unpack, start, covariance = nuts_chains.whitened(problem, mode)
         plan = nuts_chains.Plan(800, self.draws // CHAINS, CHAINS, start.size < 40)
         asked = asked or deadline.current().ends_at < math.inf
         with stage("NUTS on whitened unknowns"):

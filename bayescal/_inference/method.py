@@ -11,8 +11,8 @@ import equinox as eqx
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode
+from bayescal._inference.problem import Problem
 from bayescal._model.parameters import Layout
 
 CHAINS = 4  # that draws are dealt into, so that what reads chains can read independent draws too
@@ -107,12 +107,12 @@ class Method(eqx.Module):
 
     @abc.abstractmethod
     def run(
-        self, assembly: Assembly, seed: int, start: Mapping[str, float] = NOTHING_KNOWN
+        self, problem: Problem, seed: int, start: Mapping[str, float] = NOTHING_KNOWN
     ) -> Outcome:
         """Fit. Never raises for lack of convergence: the verdict says it.
 
         Args:
-            assembly: the model on its readings.
+            problem: the model on its readings.
             seed: of every random number.
             start: φ by name where its mode may be.
         """

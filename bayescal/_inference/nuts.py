@@ -15,12 +15,12 @@ from bayescal._core import deadline
 from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
 from bayescal._inference import trust
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import NOTHING_KNOWN, find_mode
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Draws, Method, Outcome
 from bayescal._inference.nuts_chains import Chains, Plan, iterate
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
 from bayescal._model import forward
 from bayescal._model.frame import Frame, reference_of
@@ -52,12 +52,12 @@ class NUTS(Method):
     dense: bool = True
     name: ClassVar[str] = "nuts"
 
-    def run(self, assembly, seed, start=NOTHING_KNOWN):
-        layout = replace(assembly.layout, promoted=())
-        assembly = Assembly(layout, assembly.record)
-        frame, y = assembly.record.frame, assembly.record.y
-        mode = find_mode(assembly, start=start)
-        deadline.offer(lambda why: Marginal().about_the_mode(assembly, mode, seed, (), why))
+    def run(self, problem, seed, start=NOTHING_KNOWN):
+        layout = replace(problem.layout, promoted=())
+        problem = Problem(layout, problem.record)
+        frame, y = problem.record.frame, problem.record.y
+        mode = find_mode(problem, start=start)
+        deadline.offer(lambda why: Marginal().about_the_mode(problem, mode, seed, (), why))
         plan = Plan(self.warmup, self.draws, self.chains, self.dense)
         ran, sites = sampled(program(layout, frame), (y,), plan, seed)
         x, rows, v = (np.asarray(sites[k]) for k in ("x", "rows", "v"))

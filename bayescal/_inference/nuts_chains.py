@@ -21,9 +21,9 @@ from jaxtyping import Array, Float
 from bayescal._core import deadline
 from bayescal._core.errors import TimeIsUp
 from bayescal._core.jit import ALWAYS, known
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode
+from bayescal._inference.problem import Problem
 from bayescal._model import forward
 
 BLOCK = 100  # iterations between which a run can be stopped, at most,
@@ -162,21 +162,21 @@ def _block_of(kernel: Any, arguments: tuple) -> Callable:
     return block
 
 
-def whitened(assembly: Assembly, mode: Mode):
+def whitened(problem: Problem, mode: Mode):
     """The exact log density of (v, z, e), and the map from them to (x, rows, v).
 
     z is x in units of its linearised posterior, by the products at the mode and φ's own prior and noise; e are the
     per-reading coefficients in units of their priors. Any such map is exact.
     """
-    layout, record = assembly.layout, assembly.record
+    layout, record = problem.layout, problem.record
     frame = jax.tree.map(jnp.asarray, record.frame)
-    y, row_sd = jnp.asarray(record.y), jnp.asarray(assembly.row_sd)
+    y, row_sd = jnp.asarray(record.y), jnp.asarray(problem.row_sd)
     d, p, shape = len(layout.hypers), layout.size, mode.point.rows.shape
-    density, there = Density(assembly, mode.point, mode.flat, mode.v), assembly.hyper(mode.v)
-    gram, prior = density.gram(mode.v, there), assembly.prior(there, mode.flat)
+    density, there = Density(problem, mode.point, mode.flat, mode.v), problem.hyper(mode.v)
+    gram, prior = density.gram(mode.v, there), problem.prior(there, mode.flat)
     pull = gram.jtr - gram.jtj @ (prior.weight * (prior.mean - mode.point.x))
     middle = jnp.asarray(np.where(prior.weight > 0, prior.mean, mode.point.x))
-    amplitude = next(iter(assembly.noise.amplitudes), None)
+    amplitude = next(iter(problem.noise.amplitudes), None)
 
     def place(v, z):
         # z is x − x̂(φ) whitened by the precision of the linearised model at v (`gaussian.condition`), with the

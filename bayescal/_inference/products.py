@@ -23,11 +23,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._data.column import UNCERTAINTY
-from bayescal._inference.assembly import Assembly, Point, Values
 from bayescal._inference.chebyshev import REACH, weights, weights_and_slopes
 from bayescal._inference.column_products import ColumnProducts
 from bayescal._inference.gaussian import Conditional, Gram, Prior
 from bayescal._inference.noise_on_record import Whitening
+from bayescal._inference.problem import Point, Problem, Values
 from bayescal._inference.record import Basis
 from bayescal._model.composition import Linearised, by_member
 from bayescal._model.prior import Normal
@@ -74,20 +74,20 @@ class Columns(NamedTuple):
         return found
 
 
-def basis_of(t: Term, assembly: Assembly) -> Basis | None:
+def basis_of(t: Term, problem: Problem) -> Basis | None:
     """The columns of a term's effect as sums of a few; None where they cannot be interpolated along its free shapes."""
-    fixed = assembly.fixed_values
+    fixed = problem.fixed_values
     if t.known.shape_names and all(name in fixed for name in t.known.shape_names):
         values = tuple(float(fixed[name]) for name in t.known.shape_names)
-        return Basis(assembly.record.columns(t.known.columns, values)[:, :, None], None)
-    return assembly.record.basis_along(t.known.columns)
+        return Basis(problem.record.columns(t.known.columns, values)[:, :, None], None)
+    return problem.record.basis_along(t.known.columns)
 
 
 class Products:
     """Products of a structure linearised at a point, as functions of φ.
 
     Attributes:
-        assembly: the structure on its record.
+        problem: the structure on its record.
         point: x̂, and the per-reading coefficients.
         there: coordinates of φ at which a nonlinear output is linearised in its shapes too.
         outer: the axes along which they are polynomials; None where there is none.
@@ -96,16 +96,16 @@ class Products:
 
     def __init__(
         self,
-        assembly: Assembly,
+        problem: Problem,
         point: Point,
         there: Float[np.ndarray, "d"],
         outer: Axes | None = None,
     ) -> None:
-        self.assembly, self.point, self.there, self.outer = assembly, point, there, outer
-        self.size = assembly.record.size
+        self.problem, self.point, self.there, self.outer = problem, point, there, outer
+        self.size = problem.record.size
         # Where columns of the readings are corrected, every coefficient moves all columns: J is taken as it is.
-        places = ("x",) if assembly.corrected else ("x", "fixed")
-        self.terms = [t for t in assembly.terms if t.place in places]
+        places = ("x",) if problem.corrected else ("x", "fixed")
+        self.terms = [t for t in problem.terms if t.place in places]
         self._bases = [self._basis(t) for t in self.terms]
         self._held = np.array(
             [t.value for t in self.terms if t.place == "fixed" for _ in range(t.size)]
@@ -128,10 +128,10 @@ class Products:
     def _basis(self, t: Term) -> Basis | None:
         """The columns of a term's effect; None where an outer axis moves them."""
         moved = self.outer is not None and set(t.known.shape_names) & set(self.outer.names)
-        return None if moved or self.assembly.corrected else basis_of(t, self.assembly)
+        return None if moved or self.problem.corrected else basis_of(t, self.problem)
 
     def _laid_out(self) -> Columns:
-        names, end = [h.name for h in self.assembly.hypers], self.assembly.size
+        names, end = [h.name for h in self.problem.hypers], self.problem.size
         plain, moving, owner = [np.zeros(0, int)], [], []
         by: dict[int, list[int]] = {}
         shares = [np.zeros((0, len(weights(0.0))))]
@@ -167,22 +167,22 @@ class Products:
     def _of_term(self, t: Term, basis: Basis, slope: np.ndarray) -> Float[np.ndarray, "n w"]:
         """The table's columns of a term: for each member of its group, as many as its basis has."""
         columns = (slope * t.factor)[:, None] * basis.columns[:, t.index]
-        codes = None if t.known.per is None else self.assembly.record.codes[t.known.per]
+        codes = None if t.known.per is None else self.problem.record.codes[t.known.per]
         # by_member spreads the last axis: (r, n) to (r, n, members), then members before the columns of the basis
         found = by_member(np, columns.T, codes, t.size)
         return found.transpose(1, 2, 0).reshape(len(columns), -1)
 
     def _table(self, hyper: Values, v: np.ndarray, line: Linearised) -> Float[np.ndarray, "n m1"]:
         """[Φ r]; at a φ as far as outer axes move them."""
-        assembly, point = self.assembly, self.point
-        residual = assembly.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
-        if assembly.corrected:
+        problem, point = self.problem, self.point
+        residual = problem.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
+        if problem.corrected:
             return np.column_stack([line.jacobian, residual])
-        slopes, parts = assembly.slopes(point, hyper), []
+        slopes, parts = problem.slopes(point, hyper), []
         for t, basis in zip(self.terms, self._bases, strict=True):
             if basis is None:
                 shapes = tuple(float(hyper[name]) for name in t.known.shape_names)
-                basis = Basis(assembly.record.columns(t.known.columns, shapes)[:, :, None], None)
+                basis = Basis(problem.record.columns(t.known.columns, shapes)[:, :, None], None)
             parts.append(self._of_term(t, basis, slopes[t.slot]))
         if not parts:
             return residual[:, None]
@@ -194,19 +194,19 @@ class Products:
 
     def _once(self) -> Float[np.ndarray, "m1 m1"]:
         """Products where no outer axis moves them; an affine output's from those that its record keeps."""
-        assembly = self.assembly
-        if not assembly.affine:
-            hyper = assembly.hyper(self.there)
-            table = self._table(hyper, self.there, assembly.linearise(self.point, hyper))
+        problem = self.problem
+        if not problem.affine:
+            hyper = problem.hyper(self.there)
+            table = self._table(hyper, self.there, problem.linearise(self.point, hyper))
             return table.T @ table
-        store: ColumnProducts = assembly.record.products
-        slopes, parts = assembly.slopes(self.point, {}), [np.zeros(0, int)]
+        store: ColumnProducts = problem.record.products
+        slopes, parts = problem.slopes(self.point, {}), [np.zeros(0, int)]
         for t, basis in zip(self.terms, self._bases, strict=True):
             assert basis is not None
             held = (
                 None
                 if basis.shares is not None
-                else [self.assembly.fixed_values.get(n) for n in t.known.shape_names]
+                else [self.problem.fixed_values.get(n) for n in t.known.shape_names]
             )
             key = (t.known.key, t.index, t.slot, t.factor, t.known.per, tuple(held or ()))
             if key not in store.places:
@@ -243,7 +243,7 @@ class Products:
         inside = np.all(np.abs(vs[..., self._inner]) <= REACH, axis=-1)
         if self.polynomials is None:
             return inside
-        hyper = self.assembly.hyper(np.moveaxis(vs, -1, 0))
+        hyper = self.problem.hyper(np.moveaxis(vs, -1, 0))
         return inside & self.polynomials.reach(self._axes.of(hyper, vs))
 
     @property
@@ -254,7 +254,7 @@ class Products:
     def _whole(self, v: np.ndarray, hyper: Values) -> tuple[Float[np.ndarray, "m1 m1"], float]:
         """[Φ r]ᵀΣ⁻¹[Φ r] and log|Σ|."""
         if self.polynomials is None:
-            variance = float(self.assembly.noise.shared_variance(hyper))
+            variance = float(self.problem.noise.shared_variance(hyper))
             return self._sets[0] / variance, self.size * math.log(variance)
         unit = float(self._axes.unit(hyper))
         terms = self.polynomials.terms(self._axes.of(hyper, v[None]))[0]
@@ -302,9 +302,9 @@ class Products:
         made = np.zeros(len(v))
         # tr E·G: squares of the residuals at the mean, and the degrees of freedom that x took
         taken = found.squares + len(found.z) - float(prior.weight @ found.variance_of_z)
-        for i, kind in enumerate(self.assembly.kinds):
+        for i, kind in enumerate(self.problem.kinds):
             if kind == "noise":
-                made[i] = 0.5 * (taken - self.size) * self.assembly.log_variance_slope(v, i)
+                made[i] = 0.5 * (taken - self.size) * self.problem.log_variance_slope(v, i)
         moving, (places, kept), f = self.columns.moving, self._places, len(self.columns.plain)
         if not len(moving):
             return made
@@ -332,7 +332,7 @@ class Products:
         """Weighted products of J and r at several φ."""
         whole, logdet = self._sets, 0.0
         if self.polynomials is None:
-            unit = np.broadcast_to(self.assembly.noise.shared_variance(hyper), len(vs))
+            unit = np.broadcast_to(self.problem.noise.shared_variance(hyper), len(vs))
         else:
             unit = np.broadcast_to(self._axes.unit(hyper), len(vs))
             terms = self.polynomials.terms(self._axes.of(hyper, vs))
@@ -356,9 +356,9 @@ class Products:
         """Products at one point of the outer axes in units of the noise there, and log|Σ| likewise."""
         hyper, v = self._axes.values(coordinates, self.there)
         unit = float(self._axes.unit(hyper))
-        line = self.assembly.linearise(self.point, hyper)
-        extra = np.sum((line.rows * self.assembly.row_sd) ** 2, axis=1)
-        white = Whitening(self.assembly.noise, hyper, self.assembly.record, extra)
+        line = self.problem.linearise(self.point, hyper)
+        extra = np.sum((line.rows * self.problem.row_sd) ** 2, axis=1)
+        white = Whitening(self.problem.noise, hyper, self.problem.record, extra)
         # In units of the noise there the products hardly follow its amplitude, so that a low degree describes them.
         whole, logdet = white.gram(self._table(hyper, v, line))
         return np.append(
@@ -373,23 +373,23 @@ class Axes:
         names: shapes, promoted coefficients and parameters of the noise.
     """
 
-    def __init__(self, assembly: Assembly) -> None:
-        self.assembly = assembly
-        hypers, noise, record = assembly.hypers, assembly.noise, assembly.record
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        hypers, noise, record = problem.hypers, problem.noise, problem.record
         free = {h.name for h in hypers}
         self._spreads = {
             name: t.group_sd_name
-            for t in assembly.terms
+            for t in problem.terms
             if t.place == "phi" and t.group_sd_name is not None
             for name in t.members
         }
         smooth = {
             t.known.shape_names[0]
-            for t in assembly.terms
+            for t in problem.terms
             if t.place in ("x", "fixed")
             and t.known.shape_names
-            and not assembly.corrected
-            and basis_of(t, assembly) is not None
+            and not problem.corrected
+            and basis_of(t, problem) is not None
         }
         self._shapes = {
             h.name: i for i, h in enumerate(hypers) if h.kind == "shape" and h.name not in smooth
@@ -400,12 +400,12 @@ class Axes:
         known = UNCERTAINTY in record.frame.columns
         self._floor = float(np.median(np.asarray(record.frame[UNCERTAINTY]) ** 2)) if known else 0.0
         # Where no variance is known beforehand, all amplitudes are taken in units of the first.
-        absolute = known or len(assembly.row_sd) > 0
+        absolute = known or len(problem.row_sd) > 0
         self._amplitudes: tuple[str, ...] = (
             () if absolute or not set(noise.amplitudes) <= free else noise.amplitudes
         )
         priors = noise.parameters()
-        self._even = noise.even(record.frame) and not len(assembly.row_sd)
+        self._even = noise.even(record.frame) and not len(problem.row_sd)
         self._noise = [
             n for n in priors if n in free and n not in self._amplitudes[:1] and not self._even
         ]
@@ -414,7 +414,7 @@ class Axes:
 
     def unit(self, hyper: Mapping[str, Any]) -> Any:
         """A variance that the products are about inversely proportional to."""
-        noise = self.assembly.noise
+        noise = self.problem.noise
         if self._even:
             return noise.shared_variance(hyper)
         return noise.fresh_variance(hyper, self._step) + self._floor
@@ -441,13 +441,13 @@ class Axes:
 
         Amplitudes that the unit is one of are one.
         """
-        hyper, v = self.assembly.hyper(there), there.copy()
+        hyper, v = self.problem.hyper(there), there.copy()
         hyper.update(dict.fromkeys(self._spreads.values(), 1.0))
         hyper.update(dict.fromkeys(self._amplitudes[:1], 1.0))
         along = iter(coordinates)
         for name, i in self._shapes.items():
             v[i] = next(along)
-            hyper[name] = float(self.assembly.hypers[i].prior.value(v[i]))
+            hyper[name] = float(self.problem.hypers[i].prior.value(v[i]))
         for name in self._promoted:
             hyper[name] = float(next(along))
         for name in self._noise:

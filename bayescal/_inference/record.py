@@ -81,7 +81,7 @@ class Record:
     _bytes: int = 0
     _last: tuple[Any, Any] | None = None  # slots, and what the instrument responded to them
     _for_laws: dict[Noise, tuple[Noise, programs.Leaves]] = field(default_factory=dict)
-    plain: dict[Any, Any] = field(default_factory=dict)  # what assemblies know of a coefficient
+    plain: dict[Any, Any] = field(default_factory=dict)  # what problems know of a coefficient
     of: Any = None  # what it was made of, held
 
     @cached_property

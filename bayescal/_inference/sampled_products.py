@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.errors import ModelError
-from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
+from bayescal._inference.problem import Point, Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
@@ -33,21 +33,21 @@ MOST_MEMBERS = 12  # a group coefficient with more members than this is not prom
 
 
 def choose(
-    assembly: Assembly,
+    problem: Problem,
     asked: tuple[str, ...] | None,
     start: Mapping[str, float] = NOTHING_KNOWN,
-) -> tuple[Assembly, tuple[str, ...], Mode | None]:
+) -> tuple[Problem, tuple[str, ...], Mode | None]:
     """The model with what must be promoted, what to say about it, and its mode where that was sought.
 
     Args:
-        assembly: the model on its readings.
+        problem: the model on its readings.
         asked: what to promote, where somebody said it.
         start: φ by name where its mode may be.
 
     Raises:
         ModelError: a name that was asked for is no coefficient of the model.
     """
-    layout, record, notes = assembly.layout, assembly.record, ()
+    layout, record, notes = problem.layout, problem.record, ()
     if asked is not None:
         known = [b.name for b in layout.x_blocks]
         for name in asked:
@@ -55,15 +55,15 @@ def choose(
                 raise ModelError(
                     f"promote: nothing that could be promoted is called {name!r}; there is: {', '.join(known)}"
                 )
-        return Assembly(layout.promote(*asked), record), (), None
-    while _bends(assembly):
+        return Problem(layout.promote(*asked), record), (), None
+    while _bends(problem):
         free, least = MOST_PROMOTED - len(layout.positions("promoted")), PRODUCT_SD
         few = [b for b in layout.x_blocks if b.coefficient.per is None or b.size <= MOST_MEMBERS]
         few = [b for b in few if b.size <= free]
         if not few:
-            return assembly, notes, None
-        mode = find_mode(assembly, start=start)
-        sizes = _second_order(assembly, mode)
+            return problem, notes, None
+        mode = find_mode(problem, start=start)
+        sizes = _second_order(problem, mode)
         strength = {
             b.name: float(np.sqrt(np.sum(sizes[b.start : b.start + b.size] ** 2))) for b in few
         }
@@ -71,7 +71,7 @@ def choose(
         # funnel with it, so such a one is only taken where no other matters.
         matter = [b for b in few if strength[b.name] >= least]
         if not matter:
-            return assembly, notes, mode
+            return problem, notes, mode
         plain = [b for b in matter if b.coefficient.group_sd is None]
         best = max(plain or matter, key=lambda b: strength[b.name])
         # With the other parts of its effect in the same slot, nonlinear with it, where all fit in φ.
@@ -86,43 +86,43 @@ def choose(
             f"{'the' if several else 'its'} product with other unknowns amounts to {strength[best.name]:.2g} noise "
             "standard deviations.",
         )
-        assembly = Assembly(layout, record)
-    return assembly, notes, None
+        problem = Problem(layout, record)
+    return problem, notes, None
 
 
 def is_nonlinear(layout: Layout, frame: Frame) -> bool:
     """Whether the expected output is anything but affine in the coefficients, tried at random points."""
     instrument = layout.model.instrument
-    return _bends(Assembly(layout, Record(instrument, frame, np.zeros(frame.size))))
+    return _bends(Problem(layout, Record(instrument, frame, np.zeros(frame.size))))
 
 
-def _bends(assembly: Assembly) -> bool:
-    if assembly.affine or not assembly.size:
+def _bends(problem: Problem) -> bool:
+    if problem.affine or not problem.size:
         return False
-    random, v = np.random.default_rng(1), np.zeros(len(assembly.hypers))
-    widths, hyper = assembly.row_sd, assembly.hyper(v)
-    rows = widths * random.standard_normal((assembly.record.size, len(widths)))
-    sd = assembly.prior(hyper, np.ones(assembly.size)).sd
+    random, v = np.random.default_rng(1), np.zeros(len(problem.hypers))
+    widths, hyper = problem.row_sd, problem.hyper(v)
+    rows = widths * random.standard_normal((problem.record.size, len(widths)))
+    sd = problem.prior(hyper, np.ones(problem.size)).sd
     # An affine f has f(a + b) − f(0) = (f(a) − f(0)) + (f(b) − f(0)) for all a and b: tried at random ones of prior
     # size.
-    one, two = sd * random.standard_normal((2, assembly.size))
+    one, two = sd * random.standard_normal((2, problem.size))
     moves = ((0 * one, 0.0), (one, 1.0), (two, 0.0), (one + two, 1.0))
-    points = (Point(assembly.start.x + x, share * rows) for x, share in moves)
-    base, a, b, both = (assembly.linearise(point, hyper).mean for point in points)
+    points = (Point(problem.start.x + x, share * rows) for x, share in moves)
+    base, a, b, both = (problem.linearise(point, hyper).mean for point in points)
     scale = np.max(np.abs(a - base)) + np.max(np.abs(b - base)) + 1e-300
     return bool(np.max(np.abs((both - base) - (a - base) - (b - base))) > AFFINE * scale)
 
 
-def _second_order(assembly: Assembly, mode: Mode) -> Float[np.ndarray, "p"]:
+def _second_order(problem: Problem, mode: Mode) -> Float[np.ndarray, "p"]:
     """For each entry of x the size of its products with the others, in noise standard deviations."""
-    hyper = assembly.hyper(mode.v)
-    found = Density(assembly, mode.point, mode.flat).at(mode.v)[1]
+    hyper = problem.hyper(mode.v)
+    found = Density(problem, mode.point, mode.flat).at(mode.v)[1]
     if found is None:
-        return np.zeros(assembly.size)
+        return np.zeros(problem.size)
     covariance = found.covariance
     root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
-    frame = assembly.record.frame
-    noise = np.sqrt(np.asarray(assembly.noise.variance(hyper, frame)))  # pyright: ignore[reportArgumentType]
+    frame = problem.record.frame
+    noise = np.sqrt(np.asarray(problem.noise.variance(hyper, frame)))  # pyright: ignore[reportArgumentType]
     noise = np.broadcast_to(noise, frame.size)[:, None]
     sd = np.sqrt(np.diag(covariance))
 
@@ -131,11 +131,11 @@ def _second_order(assembly: Assembly, mode: Mode) -> Float[np.ndarray, "p"]:
         for sign in (1, -1):
             x = mode.point.x.copy()
             x[i] += sign * STEP * sd[i]
-            ends.append(assembly.linearise(Point(x, mode.point.rows), hyper))
+            ends.append(problem.linearise(Point(x, mode.point.rows), hyper))
         # What one posterior standard deviation of xᵢ changes in J, times a root of the covariance of the others: the
         # second-order term that the linearised model leaves out of each reading, in units of its noise.
         in_x = (ends[0].jacobian - ends[1].jacobian) / (2 * STEP) @ root / noise
-        in_rows = (ends[0].rows - ends[1].rows) / (2 * STEP) * assembly.row_sd / noise
+        in_rows = (ends[0].rows - ends[1].rows) / (2 * STEP) * problem.row_sd / noise
         return float(np.sqrt(np.sum(in_x**2) + np.sum(in_rows**2)))
 
-    return np.array([size(i) for i in range(assembly.size)])
+    return np.array([size(i) for i in range(problem.size)])

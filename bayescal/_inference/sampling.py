@@ -22,12 +22,12 @@ from bayescal._core import deadline
 from bayescal._core.importance_weights import Corrections, effective_size, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import NOWHERE, Density, about
 from bayescal._inference.gaussian import Drawn, Gram, draw
 from bayescal._inference.joint import FREEDOM, draw_joint, normal_numbers
 from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.noise_on_record import grams
+from bayescal._inference.problem import Problem
 from bayescal._inference.products import Products
 from bayescal._inference.trust import K_HAT
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
@@ -137,24 +137,24 @@ class ManyPhi:
         exact: whether the closed form is that of φ itself.
     """
 
-    def __init__(self, assembly: Assembly, mode: Mode, proposals: float | None = None) -> None:
-        self.assembly, self.mode, self.size = assembly, mode, assembly.record.size
-        self.density = Density(assembly, mode.point, mode.flat, mode.v)
+    def __init__(self, problem: Problem, mode: Mode, proposals: float | None = None) -> None:
+        self.problem, self.mode, self.size = problem, mode, problem.record.size
+        self.density = Density(problem, mode.point, mode.flat, mode.v)
         self.products = self.density.products
-        if self.products is None and assembly.noise.gaussian:
+        if self.products is None and problem.noise.gaussian:
             close = CLOSE_NATS if self.size <= COSTLY_READINGS else CLOSER_NATS
             expected = FEWER_PROPOSALS if proposals is None else proposals
             self.products = about(self.density, mode.v, mode.covariance, close, expected)
         self.polynomial = self.products is not None and self.products.outer is not None
-        self.exact = assembly.noise.gaussian and not self.polynomial
-        self.together = max(16, NUMBERS // (assembly.size + 1) ** 2)
+        self.exact = problem.noise.gaussian and not self.polynomial
+        self.together = max(16, NUMBERS // (problem.size + 1) ** 2)
         if self.products is None:  # few at a time, so that the deadline is asked
             self.together = min(self.together, max(16, IN_CACHE // self.size))
         self.highest, self.top = float(mode.log_density), mode.v
 
     def at(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> tuple[np.ndarray, Drawn]:
         """Log density of each φ, and the x that standard normal numbers stand for given it."""
-        prior = self.assembly.log_priors(v)
+        prior = self.problem.log_priors(v)
         if self.products is None:
             found = self._by_readings(v, normal)
             total = _sum(found.log_marginal, prior)
@@ -167,12 +167,12 @@ class ManyPhi:
     def _by_products(
         self, products: Products, v: Float[np.ndarray, "b d"], normal: np.ndarray, prior: np.ndarray
     ) -> tuple[np.ndarray, Drawn]:
-        held = len(products.at) - self.assembly.size
-        hyper = self.assembly.hyper(v.T)
+        held = len(products.at) - self.problem.size
+        hyper = self.problem.hyper(v.T)
         with_held = np.pad(normal, [(0, 0), (0, held)])
-        own = products.prior(self.assembly.prior(hyper, self.mode.flat, (len(v),)))
+        own = products.prior(self.problem.prior(hyper, self.mode.flat, (len(v),)))
         found = draw(products.grams(v, hyper), self.size, own, products.at, with_held)
-        found = found._replace(x=found.x[:, : self.assembly.size])
+        found = found._replace(x=found.x[:, : self.problem.size])
         total = _sum(found.log_marginal, prior)
         # Where interpolation or polynomials end or have lost their definiteness, φ that may count are computed.
         beyond = ~products.reaches(v)
@@ -196,29 +196,29 @@ class ManyPhi:
 
     def _by_readings(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> Drawn:
         """The same from products that are computed for each φ."""
-        assembly = self.assembly
-        if assembly.corrected or len(assembly.row_sd) or not assembly.noise.gaussian:
-            made = [self.density.gram(one, assembly.hyper(one)) for one in v]
+        problem = self.problem
+        if problem.corrected or len(problem.row_sd) or not problem.noise.gaussian:
+            made = [self.density.gram(one, problem.hyper(one)) for one in v]
             grams = Gram(*(np.stack([np.asarray(g[i]) for g in made]) for i in range(4)))
         else:
-            together = max(8, TABLES // (self.size * (assembly.size + 1)))
+            together = max(8, TABLES // (self.size * (problem.size + 1)))
             parts = [self._computed(part) for part in np.array_split(v, -(-len(v) // together))]
             grams = Gram(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
-        prior = assembly.prior(assembly.hyper(v.T), self.mode.flat, (len(v),))
+        prior = problem.prior(problem.hyper(v.T), self.mode.flat, (len(v),))
         return draw(grams, self.size, prior, self.mode.point.x, normal)
 
     def _computed(self, v: Float[np.ndarray, "b d"]) -> Gram:
-        assembly, record = self.assembly, self.assembly.record
-        hyper, count = assembly.hyper(v.T), len(v) if assembly.moving else 1
-        table = assembly.linearise_draws(self.mode.point, hyper, count)
+        problem, record = self.problem, self.problem.record
+        hyper, count = problem.hyper(v.T), len(v) if problem.moving else 1
+        table = problem.linearise_draws(self.mode.point, hyper, count)
         each = {name: np.broadcast_to(value, len(v)) for name, value in hyper.items()}
-        return Gram.of(*grams(assembly.noise, record, table, each, len(v)))
+        return Gram.of(*grams(problem.noise, record, table, each, len(v)))
 
     def stretches(self, v: Float[np.ndarray, "s d"]) -> list[np.ndarray]:
         return np.array_split(v, -(-len(v) // self.together))
 
     def values(self, v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s"]:
-        size, made = self.assembly.size, []
+        size, made = self.problem.size, []
         for part in self.stretches(v):
             deadline.current().ask()
             made.append(self.at(part, np.zeros((len(part), size)))[0])
@@ -349,7 +349,7 @@ class _Placed(NamedTuple):
 
 @on_one_thread
 def weighted_draws(
-    assembly: Assembly,
+    problem: Problem,
     mode: Mode,
     seed: int,
     proposals: int | None,
@@ -361,7 +361,7 @@ def weighted_draws(
     """Adapt, then sample. The same numbers for the same seed.
 
     Args:
-        assembly: the structure on its record.
+        problem: the structure on its record.
         mode: its mode.
         seed: of every random number.
         proposals: at least, half as many in each round of adaptation; by their cost if not given. Where each costs a
@@ -378,9 +378,9 @@ def weighted_draws(
     # Further draws have random numbers of their own: the same ones again would tell nothing.
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
     expected = part * FEWER_PROPOSALS if proposals is None else proposals
-    density = ManyPhi(assembly, mode, expected)
-    share, above = _prior_share(assembly), HIGHER_NATS
-    heavy = heavy or not assembly.noise.gaussian
+    density = ManyPhi(problem, mode, expected)
+    share, above = _prior_share(problem), HIGHER_NATS
+    heavy = heavy or not problem.noise.gaussian
     known = None if earlier is None else earlier.rounds
     while True:
         count = proposals or max(OF_A_PART, round(part * proposals_of(density)))
@@ -396,9 +396,9 @@ def weighted_draws(
             start = found.v[int(np.argmax(found.log_weight_phi))]
         # No draw of a posterior lies above its mode, and one that counts for many more is on a hill that is not
         # proposed: the climb may have ended on a lower one, and begins anew there.
-        mode = find_mode(assembly, [start], point=density.mode.point)
+        mode = find_mode(problem, [start], point=density.mode.point)
         if mode.log_density > higher:
-            density, known = ManyPhi(assembly, mode, expected), None
+            density, known = ManyPhi(problem, mode, expected), None
         elif found is not None:
             return found
         else:  # higher in the linear form about the old mode alone
@@ -469,13 +469,13 @@ def proposals_of(density: ManyPhi) -> int:
     """How many: fewer where each costs a pass over many readings, or a large matrix."""
     # A pass over many readings for each φ buys fewer proposals in the same time; weights that are uneven ask for
     # more.
-    assembly, direct = density.assembly, density.products is None
-    long = assembly.record.size > COSTLY_READINGS
-    if direct and (long or not assembly.noise.gaussian):
+    problem, direct = density.problem, density.products is None
+    long = problem.record.size > COSTLY_READINGS
+    if direct and (long or not problem.noise.gaussian):
         return FEWEST_PROPOSALS
-    if direct or assembly.size > 100:
+    if direct or problem.size > 100:
         return FEWER_PROPOSALS
-    return FEWER_PROPOSALS if long and not (density.exact and assembly.affine) else PROPOSALS
+    return FEWER_PROPOSALS if long and not (density.exact and problem.affine) else PROPOSALS
 
 
 def _placed(
@@ -494,12 +494,12 @@ def _placed(
     rows = np.array(rows) if width else rows
     log_density, correction, highest = np.empty(count), np.full(count, NOWHERE), NOWHERE
     together = max(32, min(density.together, IN_CACHE // size))
-    bends = density.exact and not density.assembly.affine and not judged.alike
+    bends = density.exact and not density.problem.affine and not judged.alike
     first = FIRST_DRAWS if bends and count > FIRST_DRAWS else 0
     parts = np.array_split(np.arange(first, count), -(-(count - first) // together))
     for stretch in ([np.arange(first)] if first else []) + parts:
         deadline.current().ask()
-        normal = normal_numbers(density.assembly.size, len(stretch), heavy, random)
+        normal = normal_numbers(density.problem.size, len(stretch), heavy, random)
         log_density[stretch], found = density.at(v[stretch], normal)
         of_phi = log_density[stretch] - log_proposal[stretch]
         highest = max(highest, float(np.max(of_phi)))
@@ -528,19 +528,19 @@ def _drawn(
 
     Where polynomials end it is not: there each draw has its own.
     """
-    assembly, mode, exact = density.assembly, density.mode, density.exact
-    hyper, inside = assembly.hyper(v.T), density.inside(v)
-    if len(assembly.row_sd) or not judged.alike:
-        made = draw_joint(assembly, mode, found, normal, hyper, exact, heavy, random)
+    problem, mode, exact = density.problem, density.mode, density.exact
+    hyper, inside = problem.hyper(v.T), density.inside(v)
+    if len(problem.row_sd) or not judged.alike:
+        made = draw_joint(problem, mode, found, normal, hyper, exact, heavy, random)
         judged.add(of_phi[inside], made[2][inside])
         return made
     x = found.x.copy()
-    rows, correction = np.empty((len(v), assembly.record.size, 0)), np.full(len(v), judged.mean)
+    rows, correction = np.empty((len(v), problem.record.size, 0)), np.full(len(v), judged.mean)
     if not inside.all():
         out = ~inside
-        hyper = assembly.hyper(v[out].T)
+        hyper = problem.hyper(v[out].T)
         some = found.of(out), normal[out]
-        made = draw_joint(assembly, mode, *some, hyper, exact, heavy, random)
+        made = draw_joint(problem, mode, *some, hyper, exact, heavy, random)
         x[out], rows[out], correction[out] = made
     return x, rows, correction
 
@@ -567,15 +567,15 @@ def _log_proposal(
     return np.logaddexp(*parts)
 
 
-def _prior_share(assembly: Assembly) -> PriorShare | None:
-    priors = [h.prior for h in assembly.hypers]
+def _prior_share(problem: Problem) -> PriorShare | None:
+    priors = [h.prior for h in problem.hypers]
     if not priors or any(isinstance(p, (Flat, FlatLine)) for p in priors):
         return None
 
     def draw(random: np.random.Generator, count: int) -> Float[np.ndarray, "s d"]:
         return np.stack([_prior_draws(p, random, count) for p in priors], axis=1)
 
-    return PriorShare(draw, assembly.log_priors)
+    return PriorShare(draw, problem.log_priors)
 
 
 def _prior_draws(prior, random: np.random.Generator, count: int) -> Float[np.ndarray, "s"]:

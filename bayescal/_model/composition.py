@@ -5,7 +5,7 @@
 There is no other: fits, searches, predictions, NumPyro's program, simulations and the equation that is exported all
 come from `compose`. Where columns and responses are taken from is said by a `ColumnSource`: `Traced` (here) has the
 effects and the instrument themselves, in programs of JAX; a record that keeps them is the other
-(`_inference/assembly.py`).
+(`_inference/problem.py`).
 Leading axes are draws.
 """
 

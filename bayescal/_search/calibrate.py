@@ -559,5 +559,5 @@ def _other_path(structures: Structures) -> OtherPath | None:
     # The same effects under another law are no other conclusion.
     if other.structure.effects == best.structure.effects:
         return None
-    law, effects = other.assembly.noise, tuple(sorted(other.structure.effects))
+    law, effects = other.problem.noise, tuple(sorted(other.structure.effects))
     return OtherPath(law.name, effects, other.total - best.total, law.in_words)

@@ -160,19 +160,19 @@ def too_small_or_large(
 
 def _by_refit(effect, with_it: Weighed) -> dict:
     """Size with its uncertainty, and shapes, at the refit's mode."""
-    assembly, mode = with_it.assembly, with_it.mode
-    hyper = assembly.hyper(mode.v)
+    problem, mode = with_it.problem, with_it.mode
+    hyper = problem.hyper(mode.v)
     shapes = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.shapes}
     if effect.held:  # a body: what is to be known of it is its time
         own = next(iter(effect.shapes))
-        at = [h.name for h in assembly.hypers].index(effect.shape_name(own))
-        slope = abs(assembly.value_change(mode.v, at))
+        at = [h.name for h in problem.hypers].index(effect.shape_name(own))
+        slope = abs(problem.value_change(mode.v, at))
         sd = slope * math.sqrt(mode.covariance[at, at])
         return {"size": shapes[own.name], "size_sd": sd, "shape": shapes, "unit": own.unit}
-    if learned := learned_size(effect, assembly, mode):
+    if learned := learned_size(effect, problem, mode):
         return {"size": learned[0], "size_sd": learned[1], "shape": shapes}
-    term = next(t for t in assembly.in_x if t.known.of == effect.name)
-    _, got = Density(assembly, mode.point, mode.flat, mode.v).at(mode.v)
+    term = next(t for t in problem.in_x if t.known.of == effect.name)
+    _, got = Density(problem, mode.point, mode.flat, mode.v).at(mode.v)
     # Given φ̂: the noise and the shapes are held, as in a score.
     sd = 0.0 if got is None else math.sqrt(got.covariance[term.at.start, term.at.start])
     return {"size": float(mode.point.x[term.at.start]), "size_sd": sd, "shape": shapes}

@@ -143,7 +143,7 @@ def in_one_order(step: Step) -> list[Claim]:
     the input, this is a function of the input.
     """
     calibration = step.calibration
-    readings, (order, since) = calibration.readings, calibration.assembly.record.in_time
+    readings, (order, since) = calibration.readings, calibration.problem.record.in_time
     found = []
     for effect in (e for e in calibration.model.effects if e.is_placeholder):
         column = effect.along or ""

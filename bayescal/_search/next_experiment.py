@@ -204,17 +204,17 @@ def expected_readings(
     # deviations come back as covariance between readings of one member.
     codes = {group: np.asarray(own) for group, own in frame.codes.items()}
     unseen = replace(frame, codes={group: np.full_like(own, -1) for group, own in codes.items()})
-    assembly = calibration.assembly_on(unseen)
-    record, (x, rows, v) = assembly.record, calibration.draws(draws)
+    problem = calibration.problem_on(unseen)
+    record, (x, rows, v) = problem.record, calibration.draws(draws)
     rows = np.zeros((len(x), record.size, rows.shape[2]))
     parts = np.array_split(np.arange(len(x)), -(-len(x) // DRAWS_TOGETHER))
-    means = [assembly.expected(x[p], rows[p], assembly.hyper(v[p].T)) for p in parts]
+    means = [problem.expected(x[p], rows[p], problem.hyper(v[p].T)) for p in parts]
     # The rest at the middle of the draws. Whitening the unit matrix gives L⁻¹; Σ = (L⁻ᵀL⁻¹)⁻¹, whatever the law.
-    hyper = assembly.hyper(np.median(v, axis=0))
-    white = whitening(assembly.noise, hyper, record)(np.eye(record.size))
+    hyper = problem.hyper(np.median(v, axis=0))
+    white = whitening(problem.noise, hyper, record)(np.eye(record.size))
     covariance = np.linalg.inv(white.T @ white)
-    own = [t for t in assembly.terms if t.known.per is not None and t.place != "fixed"]
-    _, slopes = assembly.expected_with_slopes(x.mean(axis=0)[None], rows[:1], hyper, own)
+    own = [t for t in problem.terms if t.known.per is not None and t.place != "fixed"]
+    _, slopes = problem.expected_with_slopes(x.mean(axis=0)[None], rows[:1], hyper, own)
     for t, slope in zip(own, slopes, strict=True):
         sd = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name]
         column = np.reshape(slope, -1) * sd

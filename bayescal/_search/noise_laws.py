@@ -15,9 +15,9 @@ from jaxtyping import Float
 
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import at_mode, climb
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.channel_at_rest import CHANNEL
 from bayescal._model.frame import Frame
@@ -107,7 +107,7 @@ def on_residuals(
     )
     if not len(starts):
         return NO_FIT
-    alone = Assembly(Layout(Model(CHANNEL, (), law), ()), record.of_noise(left))
+    alone = Problem(Layout(Model(CHANNEL, (), law), ()), record.of_noise(left))
     density = Density(alone, alone.start, np.ones(0))
     v, _ = climb(density, starts, near.covariance, CLIMBED_NATS)
     mode = at_mode(density, v, 0.0, quick=True)

@@ -19,10 +19,10 @@ from bayescal._core.errors import ModelError
 from bayescal._core.formatting import number, with_error
 from bayescal._core.result_table import Printed
 from bayescal._data.unit_conversion import unit_label
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.least_squares import solution_on
 from bayescal._inference.linear_model import LinearModel, learned_size, linear_model, sized
+from bayescal._inference.problem import Problem
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
@@ -123,7 +123,7 @@ class Previews:
         library = model.instrument.shown_by(
             calibration.frame, (*self.effects.values(), *model.effects)
         )
-        self.record = calibration.assembly.record.beside(library)
+        self.record = calibration.problem.record.beside(library)
         self._made: dict[str, tuple[Effect, Preview]] = {}
 
     def of(self, effect: Effect | str) -> Preview:
@@ -148,7 +148,7 @@ class Previews:
             )
         line, covariance, evidence = self._fitted(model, refined=not effect.is_placeholder)
         size, size_sd = _size(effect, line, covariance)
-        hyper = line.assembly.hyper(line.mode.v)
+        hyper = line.problem.hyper(line.mode.v)
         return replace(
             self._compared(effect.name, line, evidence),
             size=size,
@@ -187,23 +187,21 @@ class Previews:
         """A model fitted by least squares to the calibration's readings: about its mode, covariance, log evidence."""
         before = self.calibration
         model = sized(model, before.readings, self.record)
-        assembly = Assembly(
-            bind(model, before.readings, reference=before.reference)[0], self.record
-        )
+        problem = Problem(bind(model, before.readings, reference=before.reference)[0], self.record)
         if not refined:
-            mode = find_mode(assembly)
-            return linear_model(assembly, mode), np.zeros((0, 0)), mode.log_evidence
-        found = solution_on(assembly)
-        evidence = None if assembly.layout.improper else float(found.mode.log_evidence)
-        return linear_model(assembly, found.mode), np.asarray(found.covariance), evidence
+            mode = find_mode(problem)
+            return linear_model(problem, mode), np.zeros((0, 0)), mode.log_evidence
+        found = solution_on(problem)
+        evidence = None if problem.layout.improper else float(found.mode.log_evidence)
+        return linear_model(problem, found.mode), np.asarray(found.covariance), evidence
 
 
 def _size(effect: Effect, line: LinearModel, covariance: np.ndarray) -> tuple[float, float]:
     """What says how large the effect is, with its standard uncertainty, in the unit of its first coefficient."""
-    assembly, mode = line.assembly, line.mode
-    if learned := learned_size(effect, assembly, mode):
+    problem, mode = line.problem, line.mode
+    if learned := learned_size(effect, problem, mode):
         return learned
-    term = next(t for t in assembly.terms if t.known.of == effect.name and t.index == 0)
+    term = next(t for t in problem.terms if t.known.of == effect.name and t.index == 0)
     own, i = mode.point.x[term.at], term.at.start
     if term.place != "x":
         return effect.coefficients[0].size, 0.0

@@ -22,9 +22,9 @@ from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._core.settings import settings
-from bayescal._inference.assembly import Point
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import CHAINS, Draws
+from bayescal._inference.problem import Point
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
@@ -108,10 +108,10 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
 def _drawn(weighed: Weighed, count: int, probability: float, seed: int) -> _Values:
     """Draws of a structure about its mode, by importance sampling."""
     # All structures together have as many proposals as one alone: the average is as well known as that would be.
-    found = weighted_draws(weighed.assembly, weighed.mode, seed, None, ROUNDS, part=probability)
+    found = weighted_draws(weighed.problem, weighed.mode, seed, None, ROUNDS, part=probability)
     weights, _ = smoothed(found.log_weight)
     pick = resample(weights, count, seed)
-    return _by_name(weighed.assembly.layout, found.x[pick], found.rows[pick], found.v[pick])
+    return _by_name(weighed.problem.layout, found.x[pick], found.rows[pick], found.v[pick])
 
 
 def _by_name(layout: Layout, x: np.ndarray, rows: np.ndarray, v: np.ndarray) -> _Values:

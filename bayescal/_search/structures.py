@@ -18,11 +18,11 @@ from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
 from bayescal._core.settings import settings
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import condition
 from bayescal._inference.laplace import Mode, at_mode, find_mode, flat_scales
 from bayescal._inference.linear_model import LinearModel, linear_model
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.effect import Effect, with_forms
 from bayescal._model.model import Model
@@ -72,13 +72,13 @@ class Weighed:
         structure: which.
         log_evidence: by Laplace, averaged over the sizes.
         log_prior: of the structure.
-        assembly, mode: at the likeliest sizes.
+        problem, mode: at the likeliest sizes.
     """
 
     structure: Structure
     log_evidence: float
     log_prior: float
-    assembly: Assembly
+    problem: Problem
     mode: Mode
 
     @property
@@ -87,18 +87,18 @@ class Weighed:
 
     @property
     def model(self) -> Model:
-        return self.assembly.layout.model
+        return self.problem.layout.model
 
     @property
     def phi(self) -> dict[str, float]:
         """Shapes, noise parameters and spreads at the mode, by name."""
-        return {name: float(value) for name, value in self.assembly.hyper(self.mode.v).items()}
+        return {name: float(value) for name, value in self.problem.hyper(self.mode.v).items()}
 
     @property
     def sized_model(self) -> Model:
         """The model with the plausible sizes of the instrument's own effects at the likeliest."""
         found, own = self.model, {e.name for e in with_forms(self.model.instrument.candidates)}
-        for name, factor in (self.assembly.size_factors or {}).items():
+        for name, factor in (self.problem.size_factors or {}).items():
             first = found.effect(name).coefficients[0]
             if factor != 1.0 and name in own and not first.flat:
                 found = found.resize(name, factor * first.size)
@@ -230,7 +230,7 @@ class Structures:
     @cached_property
     def line(self) -> Callable[[Weighed], LinearModel]:
         """A structure about its mode; the latest few are kept, since a walk asks for the same one time and again."""
-        return lru_cache(maxsize=4)(lambda weighed: linear_model(weighed.assembly, weighed.mode))
+        return lru_cache(maxsize=4)(lambda weighed: linear_model(weighed.problem, weighed.mode))
 
     @cached_property
     def law_on_residuals(self) -> Callable[[Weighed, str], OnResiduals]:
@@ -247,31 +247,31 @@ class Structures:
         return found
 
     def _refitted(self, structure, near, hints) -> Weighed:
-        assembly = self._assembled(structure, near)
+        problem = self._bound(structure, near)
         if near is None:
-            mode = find_mode(assembly, still=STILL_SD, curved=False)
+            mode = find_mode(problem, still=STILL_SD, curved=False)
         else:
-            known, width = carried(assembly, near.assembly, near.mode)
-            begin = starts(assembly, near.assembly, known, hints)
-            point = assembly.point_of(near.assembly, near.mode.point)
-            mode = find_mode(assembly, begin, width, point, STILL_SD, curved=False)
+            known, width = carried(problem, near.problem, near.mode)
+            begin = starts(problem, near.problem, known, hints)
+            point = problem.point_of(near.problem, near.mode.point)
+            mode = find_mode(problem, begin, width, point, STILL_SD, curved=False)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
-        assembly, mode, log_evidence = averaged(assembly, mode, sized)
+        problem, mode, log_evidence = averaged(problem, mode, sized)
         log_prior = self.log_prior(structure)
-        return Weighed(structure, log_evidence, log_prior, assembly, mode)
+        return Weighed(structure, log_evidence, log_prior, problem, mode)
 
     def roughly(self, structure: Structure, near: Weighed) -> float:
         """The total under independent noise of one size, all else of φ as another has it; infinite under others."""
         if structure in self.visited or not self.noise(structure).independent:
             return math.inf
-        assembly = self._assembled(structure, near)
-        if assembly.kinds.count("noise") != 1:
+        problem = self._bound(structure, near)
+        if problem.kinds.count("noise") != 1:
             return math.inf
-        point = assembly.point_of(near.assembly, near.mode.point)
-        known, _ = carried(assembly, near.assembly, near.mode)
-        v = np.array([known.get(h.name, 0.0) for h in assembly.hypers])
-        flat = flat_scales(assembly, point, v)
-        density, of_size = Density(assembly, point, flat), np.array(assembly.kinds) == "noise"
+        point = problem.point_of(near.problem, near.mode.point)
+        known, _ = carried(problem, near.problem, near.mode)
+        v = np.array([known.get(h.name, 0.0) for h in problem.hypers])
+        flat = flat_scales(problem, point, v)
+        density, of_size = Density(problem, point, flat), np.array(problem.kinds) == "noise"
         # All of φ but the noise's size is held: the products are then those of one table, and no step of the search
         # passes over the readings. A refit can only raise the density further.
         found = minimize_scalar(
@@ -281,13 +281,13 @@ class Structures:
         )
         return self.log_prior(structure) - float(found.fun)
 
-    def _assembled(self, structure, near: Weighed | None) -> Assembly:
+    def _bound(self, structure, near: Weighed | None) -> Problem:
         """A structure on the record, its effects' sizes as another structure has them."""
-        known = near.assembly.size_factors if near is not None else None
+        known = near.problem.size_factors if near is not None else None
         # A refit at the sizes of its neighbour begins nearly at its mode; `averaged` then tries the others.
         sizes = {n: factor for n, factor in (known or {}).items() if n in structure.effects}
         layout = replace(self.layout, model=self.model(structure))
-        return Assembly(layout, self.record, sizes)
+        return Problem(layout, self.record, sizes)
 
     def matters(self, weighed: Weighed) -> frozenset[str]:
         """Descriptions of a structure, such as a curve, that carry more than a small part of it.
@@ -320,7 +320,7 @@ class Structures:
         moved[others] = np.linalg.lstsq(inner, beside.T @ white, rcond=1e-12)[0] * line.sd[others]
         plain = (
             t.at.start
-            for t in line.assembly.in_x
+            for t in line.problem.in_x
             if t.group_sd_name is None and t.known.effect.weights is None and t.known.per is None
         )
         return any(abs(moved[i]) > line.uncertainty(i) for i in plain)
@@ -336,7 +336,7 @@ class Structures:
 
 
 def carried(
-    assembly: Assembly, near: Assembly, mode: Mode
+    problem: Problem, near: Problem, mode: Mode
 ) -> tuple[dict[str, float], Float[np.ndarray, "d d"]]:
     """Another structure's φ̂ by name, in these priors' coordinates, and a first guess of φ's covariance.
 
@@ -344,16 +344,16 @@ def carried(
     without its prior, counts under this one's.
 
     Args:
-        assembly: the structure to fit.
+        problem: the structure to fit.
         near: the other one.
         mode: where that one has its mode.
     """
     places = {h.name: i for i, h in enumerate(near.hypers)}
-    at = [i for i, h in enumerate(assembly.hypers) if h.name in places]
-    there = [places[assembly.hypers[i].name] for i in at]
+    at = [i for i, h in enumerate(problem.hypers) if h.name in places]
+    there = [places[problem.hypers[i].name] for i in at]
     scale, middle = np.ones(len(at)), np.zeros(len(at))  # of these coordinates in the other's
     for k, (i, j) in enumerate(zip(at, there, strict=True)):
-        own, other = assembly.hypers[i].prior, near.hypers[j].prior
+        own, other = problem.hypers[i].prior, near.hypers[j].prior
         if own != other:
             # Both coordinates are linear in one another where both priors are of one family (log-normal, say): two
             # points tell scale and middle.
@@ -370,30 +370,30 @@ def carried(
         if np.all(np.linalg.eigvalsh(precision) > 0):
             pull = np.linalg.solve(width, values) - moved * middle / scale**2
             values, width = np.linalg.solve(precision, pull), np.linalg.inv(precision)
-    wide = UNKNOWN * np.eye(len(assembly.hypers))
+    wide = UNKNOWN * np.eye(len(problem.hypers))
     wide[np.ix_(at, at)] = width
-    names = [assembly.hypers[i].name for i in at]
+    names = [problem.hypers[i].name for i in at]
     return dict(zip(names, values.tolist(), strict=True)), wide
 
 
 def starts(
-    assembly: Assembly,
-    near: Assembly,
+    problem: Problem,
+    near: Problem,
     known: Mapping[str, float],
     hints: Sequence[Mapping[str, float]],
 ) -> list[Float[np.ndarray, "d"]]:
     """Coordinates to begin at: the other structure's, the hints, and others along each shape.
 
     Args:
-        assembly: the structure to fit.
+        problem: the structure to fit.
         near: the other one.
         known: its φ̂ by name, as `carried`.
         hints: coordinates by name.
     """
-    names, priors = [h.name for h in assembly.hypers], {h.name: h.prior for h in near.hypers}
+    names, priors = [h.name for h in problem.hypers], {h.name: h.prior for h in near.hypers}
     here = {n: known.get(n, 0.0) for n in names}
     found = [here, *({**here, **{n: v for n, v in hint.items() if n in names}} for hint in hints)]
-    for h in assembly.hypers:
+    for h in problem.hypers:
         # Shapes are tried to either side, as a neighbour's effects may have shifted them; a spread or a parameter of
         # the noise that is new, below and above its scale.
         further: tuple[float, ...] = ()
@@ -413,22 +413,20 @@ def has_size(effect: Effect) -> bool:
     )
 
 
-def averaged(
-    assembly: Assembly, mode: Mode, sized: Sequence[Effect]
-) -> tuple[Assembly, Mode, float]:
+def averaged(problem: Problem, mode: Mode, sized: Sequence[Effect]) -> tuple[Problem, Mode, float]:
     """The structure at its likeliest sizes, and its log evidence averaged over all.
 
     One effect's size at a time, the others' at their likeliest.
 
     Args:
-        assembly: the structure, its sizes those of a start.
+        problem: the structure, its sizes those of a start.
         mode: where it has its mode, its Gaussian fit not made.
         sized: effects with a plausible size.
     """
     if not math.isfinite(mode.log_evidence):
-        return assembly, mode, mode.log_evidence
-    begun = {e.name: (assembly.size_factors or {}).get(e.name, 1.0) for e in sized}
-    at_sizes, chosen = _AtSizes(assembly, mode, begun), dict(begun)
+        return problem, mode, mode.log_evidence
+    begun = {e.name: (problem.size_factors or {}).get(e.name, 1.0) for e in sized}
+    at_sizes, chosen = _AtSizes(problem, mode, begun), dict(begun)
     # Coordinate ascent over sizes: an effect that overlaps another may take its size back in the second pass.
     for _ in range(2):
         before = dict(chosen)
@@ -438,12 +436,12 @@ def averaged(
         if chosen == before:
             break
     if chosen != begun:
-        assembly = Assembly(assembly.layout, assembly.record, dict(chosen))
-        mode = find_mode(assembly, [mode.v], mode.covariance, mode.point, STILL_SD)
-        at_sizes = _AtSizes(assembly, mode, chosen)
+        problem = Problem(problem.layout, problem.record, dict(chosen))
+        mode = find_mode(problem, [mode.v], mode.covariance, mode.point, STILL_SD)
+        at_sizes = _AtSizes(problem, mode, chosen)
     else:
         mode = at_mode(
-            Density(assembly, mode.point, mode.flat, mode.v), mode.v, mode.change, quick=True
+            Density(problem, mode.point, mode.flat, mode.v), mode.v, mode.change, quick=True
         )
     # Σ over the sizes of one effect, the others at their likeliest: as if ratios of evidence multiplied. They do
     # where effects do not overlap; where they do, one of them mostly has its size by the other's.
@@ -452,20 +450,20 @@ def averaged(
         gains = at_sizes.of(name, chosen)
         here = gains[chosen[name]] - math.log(SIZE_FACTORS[chosen[name]])
         log_evidence += float(np.logaddexp.reduce(list(gains.values()))) - here
-    return assembly, mode, log_evidence
+    return problem, mode, log_evidence
 
 
 class _AtSizes:
     """Log density at a mode's φ for other sizes of its effects, times their probabilities."""
 
-    def __init__(self, assembly: Assembly, mode: Mode, made_at: Mapping[str, float]):
-        density, hyper = Density(assembly, mode.point, mode.flat), assembly.hyper(mode.v)
+    def __init__(self, problem: Problem, mode: Mode, made_at: Mapping[str, float]):
+        density, hyper = Density(problem, mode.point, mode.flat), problem.hyper(mode.v)
         self.gram, self.at = density.gram(mode.v, hyper), mode.point.x
-        self.size = assembly.record.size
-        self.prior, self.made_at = assembly.prior(hyper, mode.flat), dict(made_at)
+        self.size = problem.record.size
+        self.prior, self.made_at = problem.prior(hyper, mode.flat), dict(made_at)
         # Learned spreads are no plausible sizes: φ has them, and the evidence is averaged over them already.
         self.places = {
-            name: [t.at for t in assembly.in_x if t.known.of == name and t.group_sd_name is None]
+            name: [t.at for t in problem.in_x if t.known.of == name and t.group_sd_name is None]
             for name in made_at
         }
 

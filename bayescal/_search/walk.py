@@ -234,7 +234,7 @@ def _weigh_forms(structures: Structures, at: Weighed, end: Deadline) -> None:
 
 def _in_other_form(structures: Structures, at: Weighed, name: str, other: str) -> dict[str, float]:
     """Where a form's shapes may be: where those of the same name are in the form that a structure has."""
-    known, found = {h.name: v for h, v in zip(at.assembly.hypers, at.mode.v, strict=True)}, {}
+    known, found = {h.name: v for h, v in zip(at.problem.hypers, at.mode.v, strict=True)}, {}
     for shape in structures.candidates[other].column_shapes:
         if (v := known.get(f"{name}.{shape.name}")) is not None:
             found[f"{other}.{shape.name}"] = float(v)

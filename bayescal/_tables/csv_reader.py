@@ -27,7 +27,7 @@ from bayescal._core.atomic_file import sha256_of
 from bayescal._core.quoting import csv_cell_read
 from bayescal._tables.cells import MOST_BAD, Cells, number_of, numbers_of
 from bayescal._tables.header_rows import LOOKED_AT, header_rows, with_units
-from bayescal._tables.raw_table import Header, Problem, Table, after, refuse_many, unusable
+from bayescal._tables.raw_table import Header, Objection, Table, after, refuse_many, unusable
 
 _BLOCK = 1 << 24  # bytes looked at together, and the longest line allowed
 _MARK = b"\xef\xbb\xbf"  # of UTF-8
@@ -362,7 +362,7 @@ def _scan_lines(scan: CsvScan, data: bytes) -> None:
     scan.lines += len(lines)
 
 
-def ragged_rows(scan: CsvScan) -> tuple[Problem, ...]:
+def ragged_rows(scan: CsvScan) -> tuple[Objection, ...]:
     """The rows that have not one field for each column, as one problem."""
     if not scan.ragged:
         return ()
@@ -375,7 +375,7 @@ def ragged_rows(scan: CsvScan) -> tuple[Problem, ...]:
     cure = f"{hint}{above}Give every row one field for each column"
     came = f"{fields} field{'s' * (fields != 1)}, {text!r}, its header has {expected}"
     places = tuple(f"row {row}" for row, _, _ in scan.ragged)
-    return (Problem(scan.file, came, cure=cure, places=places),)
+    return (Objection(scan.file, came, cure=cure, places=places),)
 
 
 def encoding_of(path: Path) -> str:

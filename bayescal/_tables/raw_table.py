@@ -1,6 +1,6 @@
 """A file as it stands: columns by the names and units of its header, nothing understood yet; and what is wrong with it.
 
-Every format ends here, so that what follows (which column is which, what is refused) is one code. Problems are
+Every format ends here, so that what follows (which column is which, what is refused) is one code. Objections are
 collected before any of them is said: one as a sentence, several as a list.
 """
 
@@ -27,7 +27,7 @@ _SHOWN = 3  # rows that are named before the rest is counted
 
 
 @dataclass(frozen=True)
-class Problem:
+class Objection:
     """One thing in a file that keeps it from being read.
 
     Attributes:
@@ -52,7 +52,7 @@ class Problem:
     places: tuple[str, ...] = ()
     sentence: str = ""
 
-    def at(self, rows: Sequence[int], place: Callable[[int], str]) -> Problem:
+    def at(self, rows: Sequence[int], place: Callable[[int], str]) -> Objection:
         """The same problem of some readings, by their indices and what names their rows."""
         return replace(self, rows=tuple(rows), places=tuple(map(place, rows[:_SHOWN])))
 
@@ -83,8 +83,8 @@ class Problem:
         return ", ".join(numbers) + more
 
 
-class Problems(list[Problem]):
-    """Problems of some files, in the order in which they were met."""
+class Objections(list[Objection]):
+    """Objections of some files, in the order in which they were met."""
 
     def refuse(self) -> None:
         """Refuse the files if there is a problem.
@@ -101,7 +101,7 @@ class Problems(list[Problem]):
         try:
             yield
         except InputError as error:
-            self += error.problems or [Problem(file, str(error), sentence=str(error))]
+            self += error.problems or [Objection(file, str(error), sentence=str(error))]
 
 
 def unusable(file: str, came: str, cure: str = "", place: str = "") -> InputError:
@@ -117,7 +117,9 @@ def unusable(file: str, came: str, cure: str = "", place: str = "") -> InputErro
     joint = "" if not cure else ": " if cure[0].islower() else ". "
     sentence, places = f"{where} {came}{joint}{cure}", (place,) if place else ()
     cure = cure[:1].upper() + cure[1:]
-    return InputError(sentence, (Problem(file, came, cure=cure, places=places, sentence=sentence),))
+    return InputError(
+        sentence, (Objection(file, came, cure=cure, places=places, sentence=sentence),)
+    )
 
 
 def option(name: str, value: str) -> str:
@@ -125,7 +127,7 @@ def option(name: str, value: str) -> str:
     return f"{name}{'=' if value.startswith('-') else ' '}{shlex.quote(value)}"
 
 
-def _text(problems: Sequence[Problem]) -> str:
+def _text(problems: Sequence[Objection]) -> str:
     if len(problems) == 1:
         return str(problems[0])
     problems = _said_once(problems)
@@ -138,9 +140,9 @@ def _text(problems: Sequence[Problem]) -> str:
     return f"{len(problems)} problems with {of}\n\n{said}{asked}"
 
 
-def _said_once(problems: Sequence[Problem]) -> list[Problem]:
-    """Problems of which those that are the same in several files are one; its `file` has a line for each."""
-    found = dict[tuple[Any, ...], Problem]()
+def _said_once(problems: Sequence[Objection]) -> list[Objection]:
+    """Objections of which those that are the same in several files are one; its `file` has a line for each."""
+    found = dict[tuple[Any, ...], Objection]()
     for one in problems:
         same = (one.column, one.came, one.expected, one.cure, one.option)
         alike = found.get(same)
@@ -151,7 +153,7 @@ def _said_once(problems: Sequence[Problem]) -> list[Problem]:
     return list(found.values())
 
 
-def _in_files(problem: Problem, count: int) -> Problem:
+def _in_files(problem: Objection, count: int) -> Objection:
     """With its files in words: a name, or how many there are."""
     first, *others = problem.file.split("\n")
     if not others:
@@ -160,7 +162,7 @@ def _in_files(problem: Problem, count: int) -> Problem:
     return replace(problem, file=words)
 
 
-def _in_lines(problem: Problem, several: bool, page: int) -> str:
+def _in_lines(problem: Objection, several: bool, page: int) -> str:
     """A problem as a list has it, folded to a page: where and what, then what to do."""
     p = problem
     where = [p.file] * several + [f"column {p.column!r}"] * bool(p.column)
@@ -248,7 +250,7 @@ class Table:
     sha256: str = ""
     place: Callable[[int], str] = row_place
     notes: tuple[str, ...] = ()
-    problems: tuple[Problem, ...] = ()
+    problems: tuple[Objection, ...] = ()
     readable: bool = True
 
     def __post_init__(self) -> None:

@@ -31,7 +31,7 @@ from bayescal._data.measurements import Measurements, assemble
 from bayescal._tables.csv_reader import csv_parts
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.parquet_netcdf import parquet_parts
-from bayescal._tables.raw_table import Problems, Table, bytes_text, load_whole
+from bayescal._tables.raw_table import Objections, Table, bytes_text, load_whole
 from bayescal._use.compensator import Compensated, Compensator, Method
 
 KEPT = (*TEXT, ".parquet", ".nc")  # in which a file can be written as it was
@@ -194,7 +194,7 @@ def _names(
     table: Table, expected: ExpectedColumns, options: ReadOptions
 ) -> tuple[str, tuple[str, str]]:
     """The output's header in the file, and the names of the columns to add."""
-    problems = Problems(table.problems)
+    problems = Objections(table.problems)
     file = MatchedFile(table, expected, options, problems)
     table, places = file.table, file.positions
     problems.refuse()

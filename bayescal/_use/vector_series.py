@@ -30,7 +30,7 @@ from bayescal._core.jit import compiled
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, MAGNITUDE, TURNED, magnitude
 from bayescal._data.unit_conversion import unit_label
-from bayescal._inference.assembly import Assembly
+from bayescal._inference.problem import Problem
 from bayescal._model.frame import Frame
 from bayescal._model.vector import Vector
 from bayescal._use.correction import NOT_RELIABLE
@@ -217,11 +217,11 @@ def _taylor(
         like = like.with_column("temperature", grid)
     for i, name in enumerate(beside):
         like = like.with_column(name, 1.0 * (np.arange(len(grid)) // each == 1 + i))
-    assembly = calibration.assembly_on(calibration.frame_of(like))
-    slots, of_test = _slots(calibration, assembly, draws, seed)
+    problem = calibration.problem_on(calibration.frame_of(like))
+    slots, of_test = _slots(calibration, problem, draws, seed)
     count = len(next(iter(slots.values())))
 
-    found = np.asarray(_series(vector, slots, assembly.record.frame))
+    found = np.asarray(_series(vector, slots, problem.record.frame))
     none, others = found[:, :each], found[:, each:, :3].reshape(count, len(beside), each, 3)
     further = np.moveaxis(others - none[:, None, :, :3], 1, 3).reshape(count, each, -1)
     return np.concatenate([none, further], axis=2), of_test
@@ -254,7 +254,7 @@ def _series(
 
 
 def _slots(
-    calibration: Calibration, at: Assembly, draws: int | None, seed: int
+    calibration: Calibration, at: Problem, draws: int | None, seed: int
 ) -> tuple[dict[str, Float[np.ndarray, "s g"]], OfTest]:
     """What the effects come to in use, of draws, and what those of the test have in it.
 
@@ -287,7 +287,7 @@ def _slots(
         shapes = [hyper[name] for name in t.known.shape_names]
         effect = t.known.effect
         unknown = {*effect.columns} - known - {c.per for c in effect.coefficients}
-        record = calibration.assembly.record if unknown else at.record
+        record = calibration.problem.record if unknown else at.record
         column = record.columns_of_draws(t.known.columns, shapes, {})[..., t.index] * t.factor
         if unknown:
             column = np.broadcast_to(column, (count, record.size))[np.arange(count), picked]

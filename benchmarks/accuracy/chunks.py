@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import bayescal as bc
 from bayescal._inference import sampled_products
-from bayescal._inference.assembly import Assembly
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
@@ -62,7 +62,7 @@ def promoted(model: bc.Model, plan: bc.Measurements) -> tuple[str, ...]:
     layout, _ = bind(model, plan)
     frame = build_frame(plan, reference_of(plan))
     record = Record(model.instrument, frame, plan["output"])
-    return sampled_products.choose(Assembly(layout, record), None)[0].layout.promoted
+    return sampled_products.choose(Problem(layout, record), None)[0].layout.promoted
 
 
 def collect(campaigns: Chunked, replicates: int, file: Path | None = None) -> list[dict[str, Any]]:

@@ -26,8 +26,8 @@ import bayescal as bc
 from bayescal._calibration.fitted import named
 from bayescal._core.importance_weights import smoothed
 from bayescal._inference import sampled_products
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import WeightedDraws, weighted_draws
 from bayescal._model.frame import build_frame, reference_of
@@ -115,9 +115,9 @@ def drawn_once(
     layout, levels = bind(model, readings)
     frame = build_frame(readings, reference_of(readings))
     record = Record(model.instrument, frame, readings["output"])
-    layout = sampled_products.choose(Assembly(layout, record), method.promote)[0].layout
-    assembly = Assembly(layout, record)
-    drawn = weighted_draws(assembly, find_mode(assembly), seed, method.proposals, method.rounds)
+    layout = sampled_products.choose(Problem(layout, record), method.promote)[0].layout
+    problem = Problem(layout, record)
+    drawn = weighted_draws(problem, find_mode(problem), seed, method.proposals, method.rounds)
     return drawn, (layout, levels)
 
 

@@ -28,8 +28,8 @@ import bayescal as bc
 from bayescal._calibration.posterior_tree import named
 from bayescal._core.parallel import over
 from bayescal._inference import nuts_chains, sampled_products
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
@@ -63,9 +63,9 @@ def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
     layout, levels = bind(model, readings)
     frame, y = build_frame(readings, reference_of(readings)), readings["output"]
     record = Record(model.instrument, frame, y)
-    layout = sampled_products.choose(Assembly(layout, record), None)[0].layout
-    assembly = Assembly(layout, record)
-    density, unpack, start, covariance = nuts_chains.whitened(assembly, find_mode(assembly))
+    layout = sampled_products.choose(Problem(layout, record), None)[0].layout
+    problem = Problem(layout, record)
+    density, unpack, start, covariance = nuts_chains.whitened(problem, find_mode(problem))
     key = jax.random.key(SEED)
     plan = nuts_chains.Plan(WARMUP, draws, CHAINS)
     ran = nuts_chains.run(density, start, covariance, key, plan)

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.linear_model import linear_model
+from bayescal._inference.problem import Point, Problem
 from bayescal._inference.record import Record
 from bayescal._model.instrument import factor_of
 from bayescal._model.terms import ColumnsOf
@@ -48,7 +48,7 @@ def select(name: str, searched: Searched, later: Later) -> dict[str, Any]:
         later: held-out readings.
     """
     own = _regressors(searched, searched.structures.record)
-    y = linear_model(searched.base.assembly, searched.base.mode).residual
+    y = linear_model(searched.base.problem, searched.base.mode).residual
     way = {"stepwise BIC": _stepwise, "LASSO": _lasso, "STLSQ": _stlsq}[name]
     chosen = way(*_projected(own.candidates, y, own.baseline), own.owners)
     return {"effects": sorted(chosen), "held_out": _held_out(searched, later, chosen, own, y)}
@@ -57,11 +57,11 @@ def select(name: str, searched: Searched, later: Later) -> dict[str, Any]:
 def _regressors(searched: Searched, record: Record) -> Regressors:
     """Columns of the catalogue's candidates and of the baseline on a record, at the fitted baseline."""
     base = searched.base
-    there = Assembly(base.assembly.layout, record)
+    there = Problem(base.problem.layout, record)
     hyper = there.hyper(base.mode.v)
     point = Point(base.mode.point.x, np.zeros((record.size, len(there.row_sd))))
     line, slopes = there.linearise(point, hyper), there.slopes(point, hyper)
-    instrument, counts = searched.model.instrument, dict(base.assembly.layout.counts)
+    instrument, counts = searched.model.instrument, dict(base.problem.layout.counts)
     columns, owners = [], []
     for name, effect in searched.structures.candidates.items():
         if effect.is_placeholder or name.startswith(f"{effect.family}."):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 import bayescal as bc
-from bayescal._inference.assembly import Assembly, Point
+from bayescal._inference.problem import Point, Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import reference_of
 from bayescal._model.noise_terms import CORRELATION_TIME
@@ -60,26 +60,26 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
     sizes, shares = list(SIZE_FACTORS), list(SIZE_FACTORS.values())
     spread = {n: float(rng.choice(sizes, p=shares)) for n in names}
     spread = {n: f for n, f in spread.items() if not structures.candidates[n].is_placeholder}
-    assembly = Assembly(Layout(model, structures.layout.counts), structures.record, spread)
-    known = {h.name: v for h, v in zip(base.assembly.hypers, base.mode.v, strict=True)}
-    v = np.array([known.get(h.name, _coordinate(h, rng)) for h in assembly.hypers])
-    hyper = assembly.hyper(v)
-    prior = assembly.prior(hyper, np.ones(assembly.size))
-    own = {t.known.of: t.at for t in base.assembly.in_x}
-    x, without = np.zeros(assembly.size), np.zeros(assembly.size)
+    problem = Problem(Layout(model, structures.layout.counts), structures.record, spread)
+    known = {h.name: v for h, v in zip(base.problem.hypers, base.mode.v, strict=True)}
+    v = np.array([known.get(h.name, _coordinate(h, rng)) for h in problem.hypers])
+    hyper = problem.hyper(v)
+    prior = problem.prior(hyper, np.ones(problem.size))
+    own = {t.known.of: t.at for t in base.problem.in_x}
+    x, without = np.zeros(problem.size), np.zeros(problem.size)
     placed = dict.fromkeys(own, 0)
-    for t in assembly.in_x:
+    for t in problem.in_x:
         if t.known.of in own:
-            known = [b for b in base.assembly.in_x if b.known.of == t.known.of]
+            known = [b for b in base.problem.in_x if b.known.of == t.known.of]
             at = known[placed[t.known.of]].at
             placed[t.known.of] += 1
             x[t.at] = without[t.at] = base.mode.point.x[at]
         else:
             x[t.at] = prior.mean[t.at] + prior.sd[t.at] * rng.standard_normal(t.size)
-    rows = np.zeros((structures.record.size, len(assembly.row_sd)))
-    there, here = (assembly.linearise(Point(one, rows), hyper).mean for one in (x, without))
-    moved = rng.standard_normal(rows.shape) * assembly.row_sd
-    line = assembly.linearise(Point(x, rows), hyper)
+    rows = np.zeros((structures.record.size, len(problem.row_sd)))
+    there, here = (problem.linearise(Point(one, rows), hyper).mean for one in (x, without))
+    moved = rng.standard_normal(rows.shape) * problem.row_sd
+    line = problem.linearise(Point(x, rows), hyper)
     return there - here + np.sum(line.rows * moved, axis=1)
 
 

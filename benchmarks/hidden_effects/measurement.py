@@ -182,7 +182,7 @@ def _likeness(instrument: bc.Instrument, case: Case, found: Searched) -> float:
     bare = simulated(instrument, Case("empty", case.seed, {}))["output"]
     if len(bare) != len(found.readings):  # spikes were set aside
         return math.nan
-    line = linear_model(found.base.assembly, found.base.mode)
+    line = linear_model(found.base.problem, found.base.mode)
     hidden = line.whiten((found.readings["output"] - bare)[:, None])
     inside = line.projected(hidden)
     left = float((hidden.T @ hidden - inside.T @ inside).item())

@@ -11,8 +11,8 @@ import numpy as np
 
 import bayescal as bc
 from bayescal._data.set_aside import set_aside
-from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density
+from bayescal._inference.problem import Point, Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
@@ -119,9 +119,9 @@ class Later:
     def expected(self, weighed: Weighed) -> np.ndarray:
         """Output that a structure expects of it."""
         mode = weighed.mode
-        _, found = Density(weighed.assembly, mode.point, mode.flat).at(mode.v)
+        _, found = Density(weighed.problem, mode.point, mode.flat).at(mode.v)
         x = mode.point.x if found is None else found.mean
-        there = Assembly(weighed.assembly.layout, self.record, weighed.assembly.size_factors)
+        there = Problem(weighed.problem.layout, self.record, weighed.problem.size_factors)
         rows = np.zeros((self.record.size, len(there.row_sd)))
         return there.linearise(Point(x, rows), there.hyper(mode.v)).mean
 
@@ -133,4 +133,4 @@ def noise_of(model: bc.Model, readings: bc.Measurements) -> float:
     """Standard deviation of the baseline's white noise."""
     structures, _ = structures_over(model, readings, reference_of(readings), widen_noise=False)
     base = structures.weigh(Structure())
-    return base.assembly.hyper(base.mode.v)["noise.white"]
+    return base.problem.hyper(base.mode.v)["noise.white"]

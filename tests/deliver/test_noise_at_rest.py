@@ -141,12 +141,12 @@ def test_means_and_stretches_weigh_a_random_walk_as_single_readings_do(monkeypat
     for longest in (1024, 20_000):
         monkeypatch.setattr(noise_at_rest, "BLOCK_MEANS_READINGS", longest)
         channel, _ = noise_at_rest._channel(data, even_runs(data))
-        assembly = channel.assembly(("walk",))
+        problem = channel.problem(("walk",))
         white = N / math.sqrt(STEP)
         sizes = [K * k for k in (1 / 3, 1.0, 3.0)]
-        priors = assembly.noise.parameters().values()
+        priors = problem.noise.parameters().values()
         at = [[p.coordinate(x) for p, x in zip(priors, (white, k), strict=True)] for k in sizes]
-        found = noise_at_rest._density(assembly).values(np.array(at))
+        found = noise_at_rest._density(problem).values(np.array(at))
         profiles.append(found - found[1])
     loss = profiles[1]
     assert (loss[[0, 2]] < -5).all()
@@ -170,11 +170,11 @@ def test_levels_and_the_curve_over_temperature_are_integrated_out() -> None:
     data = still(7, n=200, temperature=temperature)
     output = data["output"] + 1e-3 * (temperature - 25) ** 2
     channel, _ = noise_at_rest._channel(data.with_column("output", output), even_runs(data))
-    assembly = channel.assembly(())
-    (prior,) = assembly.noise.parameters().values()
+    problem = channel.problem(())
+    (prior,) = problem.noise.parameters().values()
     sizes = np.array([0.008, 0.012])
     v = np.array([[prior.coordinate(s)] for s in sizes])
-    found = noise_at_rest._density(assembly).values(v) - np.asarray(prior.log_density(v[:, 0]))
+    found = noise_at_rest._density(problem).values(v) - np.asarray(prior.log_density(v[:, 0]))
     design = np.vander((temperature - 25) / 5, 4)
     left = output - design @ np.linalg.lstsq(design, output, rcond=None)[0]
     exact = -(200 - 4) * np.log(sizes) - 0.5 * float(left @ left) / sizes**2

@@ -29,7 +29,7 @@ from bayescal_models import mems_gyro, still_sensor
 
 GYRO = mems_gyro.INSTRUMENT
 CORE = (
-    "gaussian chebyshev programs column_products record assembly noise_on_record products density laplace "
+    "gaussian chebyshev programs column_products record problem noise_on_record products density laplace "
     "linear_model joint sampling least_squares"
 )
 LAWS = "terms composition independent_noise summed_noise"
@@ -54,7 +54,7 @@ NEEDED_BY = {
     "composition.ColumnSource.slopes",
     "a fleet in closed form, and slopes in a program": "composition.Traced.slopes composition._in_one_product",
     "a correction that is held": "composition.Traced.read",
-    "a correction of three axes": "assembly.Assembly.value",
+    "a correction of three axes": "problem.Problem.value",
     "a look, and a fleet by least squares": "least_squares.solution_on",
     "JSON of a result": "summed_noise.SumOfTerms.derived",
 }

@@ -12,12 +12,12 @@ from scipy.optimize import minimize
 
 import bayescal as bc
 from bayescal._inference import programs
-from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density, about
 from bayescal._inference.gaussian import LOG_2PI, column_scale
 from bayescal._inference.laplace import across, find_mode
 from bayescal._inference.linear_model import sized
 from bayescal._inference.noise_on_record import total_log_density, whitening
+from bayescal._inference.problem import Point, Problem
 from bayescal._inference.record import INTERPOLATED, Record, record_of
 from bayescal._inference.sampling import ManyPhi, weighted_draws
 from bayescal._model import forward
@@ -96,17 +96,17 @@ CASES: dict[str, tuple[Any, Any]] = {
 FAST = ("gyro", "gyro, wandering", "gyro, scatter", "gyro, thermometer", "inclinometer")
 
 
-def assembled(case: str, *promoted: str) -> Assembly:
+def assembled(case: str, *promoted: str) -> Problem:
     model, simulate = CASES[case]
     readings = simulate()
     model = model if isinstance(model, bc.Model) else model(readings)
     record = record_of(model.instrument, readings, constants_of(readings))
     model = sized(model, readings, record)
     layout = bind(model, readings)[0].promote(*promoted)
-    return Assembly(layout, record.beside(model.instrument.shown_by(record.frame, model.effects)))
+    return Problem(layout, record.beside(model.instrument.shown_by(record.frame, model.effects)))
 
 
-def somewhere(a: Assembly, seed: int = 0) -> tuple[Point, np.ndarray]:
+def somewhere(a: Problem, seed: int = 0) -> tuple[Point, np.ndarray]:
     """A point and a coordinate of φ at random, within the priors."""
     random = np.random.default_rng(seed)
     v = 0.5 * random.standard_normal(len(a.hypers))
@@ -118,7 +118,7 @@ def somewhere(a: Assembly, seed: int = 0) -> tuple[Point, np.ndarray]:
 compiled = eqx.filter_jit(forward.linearise)  # a program, not one for each step of it
 
 
-def composed(a: Assembly, point: Point, hyper: forward.Values) -> forward.Linearised:
+def composed(a: Problem, point: Point, hyper: forward.Values) -> forward.Linearised:
     """What the composition itself says at a point."""
     x, rows = jnp.asarray(point.x), jnp.asarray(point.rows)
     return compiled(a.layout, a.record.frame, x, rows, hyper)
@@ -138,7 +138,7 @@ def test_outputs_and_jacobians_are_those_of_the_composition(case: str) -> None:
     np.testing.assert_allclose(found.rows, line.rows, rtol=1e-9)
 
 
-def dense_log_density(a: Assembly, v: np.ndarray, flat: np.ndarray) -> float:
+def dense_log_density(a: Problem, v: np.ndarray, flat: np.ndarray) -> float:
     """log p(y, φ) about the start by the covariance matrix of all readings: Σ + J·D·Jᵀ."""
     start, hyper = a.start, forward.hyper_values(a.layout, jnp.asarray(v))
     line = composed(a, start, hyper)
@@ -253,7 +253,7 @@ def test_the_mode_is_the_top_of_the_density() -> None:
     np.testing.assert_allclose(mode.v, best.x, atol=2e-3)
 
 
-def stepped(place: float) -> Assembly:
+def stepped(place: float) -> Problem:
     """A step at a place of a record of correlated noise: few prior draws come near it."""
     random, t = np.random.default_rng(7), 10.0 * np.arange(600)
     wander = np.cumsum(0.02 * random.standard_normal(600))
@@ -267,7 +267,7 @@ def stepped(place: float) -> Assembly:
     )
     model = (still(readings) + "unknown(time, jump)").with_noise(WANDER)
     record = record_of(model.instrument, readings, constants_of(readings))
-    return Assembly(bind(sized(model, readings, record), readings)[0], record)
+    return Problem(bind(sized(model, readings, record), readings)[0], record)
 
 
 @pytest.mark.parametrize("place", [0.23, 0.61, 0.88])

@@ -10,8 +10,8 @@ import bayescal as bc
 from bayescal import effects
 from bayescal._core.importance_weights import ALIKE_SCATTER, Corrections
 from bayescal._inference import sampling
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._inference.sampled_products import is_nonlinear
 from bayescal._model.parameters import bind
@@ -232,15 +232,15 @@ def test_a_long_record_with_a_lag_is_measured_as_with_every_weight_corrected(
     )
     frame = frame_of(ramps)
     record = Record(model.instrument, frame, ramps["output"])
-    assembly = Assembly(bind(model, ramps)[0], record)
-    mode, corrected, draw_joint = find_mode(assembly), [], sampling.draw_joint
+    problem = Problem(bind(model, ramps)[0], record)
+    mode, corrected, draw_joint = find_mode(problem), [], sampling.draw_joint
     monkeypatch.setattr(
         sampling, "draw_joint", lambda *a: corrected.append(len(a[2].x)) or draw_joint(*a)
     )
 
     def moments() -> tuple[np.ndarray, np.ndarray, int]:
         corrected.clear()
-        found = sampling.weighted_draws(assembly, mode, 1, 60_000, 2)
+        found = sampling.weighted_draws(problem, mode, 1, 60_000, 2)
         weight = np.exp(found.log_weight - found.log_weight.max())
         values = np.concatenate([found.x, found.v], axis=1)
         mean = np.average(values, axis=0, weights=weight)

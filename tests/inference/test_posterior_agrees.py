@@ -9,8 +9,8 @@ from scipy import stats
 from scipy.integrate import quad
 
 import bayescal as bc
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model.parameters import bind
@@ -220,9 +220,9 @@ def test_laplace_evidence_is_near(least_squares, table) -> None:
 def test_evidence_says_its_own_error(marginal, table) -> None:
     layout, _ = bind(BASELINE, table)
     frame = frame_of(table, marginal.reference)
-    assembly = Assembly(layout, Record(INSTRUMENT, frame, table["output"]))
-    mode = find_mode(assembly)
-    found = [weighted_draws(assembly, mode, seed, 256, 2) for seed in range(100)]
+    problem = Problem(layout, Record(INSTRUMENT, frame, table["output"]))
+    mode = find_mode(problem)
+    found = [weighted_draws(problem, mode, seed, 256, 2) for seed in range(100)]
     values = np.array([float(f.log_evidence) for f in found])
     stated = np.sqrt(np.mean([float(f.log_evidence_error) ** 2 for f in found]))
     # The scatter over seeds is known to 1/√200 of itself, so this is 3 standard errors and 10 %.

@@ -293,9 +293,9 @@ def test_corrections_that_are_alike_are_computed_for_a_few_draws_only(monkeypatc
 
     counts = []
 
-    def counted(assembly, mode, found, *args):
+    def counted(problem, mode, found, *args):
         counts.append(len(found.x))
-        return draw_joint(assembly, mode, found, *args)
+        return draw_joint(problem, mode, found, *args)
 
     draw_joint = sampling.draw_joint
     monkeypatch.setattr(sampling, "draw_joint", counted)

@@ -13,9 +13,9 @@ from scipy.stats import multivariate_normal
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._inference.assembly import Assembly, Point
 from bayescal._inference.density import Density
 from bayescal._inference.nuts import program
+from bayescal._inference.problem import Point, Problem
 from bayescal._inference.record import Record
 from bayescal._model import forward
 from bayescal_models.mems_gyro import INSTRUMENT
@@ -38,13 +38,13 @@ def test_closed_form_is_the_multivariate_normal(model, known) -> None:
         {"output_uncertainty": np.random.default_rng(9).uniform(0.1, 0.5, 14)} if known else {}
     )
     b = bound(model, readings(**more))
-    assembly, v = on_record(b), np.asarray(b.v)
+    problem, v = on_record(b), np.asarray(b.v)
     density = Density(
-        assembly, Point(np.asarray(b.x), np.asarray(b.rows)), np.ones(b.layout.size), v
+        problem, Point(np.asarray(b.x), np.asarray(b.rows)), np.ones(b.layout.size), v
     )
     total, found = density.at(v)
     assert found is not None
-    prior = assembly.prior(assembly.hyper(v), density.flat)
+    prior = problem.prior(problem.hyper(v), density.flat)
 
     line = forward.linearise(b.layout, b.frame, b.x, b.rows, b.hyper)
     J, D = np.asarray(line.jacobian), np.diag(np.asarray(prior.sd) ** 2)
@@ -54,7 +54,7 @@ def test_closed_form_is_the_multivariate_normal(model, known) -> None:
     V = S + J @ D @ J.T
     normal = multivariate_normal(np.asarray(centre), V)  # pyright: ignore[reportArgumentType]
     direct = normal.logpdf(np.asarray(b.y))  # pyright: ignore[reportAttributeAccessIssue]
-    assert total - assembly.log_prior(v) == pytest.approx(direct, rel=1e-8, abs=1e-6)
+    assert total - problem.log_prior(v) == pytest.approx(direct, rel=1e-8, abs=1e-6)
     gain = D @ J.T @ np.linalg.inv(V)
     mean = prior.mean + gain @ (b.y - centre)
     np.testing.assert_allclose(found.mean, mean, rtol=1e-6, atol=1e-8)
@@ -63,8 +63,8 @@ def test_closed_form_is_the_multivariate_normal(model, known) -> None:
     )
 
 
-def on_record(b) -> Assembly:
-    return Assembly(b.layout, Record(b.layout.model.instrument, b.frame, np.asarray(b.y)))
+def on_record(b) -> Problem:
+    return Problem(b.layout, Record(b.layout.model.instrument, b.frame, np.asarray(b.y)))
 
 
 def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
@@ -81,10 +81,10 @@ def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
         b.hyper["noise.white"],
         INSTRUMENT.effect("bias.temperature").coefficients[0].size,
     )
-    assembly, v = on_record(b), np.asarray(b.v)
+    problem, v = on_record(b), np.asarray(b.v)
     point = Point(np.asarray(b.x), np.asarray(b.rows))
-    found = [Density(assembly, point, np.full(2, scale), v).at(v) for scale in (1.0, 30.0)]
-    values = [total - assembly.log_prior(v) for total, _ in found]
+    found = [Density(problem, point, np.full(2, scale), v).at(v) for scale in (1.0, 30.0)]
+    values = [total - problem.log_prior(v) for total, _ in found]
     # The same, whatever the scale of the flat column …
     assert values[0] == pytest.approx(values[1], abs=1e-8)
     one, other = (given for _, given in found)

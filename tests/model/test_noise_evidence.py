@@ -94,7 +94,7 @@ def test_evidence_under_other_laws_is_that_of_quadrature(law: str, heavy: bool, 
 def test_a_heavy_tailed_mode_is_the_maximum_of_the_joint_density(rng) -> None:
     model, readings = level(bc.StudentT(SCALE), 0.1 * rng.standard_t(1.5, 60))
     fit = bc.fit(model, readings, bc.LeastSquares(draws=200), strict=False)
-    hyper, y = fit.assembly.hyper(fit.mode.v), readings["output"]
+    hyper, y = fit.problem.hyper(fit.mode.v), readings["output"]
 
     def negative(at: float) -> float:
         each = stats.t.logpdf(y, hyper["noise.freedom"], at, hyper["noise.white"])

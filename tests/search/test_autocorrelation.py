@@ -58,7 +58,7 @@ def test_z_is_standard_under_the_model(rng) -> None:
     layout, mode = found.layout, found.mode
     hyper = forward.hyper_values(layout, jnp.asarray(mode.v))
     line = forward.linearise(layout, found.frame, mode.point.x, mode.point.rows, hyper)
-    prior, noise = found.assembly.prior(found.assembly.hyper(mode.v), mode.flat), found.model.noise
+    prior, noise = found.problem.prior(found.problem.hyper(mode.v), mode.flat), found.model.noise
     sd = np.sqrt(np.broadcast_to(noise.variance(hyper, found.frame), len(data)))
     a = np.asarray(line.jacobian * prior.sd) / sd[:, None]
     h = a @ np.linalg.solve(a.T @ a + np.diag(prior.weight), a.T)

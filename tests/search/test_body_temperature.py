@@ -13,7 +13,7 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._inference.assembly import Point
+from bayescal._inference.problem import Point
 from bayescal._model import forward
 from bayescal._search.discover import structures_over
 from bayescal._search.structures import Structure
@@ -88,12 +88,12 @@ def test_the_engine_and_the_composition_agree(form: str) -> None:
     name = f"bias.thermal_lag.{form}"
     model = GYRO.baseline() + "bias.temperature_quadratic" + name + "bias.run"
     fitted = bc.fit(model, readings, bc.LeastSquares(draws=50))
-    assembly, frame = fitted.assembly, fitted.frame
+    problem, frame = fitted.problem, fitted.frame
     random = np.random.default_rng(3)
-    x = fitted.mode.point.x + 0.1 * random.standard_normal(assembly.size)
-    hyper = assembly.hyper(fitted.mode.v)
+    x = fitted.mode.point.x + 0.1 * random.standard_normal(problem.size)
+    hyper = problem.hyper(fitted.mode.v)
     rows = np.zeros((len(readings), 0))
-    line = assembly.linearise(Point(x, rows), hyper)
+    line = problem.linearise(Point(x, rows), hyper)
     whole = forward.linearise(
         fitted.layout,
         frame,

@@ -148,7 +148,7 @@ def test_a_level_that_noise_and_coefficients_share_is_uncertain_once(terms) -> N
     law = bc.SummedNoise(STEP, time[-1], terms, bc.HalfCauchy(10.0), bc.HalfCauchy(100.0))
     calibration = bc.fit(SENSOR.for_readings(early).baseline().with_noise(law), early, QUICK)
     found = bc.predict(calibration, late)
-    values = calibration.assembly.hyper(calibration.mode.v)
+    values = calibration.problem.hyper(calibration.mode.v)
     inside, spread = law.slow_part(
         values,
         time[~held],
@@ -159,7 +159,7 @@ def test_a_level_that_noise_and_coefficients_share_is_uncertain_once(terms) -> N
     design = np.column_stack([np.ones(400), temperature - 30])
     # Universal kriging: N. Cressie, Statistics for Spatial Data (1993), section 3.4.
     known, left = design[~held], design[held] - inside @ design[~held]
-    record = calibration.assembly.record
+    record = calibration.problem.record
     half = Whitening(law, values, record)(np.eye(record.size))
     precise = half.T @ half
     covariance = np.linalg.inv(known.T @ precise @ known)

@@ -7,9 +7,9 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.part import Part
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.density import Density
 from bayescal._inference.noise_on_record import whitening
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.noise_terms import CORRELATION_TIME, DIFFUSION
 from bayescal._model.parameters import bind
@@ -20,13 +20,13 @@ VALUES = {"noise.white": 20.0, DIFFUSION: 1.5, CORRELATION_TIME: 300.0}
 
 
 @pytest.fixture(scope="module")
-def whole() -> Assembly:
+def whole() -> Problem:
     readings = still_sensor.simulate({}, seed=3, interval=120)
     noise = bc.OrnsteinUhlenbeck(10.0, 1e4)
     model = still_sensor.instrument("ug").baseline().with_noise(noise)
     frame = frame_of(readings)
     record = Record(model.instrument, frame, np.asarray(readings["output"]))
-    return Assembly(bind(model, readings)[0], record)
+    return Problem(bind(model, readings)[0], record)
 
 
 def test_wandering_noise_skips_what_is_left_out(whole, rng) -> None:
@@ -45,6 +45,6 @@ def test_wandering_noise_skips_what_is_left_out(whole, rng) -> None:
 
 def test_a_part_with_all_readings_is_the_whole(whole) -> None:
     flat, v = np.ones(whole.size), np.zeros(len(whole.hypers))
-    part = Assembly(whole.layout, Part(whole.record, np.arange(whole.record.size)))
+    part = Problem(whole.layout, Part(whole.record, np.arange(whole.record.size)))
     both = [Density(a, whole.start, flat).at(v)[0] for a in (whole, part)]
     assert both[0] == both[1]

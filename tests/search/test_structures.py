@@ -11,9 +11,9 @@ import pytest
 
 import bayescal as bc
 from bayescal._core import deadline
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.linear_model import linear_model
+from bayescal._inference.problem import Problem
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import on_residuals
@@ -86,11 +86,11 @@ def test_the_walk_finds_what_enumeration_finds(
 def test_evidence_is_averaged_over_the_plausible_sizes() -> None:
     made = structures(hidden(2), ("bias.temperature_quadratic",))
     structure = Structure(frozenset(made.candidates))
-    layout = made.weigh(structure).assembly.layout
+    layout = made.weigh(structure).problem.layout
     each = [
         math.log(share)
         + find_mode(
-            Assembly(layout, made.record, {"bias.temperature_quadratic": factor})
+            Problem(layout, made.record, {"bias.temperature_quadratic": factor})
         ).log_evidence
         for factor, share in SIZE_FACTORS.items()
     ]
@@ -130,7 +130,7 @@ def test_columns_of_the_library_are_slopes_of_the_model_with_the_effect() -> Non
     for name, effect in made.candidates.items():
         if effect.column_shapes or effect.is_placeholder:
             continue
-        larger = made.weigh(Structure(frozenset([name])), base).assembly
+        larger = made.weigh(Structure(frozenset([name])), base).problem
         v = np.zeros(len(larger.hypers))
         line = larger.linearise(larger.start, larger.hyper(v))
         own = np.concatenate(
@@ -282,7 +282,7 @@ def test_what_a_law_gains_on_residuals_is_what_a_refit_gains() -> None:
     for seed in (5, 6):
         made = structures(hidden(seed))
         base = made.weigh(Structure())
-        left = linear_model(base.assembly, base.mode).residual
+        left = linear_model(base.problem, base.mode).residual
         own = on_residuals(made.base.noise, made.record, left).log_evidence
         for name, law in made.laws.items():
             if law.independent:

@@ -19,8 +19,8 @@ import numpy as np
 import bayescal as bc
 import bayescal_models
 from bayescal._inference import sampled_products
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model import forward
@@ -151,14 +151,14 @@ class Case:
         layout, _ = bind(model, readings)
         layout = layout.promote(*self.promoted)
         frame, y = frame_of(readings), jnp.asarray(readings["output"])
-        assembly = Assembly(layout, Record(model.instrument, frame, np.asarray(y)))
-        weighted_draws(assembly, find_mode(assembly), 0, None, bc.Marginal().rounds)
+        problem = Problem(layout, Record(model.instrument, frame, np.asarray(y)))
+        weighted_draws(problem, find_mode(problem), 0, None, bc.Marginal().rounds)
 
     @cached_property
     def promoted(self) -> tuple[str, ...]:
         layout, _ = bind(self.model, self.readings)
         record = record_of(self.instrument, self.readings, constants_of(self.readings))
-        return sampled_products.choose(Assembly(layout, record), None)[0].layout.promoted
+        return sampled_products.choose(Problem(layout, record), None)[0].layout.promoted
 
     @cached_property
     def reference(self) -> dict[str, Any]:

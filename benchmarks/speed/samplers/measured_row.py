@@ -13,8 +13,8 @@ import numpy as np
 
 from bayescal._core.importance_weights import smoothed
 from bayescal._inference import sampled_products
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import weighted_draws
 from benchmarks import chains
@@ -66,9 +66,9 @@ def ours(p: BoundProblem, proposals: int | None, rounds: int) -> dict[str, Any]:
 
     def once(seed: int):
         record = Record(p.plain.model.instrument, p.frame, np.asarray(p.y))
-        layout = sampled_products.choose(Assembly(p.plain, record), None)[0].layout
-        assembly = Assembly(layout, record)
-        return layout, weighted_draws(assembly, find_mode(assembly), seed, proposals, rounds)
+        layout = sampled_products.choose(Problem(p.plain, record), None)[0].layout
+        problem = Problem(layout, record)
+        return layout, weighted_draws(problem, find_mode(problem), seed, proposals, rounds)
 
     begun = time.perf_counter()
     once(1)

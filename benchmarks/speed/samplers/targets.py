@@ -15,9 +15,9 @@ from jax.flatten_util import ravel_pytree
 
 import bayescal as bc
 from bayescal._inference import nuts_chains, sampled_products
-from bayescal._inference.assembly import Assembly
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.nuts import program
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
@@ -39,12 +39,12 @@ def bound(model: bc.Model, readings: bc.Measurements) -> BoundProblem:
     plain, _ = bind(model, readings)
     frame = build_frame(readings, reference_of(readings))
     y = jnp.asarray(readings["output"])
-    problem = Assembly(plain, Record(plain.model.instrument, frame, y))
+    problem = Problem(plain, Record(plain.model.instrument, frame, y))
     return BoundProblem(plain, sampled_products.choose(problem, None)[0].layout, frame, y)
 
 
-def _on_record(p: BoundProblem) -> Assembly:
-    return Assembly(p.layout, Record(p.layout.model.instrument, p.frame, np.asarray(p.y)))
+def _on_record(p: BoundProblem) -> Problem:
+    return Problem(p.layout, Record(p.layout.model.instrument, p.frame, np.asarray(p.y)))
 
 
 def plain_target(p: BoundProblem) -> Target:
@@ -73,8 +73,8 @@ def plain_target(p: BoundProblem) -> Target:
 
 def whitened_target(p: BoundProblem) -> Target:
     """The exact log density in our whitened coordinates."""
-    assembly = _on_record(p)
-    density, unpack, centre, covariance = nuts_chains.whitened(assembly, find_mode(assembly))
+    problem = _on_record(p)
+    density, unpack, centre, covariance = nuts_chains.whitened(problem, find_mode(problem))
     root = jnp.linalg.cholesky(covariance)
     noise = jax.random.normal(jax.random.key(SEED), (CHAINS, centre.size))
 

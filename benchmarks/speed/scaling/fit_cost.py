@@ -22,7 +22,7 @@ PEERS_NEAR = 0.01  # and the peers, who take finite differences of residuals
 GOAL = 5.0
 
 
-class Problem(NamedTuple):
+class PeerProblem(NamedTuple):
     """Least squares in standardised unknowns z: residuals of z, and how many z there are."""
 
     residuals: Callable[[np.ndarray], np.ndarray]
@@ -40,7 +40,7 @@ def arrays() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return t, temperature, output + rng.normal(0.0, NOISE, READINGS)
 
 
-def by_hand(kind: str, scale: dict[str, float], noise: float) -> Problem:
+def by_hand(kind: str, scale: dict[str, float], noise: float) -> PeerProblem:
     """The gyroscope's line, or with its warm-up, written out in numpy.
 
     Args:
@@ -58,10 +58,10 @@ def by_hand(kind: str, scale: dict[str, float], noise: float) -> Problem:
             guess = guess + scale["warm_up"] * z[2] * np.exp(-warm / tau)
         return np.concatenate([(output - guess) / noise, z])
 
-    return Problem(residuals, 4 if kind == "warm-up" else 2)
+    return PeerProblem(residuals, 4 if kind == "warm-up" else 2)
 
 
-def by_scipy(problem: Problem, method: Any) -> tuple[np.ndarray, np.ndarray]:
+def by_scipy(problem: PeerProblem, method: Any) -> tuple[np.ndarray, np.ndarray]:
     """z and its covariance by `scipy.optimize.least_squares`."""
     from scipy.optimize import least_squares
 
@@ -72,7 +72,7 @@ def by_scipy(problem: Problem, method: Any) -> tuple[np.ndarray, np.ndarray]:
     return found.x, np.linalg.inv(found.jac.T @ found.jac)
 
 
-def by_lmfit(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+def by_lmfit(problem: PeerProblem) -> tuple[np.ndarray, np.ndarray]:
     """The same by lmfit's `minimize` (leastsq)."""
     import lmfit  # pyright: ignore[reportMissingImports]
 
@@ -87,7 +87,7 @@ def by_lmfit(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     return np.array([p.value for p in found.params.values()]), found.covar
 
 
-def exactly(problem: Problem, near: np.ndarray) -> np.ndarray:
+def exactly(problem: PeerProblem, near: np.ndarray) -> np.ndarray:
     """z by Gauss–Newton steps from near the answer, until rounding stops them; central differences at need."""
     step = 1e-5
 
@@ -131,7 +131,7 @@ def scales(found: Any) -> tuple[dict[str, float], float]:
     return scale, float(layout.hypers[place].prior.value(found.mode.v[place]))
 
 
-def problem_of(kind: str, found: Any) -> tuple[Problem, np.ndarray]:
+def problem_of(kind: str, found: Any) -> tuple[PeerProblem, np.ndarray]:
     """The same problem for the peers, with the noise that `bc.fit` found; and its answer in z."""
     import jax
     import jax.numpy as jnp
@@ -139,7 +139,7 @@ def problem_of(kind: str, found: Any) -> tuple[Problem, np.ndarray]:
     from bayescal._model import forward
 
     layout, frame, mode = found.layout, found.frame, found.mode
-    prior = found.assembly.prior(found.assembly.hyper(mode.v), mode.flat)
+    prior = found.problem.prior(found.problem.hyper(mode.v), mode.flat)
     places = layout.positions("shape", "promoted")
     if layout.row_blocks or layout.improper:
         raise RuntimeError(f"{kind}: has flat priors or one coefficient for each reading")
@@ -160,7 +160,9 @@ def problem_of(kind: str, found: Any) -> tuple[Problem, np.ndarray]:
         return jnp.concatenate([(y - guess) / sd, z])
 
     slopes = jax.jit(jax.jacfwd(residuals))
-    made = Problem(lambda z: np.asarray(residuals(z)), len(answer), lambda z: np.asarray(slopes(z)))
+    made = PeerProblem(
+        lambda z: np.asarray(residuals(z)), len(answer), lambda z: np.asarray(slopes(z))
+    )
     return made, answer
 
 

@@ -32,8 +32,8 @@ def bound(n: int, correlated: bool) -> Bound:
     from scipy.signal import lfilter
 
     import bayescal as bc
-    from bayescal._inference.assembly import Assembly
     from bayescal._inference.density import Density
+    from bayescal._inference.problem import Problem
     from bayescal._inference.record import Record
     from bayescal._model.frame import build_frame, reference_of
     from bayescal._model.parameters import bind
@@ -55,8 +55,8 @@ def bound(n: int, correlated: bool) -> Bound:
     reference = {**reference_of(readings), "T0": T0}
     frame = build_frame(readings, reference)
     v = np.array([_at(h) for h in layout.hypers])
-    assembly = Assembly(layout, Record(model.instrument, frame, y))
-    density = Density(assembly, assembly.start, np.ones(layout.size), v)
+    problem = Problem(layout, Record(model.instrument, frame, y))
+    density = Density(problem, problem.start, np.ones(layout.size), v)
     return Bound(layout=layout, frame=frame, y=jnp.asarray(y), density=density, v=v)
 
 

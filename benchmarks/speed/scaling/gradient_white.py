@@ -92,16 +92,16 @@ def _one_pass(b: Bound) -> dict[str, float]:
     Raises:
         RuntimeError: the products are wrong.
     """
-    from bayescal._inference.assembly import Assembly
     from bayescal._inference.density import Density
+    from bayescal._inference.problem import Problem
     from bayescal._inference.record import Record
 
-    assembly = Assembly(b.layout, Record(b.layout.model.instrument, b.frame, np.asarray(b.y)))
+    problem = Problem(b.layout, Record(b.layout.model.instrument, b.frame, np.asarray(b.y)))
     v = b.v
 
     def run() -> Any:
-        density = Density(assembly, assembly.start, np.ones(b.layout.size), v)
-        return density.gram(v, assembly.hyper(v))
+        density = Density(problem, problem.start, np.ones(b.layout.size), v)
+        return density.gram(v, problem.hyper(v))
 
     gram, n = run(), len(b.y)
     j = np.column_stack([np.ones(n), np.asarray(b.frame["temperature"]) - T0])

@@ -27,8 +27,8 @@ def forward(searched: Searched) -> list[str]:
     import lmfit  # pyright: ignore[reportMissingImports]
 
     base, record = searched.base, searched.structures.record
-    line = linear_model(base.assembly, base.mode)
-    slopes, jacobian, counts = line.slopes, line.line.jacobian, dict(base.assembly.layout.counts)
+    line = linear_model(base.problem, base.mode)
+    slopes, jacobian, counts = line.slopes, line.line.jacobian, dict(base.problem.layout.counts)
     effects = {n: e for n, e in searched.structures.candidates.items() if not e.is_placeholder}
 
     def columns(name: str, values: tuple[float, ...]) -> np.ndarray:

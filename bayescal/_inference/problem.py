@@ -1,4 +1,4 @@
-"""A structure on a record: its expected output, Jacobian and priors, put together from columns and slopes."""
+"""A model bound to readings: its expected output, Jacobian and priors, put together from columns and slopes."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _one(slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]) -> bo
 
 
 @dataclass(eq=False)
-class Assembly:
+class Problem:
     """A structure bound to a record.
 
     Attributes:
@@ -221,7 +221,7 @@ class Assembly:
                 x[b.start : b.start + b.size] = 0.0
         return Point(x, np.zeros((self.record.size, len(self.row_sd))))
 
-    def point_of(self, other: Assembly, point: Point) -> Point:
+    def point_of(self, other: Problem, point: Point) -> Point:
         """Another structure's point in this one's terms; what that one has not stands at its prior mean."""
         found, theirs = self.start, {(t.known.of, t.index): t.at for t in other.in_x}
         for t in self.in_x:
