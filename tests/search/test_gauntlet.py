@@ -90,7 +90,8 @@ def test_there_are_forty_kinds_and_each_says_what_is_true() -> None:
 def test_every_instrument_has_most_kinds() -> None:
     from bayescal_models import INSTRUMENTS
 
-    # Its ways of spoiling a record are those of one output.
-    assert set(SUBJECTS) == {name for name in INSTRUMENTS if not name.endswith("_triad")}
+    # Its ways of spoiling a record are those of one output over time: a head goes from setting to setting.
+    one = {name for name in INSTRUMENTS if not name.endswith("_triad")}
+    assert set(SUBJECTS) == one - {"accelerometer_dividing_head"}
     for name in SUBJECTS:
         assert len({kind.name for kind, _ in plan(name)}) > 35, name

@@ -19,20 +19,20 @@ SENSOR, QUICK = still_sensor.INSTRUMENT, bc.LeastSquares(draws=200)
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three axes that follow the temperature alike, a pressure, and a supply that the output follows."""
+    """Three axes that follow the temperature alike, a pressure, and a drive voltage that the output follows."""
     random = np.random.default_rng(4)
     time = 10.0 * np.arange(300)
     temperature = 30 + 10 * np.sin(time / 700)
-    supply = 5 + 0.05 * np.cos(time / 150)
+    drive = 5 + 0.05 * np.cos(time / 150)
     curved = 0.2 * (temperature - 30) ** 2
     axes = [
-        curved * s + 20 * (supply - 5) * s + 0.05 * random.standard_normal(300)
+        curved * s + 20 * (drive - 5) * s + 0.05 * random.standard_normal(300)
         for s in (1, -2, 1.5)
     ]
     columns = np.column_stack(
-        [time, temperature, *axes, supply, 1000 + random.standard_normal(300)]
+        [time, temperature, *axes, drive, 1000 + random.standard_normal(300)]
     )
-    names = "time [s],temperature [degC],acc_x [mg],acc_y [mg],acc_z [mg],supply [V],pressure [hPa]"
+    names = "time [s],temperature [degC],acc_x [mg],acc_y [mg],acc_z [mg],drive [V],pressure [hPa]"
     path = tmp_path_factory.mktemp("log") / "imu.csv"
     np.savetxt(path, columns, delimiter=",", header=names, comments="")
     return path
@@ -50,7 +50,7 @@ def line(log: Path) -> bc.Calibration:
 
 def test_channels_of_one_unit_are_not_each_others_causes(line: bc.Calibration) -> None:
     found = searched(bc.discover(line, widen_noise=False, max_effects=2))
-    assert {"unknown(supply)", "unknown(pressure)"} <= found
+    assert {"unknown(drive)", "unknown(pressure)"} <= found
     assert not {"unknown(acc_x)", "unknown(acc_y)"} & found
     assert {"acc_x", "acc_y"} <= set(line.readings.columns)  # an effect of one's own may take them
     assert {"acc_x", "acc_y"}.isdisjoint(e.against for e in bc.check(line).entries)
@@ -67,8 +67,8 @@ def test_the_mark_stays_with_the_readings(line: bc.Calibration, tmp_path: Path) 
 
 
 def test_a_column_is_ignored(line: bc.Calibration) -> None:
-    found = bc.discover(line, widen_noise=False, max_effects=1, ignore=["supply"])
-    assert "unknown(supply)" not in searched(found)
+    found = bc.discover(line, widen_noise=False, max_effects=1, ignore=["drive"])
+    assert "unknown(drive)" not in searched(found)
     found = bc.discover(line, widen_noise=False, max_effects=1, ignore=["time"])
     reasons = {c.effect: c.reason for c in found.candidates if c.kind == "not testable"}
     assert reasons["bias.thermal_lag"] == "the column time is left out"
@@ -79,22 +79,22 @@ def test_a_column_is_ignored(line: bc.Calibration) -> None:
 def test_only_covariates_that_are_named_are_causes(line: bc.Calibration) -> None:
     found = searched(bc.discover(line, widen_noise=False, max_effects=1, covariates=["acc_x"]))
     assert "unknown(acc_x)" in found and "unknown(temperature)" in found
-    assert not {"unknown(supply)", "unknown(pressure)", "unknown(acc_y)"} & found
+    assert not {"unknown(drive)", "unknown(pressure)", "unknown(acc_y)"} & found
     with pytest.raises(bc.InputError, match="say one of the two"):
-        bc.discover(line, ignore=["supply"], covariates=["supply"])
+        bc.discover(line, ignore=["drive"], covariates=["drive"])
 
 
 @needs_installation
 def test_the_command_takes_both(tmp_path: Path) -> None:
     """Of a table without time, in which no correlated noise is looked for."""
     table, path = pd.read_csv(TABLE), tmp_path / "table.csv"
-    table["supply [V]"] = 5 + 0.05 * np.cos(1.7 * np.arange(len(table)))
+    table["drive [V]"] = 5 + 0.05 * np.cos(1.7 * np.arange(len(table)))
     table["pressure [hPa]"] = 1000 + np.sin(2.9 * np.arange(len(table)))
     table.to_csv(path, index=False)
     given = ("calibrate", path, *GYRO, *LEAST_SQUARES)
-    done = run(*given, "--max-effects", "1", "--ignore", "supply", "--json")
+    done = run(*given, "--max-effects", "1", "--ignore", "drive", "--json")
     names = {c["effect"] for c in done.data["missing"][0]["candidates"]}
-    assert "unknown(pressure)" in names and "unknown(supply)" not in names
+    assert "unknown(pressure)" in names and "unknown(drive)" not in names
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_the_command_takes_both(tmp_path: Path) -> None:
     ],
 )
 def test_channels_are_known_by_their_names(output: str, others: list[str]) -> None:
-    apart = dict.fromkeys(["max", "supply", "index", "oxygen", "T1", "zinc"], "V")
+    apart = dict.fromkeys(["max", "drive", "index", "oxygen", "T1", "zinc"], "V")
     columns = dict.fromkeys(others, "V")
     assert channels_beside(output, {**columns, **apart}, "V") == others
 
