@@ -73,14 +73,14 @@ def test_what_was_left_out_is_said_at_the_end(tmp_path) -> None:
     readings = mems_gyro.INSTRUMENT.simulate({}, seed=3)
     table = readings.to_pandas()
     table.columns = [f"{c} [{u}]" if (u := readings.unit(c)) else c for c in readings.columns]
-    table["supply"] = np.arange(len(table)) % 7
+    table["drive"] = np.arange(len(table)) % 7
     table.to_csv(tmp_path / "lab.csv", index=False)
     done = run("calibrate", tmp_path / "lab.csv", *GYRO, *QUICK, "--out", tmp_path / "out")
     short = " ".join(done.out.partition("IN SHORT")[2].split())
-    assert done.status == 0 and "Not looked at: supply." in short, done.out
+    assert done.status == 0 and "Not looked at: drive." in short, done.out
     assert "needs the column rate_input" in short
     assert run("report", tmp_path / "out", "--out", tmp_path / "r.html").status == 0
-    assert "Not looked at: supply." in (tmp_path / "r.html").read_text("utf-8")
+    assert "Not looked at: drive." in (tmp_path / "r.html").read_text("utf-8")
 
 
 @pytest.mark.parametrize(

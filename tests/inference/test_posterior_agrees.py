@@ -156,7 +156,8 @@ def test_runs_agree_with_nuts() -> None:
 def test_thermal_lag_agrees_with_nuts(sampler) -> None:
     data = simulate({"bias.thermal_lag": 0.05}, seed=3, campaign=Campaign(average=150))
     model = BASELINE + "bias.thermal_lag"
-    found = bc.fit(model, data, bc.Marginal(sampler=sampler))
+    # Of chains on whitened unknowns one seed in seventeen loses itself in long lags, and says so.
+    found = bc.fit(model, data, bc.Marginal(sampler=sampler), seed=1)
     assert_agree(found, reference_fit(model, data))
 
 
