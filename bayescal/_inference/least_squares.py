@@ -30,7 +30,7 @@ from bayescal._inference.gaussian import LOG_2PI, Prior
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.noise_on_record import Independent, Whitening, whitening
-from bayescal._inference.problem import Point, Problem, differences
+from bayescal._inference.problem import ABSENT, LARGEST, Point, Problem, differences
 from bayescal._model import forward
 from bayescal._model.composition import Linearised
 from bayescal._model.noise_law import in_time
@@ -427,12 +427,16 @@ class _Refinement:
             best = found.x if found.fun <= value(best)[0] else best
         sharper = root(slope, best, jac=partial(differences, slope, step=SHIFT)).x
         best = min(best, sharper, key=lambda v: np.linalg.norm(slope(v)))
-        bounded = [isinstance(h.prior, LogUniform) for _, h in hypers]
-        return _put(
-            np.where(bounded, np.clip(best, -EDGE_COORDINATE, EDGE_COORDINATE), best),
-            self.scales,
-            v,
+        # Where one of them is best at zero, nothing but its logarithm would go on for ever.
+        low, high = np.transpose(
+            [
+                (-EDGE_COORDINATE, EDGE_COORDINATE)
+                if isinstance(h.prior, LogUniform)
+                else (ABSENT, LARGEST)
+                for _, h in hypers
+            ]
         )
+        return _put(np.clip(best, low, high), self.scales, v)
 
     def _slopes(
         self, v: np.ndarray, excess: np.ndarray, spent: tuple[float, float]

@@ -24,7 +24,7 @@ from bayescal._core.progress import stage
 from bayescal._core.settings import settings
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import CHAINS, Draws
-from bayescal._inference.problem import Point
+from bayescal._inference.problem import ABSENT, Point
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
@@ -34,9 +34,6 @@ from bayescal._search.structures import Structure, Structures, Weighed
 
 COUNT = 4000  # draws in all
 ROUNDS = 6  # of adaptation at most
-ABSENT = (
-    -30.0
-)  # coordinate of a between-group standard deviation that is not there: 1e-13 of its scale
 
 
 @dataclass(frozen=True)

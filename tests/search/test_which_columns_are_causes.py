@@ -26,12 +26,9 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     drive = 5 + 0.05 * np.cos(time / 150)
     curved = 0.2 * (temperature - 30) ** 2
     axes = [
-        curved * s + 20 * (drive - 5) * s + 0.05 * random.standard_normal(300)
-        for s in (1, -2, 1.5)
+        curved * s + 20 * (drive - 5) * s + 0.05 * random.standard_normal(300) for s in (1, -2, 1.5)
     ]
-    columns = np.column_stack(
-        [time, temperature, *axes, drive, 1000 + random.standard_normal(300)]
-    )
+    columns = np.column_stack([time, temperature, *axes, drive, 1000 + random.standard_normal(300)])
     names = "time [s],temperature [degC],acc_x [mg],acc_y [mg],acc_z [mg],drive [V],pressure [hPa]"
     path = tmp_path_factory.mktemp("log") / "imu.csv"
     np.savetxt(path, columns, delimiter=",", header=names, comments="")
