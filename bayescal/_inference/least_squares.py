@@ -30,7 +30,7 @@ from bayescal._inference.gaussian import LOG_2PI, Prior
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.noise_on_record import Independent, Whitening, whitening
-from bayescal._inference.problem import ABSENT, LARGEST, Point, Problem, differences
+from bayescal._inference.problem import ABSENT, LARGEST_COORDINATE, Point, Problem, differences
 from bayescal._model import forward
 from bayescal._model.composition import Linearised
 from bayescal._model.noise_law import in_time
@@ -432,7 +432,7 @@ class _Refinement:
             [
                 (-EDGE_COORDINATE, EDGE_COORDINATE)
                 if isinstance(h.prior, LogUniform)
-                else (ABSENT, LARGEST)
+                else (ABSENT, LARGEST_COORDINATE)
                 for _, h in hypers
             ]
         )

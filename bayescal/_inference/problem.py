@@ -28,7 +28,7 @@ from bayescal._model.terms import Sizes, Term, terms_of
 Values = dict[str, float]
 # Coordinates of a standard deviation: one that is not there (1e-13 of its scale), and the largest that is a number yet
 # where it is squared and summed.
-ABSENT, LARGEST = -30.0, 100.0
+ABSENT, LARGEST_COORDINATE = -30.0, 100.0
 NUDGE = 1e-6  # of a coordinate, for derivatives of priors,
 SHIFT = 1e-4  # and of columns of the expected output
 
