@@ -23,7 +23,6 @@ PACKAGES = ("bayescal", "jax", "jaxlib", "numpy", "scipy", "optimistix", "equino
 
 DECIDING = ("bayescal/_model", "bayescal/_inference", "bayescal/_calibration", "bayescal/_search")
 DECIDING = (*DECIDING, "bayescal/effects", "models")  # sources on which a result hangs
-WITHOUT = "0.2"  # rows that carry no digest: measured before there was one
 
 
 @cache
@@ -46,10 +45,8 @@ def _is_text(node: ast.AST) -> bool:
 
 def cores_of(rows: Iterable[Mapping[str, Any]]) -> str:
     """By which code rows were measured: a sentence, the commonest digest first."""
-    count = Counter(row.get("core", WITHOUT) for row in rows)
-    named = (
-        (f"core `{c}`" if c != WITHOUT else "an older core", n) for c, n in count.most_common()
-    )
+    count = Counter(row.get("core", "") for row in rows)
+    named = ((f"core `{c}`" if c else "an older core", n) for c, n in count.most_common())
     said = ", ".join(f"{n:,} by {which}" for which, n in named)
     return (
         f"*Rows measured: {said}. `python -m benchmarks cores` compares with the code as it is.*\n"

@@ -72,10 +72,9 @@ def fit(
     _refuse_stuck(readings)
     reference = with_origin(model, readings, _reference(readings, reference))
     record = record_of(model.instrument, readings, reference)
-    record.library = model.instrument.shown_by(record.frame, model.effects)
+    record.show(model.effects)
     model = sized(model, readings, record)
     layout, levels = bind(model, readings, reference=reference)
-
     problem = Problem(layout, record)
 
     def run() -> Outcome:

@@ -90,9 +90,8 @@ class Fitted:
     @cached_property
     def problem(self) -> Problem:
         """The fitted structure on its readings, as the engine sees it."""
-        instrument, effects = self.model.instrument, self.model.effects
-        record = record_of(instrument, self.readings, self.reference)
-        record.library = instrument.shown_by(record.frame, effects)
+        record = record_of(self.model.instrument, self.readings, self.reference)
+        record.show(self.model.effects)
         return Problem(self.layout, record)
 
     def problem_on(self, frame: Frame) -> Problem:

@@ -33,9 +33,8 @@ ALLAN_READINGS = 30
 ALLAN_SLOPE = 0.25
 FULL_SHARE = 0.5  # of the readings of an average, that must be there
 CUT_STEPS = 1.5  # of a grid, over which the stamps of readings may lie about it; two readings on one stamp are over 1
-LOST_SHARE = (
-    0.2  # of the places of a run's grid, that may have no reading: drivers lose some per cent
-)
+# Of the places of a run's grid, that may have no reading: drivers lose some per cent.
+LOST_SHARE = 0.2
 ALLAN_COVERAGE = 2.0  # standard uncertainties, as everywhere that an interval of 95 % is meant
 # p-value of a line through part of an Allan deviation, below which it is none.
 ALLAN_STRAIGHT_P = 1e-3

@@ -373,7 +373,7 @@ def _unexplained(values: np.ndarray, time: np.ndarray, own: Sequence[np.ndarray]
     """Of each change from one reading to the next, what neither the rate before it nor the rate after it explains.
 
     These rates are medians of three changes, so that a corner of a profile, from one rate to another, is explained; and
-        a third of it in a change next to it, so that a chamber's step that takes few readings is.
+    a third of it in a change next to it, so that a chamber's step that takes few readings is.
     """
     found = []
     for piece in own:
@@ -703,8 +703,8 @@ def flags_of(
         for name in one_plateau_a_run(columns, thermometers)
     ]
     flags += [
-        f"{names}: {share:.0%} of {output!r} in {last} are the very numbers of {first}: one record under two labels? "
-        "Leave one out: copied readings count twice"
+        f"{names}: {share:.0%} of {output!r} in record {last!r} are the very numbers of record {first!r}: one record "
+        "under two labels? Leave one out: copied readings count twice"
         for first, last, share in copied_records(columns, output)
     ]
     flags += [
@@ -759,7 +759,7 @@ def copied_records(columns: Columns, output: str) -> list[tuple[str, str, float]
         counts[last] = 0
         if (share := counts.max() / len(rows)) > COPIED_SHARE:
             found.append((names[counts.argmax()], names[last], share))
-    return [(f"record {a!r}", f"record {b!r}", s) for a, b, s in found]
+    return found
 
 
 def stuck_rows(values: np.ndarray, thermometer: bool = False) -> tuple[int, int] | None:

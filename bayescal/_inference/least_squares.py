@@ -428,14 +428,9 @@ class _Refinement:
         sharper = root(slope, best, jac=partial(differences, slope, step=SHIFT)).x
         best = min(best, sharper, key=lambda v: np.linalg.norm(slope(v)))
         # Where one of them is best at zero, nothing but its logarithm would go on for ever.
-        low, high = np.transpose(
-            [
-                (-EDGE_COORDINATE, EDGE_COORDINATE)
-                if isinstance(h.prior, LogUniform)
-                else (ABSENT, LARGEST_COORDINATE)
-                for _, h in hypers
-            ]
-        )
+        bounded = [isinstance(h.prior, LogUniform) for _, h in hypers]
+        low = np.where(bounded, -EDGE_COORDINATE, ABSENT)
+        high = np.where(bounded, EDGE_COORDINATE, LARGEST_COORDINATE)
         return _put(np.clip(best, low, high), self.scales, v)
 
     def _slopes(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -110,6 +110,10 @@ class Record:
         if frame is None:
             vars(made).update(padded=self.padded, codes=self.codes, _for_laws=self._for_laws)
         return made
+
+    def show(self, more: Iterable[Effect] = ()) -> None:
+        """Take the instrument's effects and some more as the library: those that the readings have the columns for."""
+        self.library = self.instrument.shown_by(self.frame, more)
 
     def of_noise(self, left: Float[np.ndarray, "n"]) -> Record:
         """What a model leaves of the readings, as the output of a channel at rest: a fit of noise alone."""

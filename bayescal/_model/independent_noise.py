@@ -23,9 +23,8 @@ from bayescal._model.noise_law import (
 )
 from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 
-FOLLOWED = (
-    "followed"  # column of a frame that holds where readings stand along what scatter follows
-)
+# Column of a frame that holds where readings stand along what scatter follows.
+FOLLOWED = "followed"
 SLOPE, CURVATURE = "noise.slope", "noise.curvature"
 FREEDOM = "noise.freedom"
 LEAST_FREEDOM = 2.1  # below 2 the variance does not exist

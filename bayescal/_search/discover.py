@@ -264,7 +264,7 @@ def structures_over(
     if any(e.open for e in open_.values()):
         plausible = amplitudes(model, readings, record)
         open_ = {n: e.sized(*plausible) for n, e in open_.items()}
-    record.library = instrument.shown_by(frame, (*open_.values(), *model.effects))
+    record.show((*open_.values(), *model.effects))
     laws = laws_over(model, frame) if widen_noise else {}
     layout = bind(model, readings, open_.values(), reference)[0]
     return Structures(model, layout, record, open_, laws), list(shut.values())

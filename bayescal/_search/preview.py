@@ -120,10 +120,8 @@ class Previews:
         effects = (*effects, *own)
         self.calibration = calibration
         self.effects = {e.name: e for e in effects if testable(e, readings) is None}
-        library = model.instrument.shown_by(
-            calibration.frame, (*self.effects.values(), *model.effects)
-        )
-        self.record = calibration.problem.record.beside(library)
+        self.record = calibration.problem.record.beside()
+        self.record.show((*self.effects.values(), *model.effects))
         self._made: dict[str, tuple[Effect, Preview]] = {}
 
     def of(self, effect: Effect | str) -> Preview:
