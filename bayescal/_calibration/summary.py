@@ -46,23 +46,8 @@ def unknowns_parts(
         calibration: a fit, or an average over structures.
         effects: whose unknowns are shown, beside those of the noise; all if not given.
 
-    A curve (an unknown dependence) is one line, and so are the members of a large group: single
-    coefficients of these mean nothing by themselves.
     """
-    rows: dict[str, list[str]] = {}  # a row by what it is of
-    coefficients, hyperparameters = summary(calibration)
-    drawn, large = curves(calibration), large_groups(calibration)
-    for s in (*coefficients, *hyperparameters):
-        if effects is not None and s["effect"] not in (*effects, "noise"):
-            continue
-        block = next((b for b, names in large.items() if s["name"] in names), None)
-        if s["effect"] in drawn:
-            rows.setdefault(s["effect"], _curve_row(calibration, s["effect"]))
-        elif block is not None:
-            members = [c for c in coefficients if c["name"] in large[block]]
-            rows.setdefault(block, _group_row(block, members))
-        else:
-            rows[s["name"]] = _unknown_row(s)
+    rows = unknown_rows(calibration, effects)
     head = [
         *("unknown", "mean ± standard uncertainty", "unit"),
         *("95 % credible interval", "contraction"),
@@ -80,6 +65,31 @@ def unknowns_parts(
     if at := [f"{k} = {v:g} °C" for k, v in calibration.hold_at.items()]:
         lines.append("constants hold at " + ", ".join(at))
     return [shown, *(textwrap.fill(line, WIDTH) for line in lines)]
+
+
+def unknown_rows(
+    calibration: Fitted, effects: Collection[str] | None = None
+) -> dict[str, list[str]]:
+    """Of each unknown its name, value, unit, interval and contraction as they are printed, by what the row is of.
+
+    A curve (an unknown dependence) is one row, and so are the members of a large group: single
+    coefficients of these mean nothing by themselves.
+    """
+    rows: dict[str, list[str]] = {}
+    coefficients, hyperparameters = summary(calibration)
+    drawn, large = curves(calibration), large_groups(calibration)
+    for s in (*coefficients, *hyperparameters):
+        if effects is not None and s["effect"] not in (*effects, "noise"):
+            continue
+        block = next((b for b, names in large.items() if s["name"] in names), None)
+        if s["effect"] in drawn:
+            rows.setdefault(s["effect"], _curve_row(calibration, s["effect"]))
+        elif block is not None:
+            members = [c for c in coefficients if c["name"] in large[block]]
+            rows.setdefault(block, _group_row(block, members))
+        else:
+            rows[s["name"]] = _unknown_row(s)
+    return rows
 
 
 def chi_squared(calibration: Fitted) -> tuple[float, int, float]:

@@ -342,7 +342,7 @@ def _sessions(
     names = [n for n in folders if n]
     models, readings, kept = request.searched(names, asked, early)
     waiting.doing = "Loading the page …"
-    from bayescal._workbench.kept import Origin
+    from bayescal._workbench.kept import Origin, SearchOptions
     from bayescal._workbench.serve import Sessions
     from bayescal._workbench.session import Session
 
@@ -365,22 +365,24 @@ def _sessions(
             one = models[channel], readings[channel]
             return Session.begin(*one, folder=inner, origin=origin, **given)
 
-        return Sessions(folder, begin, partial(Session.resume, of=origin, trust=trust))
+        now = SearchOptions.of(reference=reference, **settings)
+        go_on = partial(Session.resume, of=origin, trust=trust, asked=now)
+        return Sessions(folder, begin, go_on)
 
     found = {channel: of_channel(channel, folder) for channel, folder in folders.items()}
     waiting.doing = "Fitting the first model …"
-    next(iter(found.values())).open(name)
+    begun = next(iter(found.values())).open(name)
+    if begun.not_taken:
+        print_notes([f"this session goes on as it was begun: {begun.not_taken}"])
     return found
 
 
 def _written(own: Sequence[Effect], folder: Path) -> Path:
     """The effects that were typed as a file in the workbench's folder, which its sessions and scripts read."""
-    from bayescal._model.formula import Formula
+    from bayescal._workbench.kept import typed_code
 
-    lines = [f"    bc.effect({e.basis.text!r})," for e in own if isinstance(e.basis, Formula)]
-    code = ["import bayescal as bc", "", "EFFECTS = (", *lines, ")", ""]
     folder.mkdir(exist_ok=True)  # of a channel
-    return write_text("\n".join(code), folder / "typed_effects.py")
+    return write_text(typed_code(own), folder / "typed_effects.py")
 
 
 @commands.example("bayescal fit readings.csv --instrument mems_gyro --out result")

@@ -160,9 +160,11 @@ class Workbench:
         begin = lambda: self.session.with_readings(readings)  # noqa: E731
         self.run("Fitting the new readings …", begin, begun)
 
-    def run(self, told: str, job: Callable[[], Any], then: Callable[[Any], None]) -> None:
-        """Other work beside the page; `then(result)` follows on it."""
-        self.work.begin(told, job, then)
+    def run(
+        self, told: str, job: Callable[[], Any], then: Callable[[Any], None], reads: bool = False
+    ) -> None:
+        """Other work beside the page; `then(result)` follows on it. What only `reads` waits for no search."""
+        self.work.begin(told, job, then, reads=reads)
 
     def ask(self, done: Callable[[Any], None], *action: Any) -> None:
         """What an action would do."""
@@ -233,7 +235,8 @@ class Workbench:
             self.done()
 
         search, failed = lambda: self.session.find_all(follow), lambda: self.error.searching(False)
-        self.work.begin("Finding all …", search, ended, failed=failed)
+        most = self.session.settings.time_limit
+        self.work.begin("Finding all …", search, ended, failed=failed, most=most)
 
     def _searched(self, trail: Any) -> None:
         self._found = trail.progress
@@ -275,6 +278,7 @@ class Workbench:
 
 _DOING = {
     "add": "Fitting with",
+    "add_typed": "Fitting with",
     "take_out": "Fitting without",
     "fix": "Holding",
     "resize": "Resizing",
@@ -288,4 +292,5 @@ def readings_in_words(session: Any) -> str:
     """What a session is about."""
     readings, kept = session.readings, session.holdout
     told = f"{len(readings):,} readings of {readings.file}"
-    return told + (f"; hold-out data: {len(kept):,} of {kept.file}" if kept is not None else "")
+    told += f"; hold-out data: {len(kept):,} of {kept.file}" if kept is not None else ""
+    return f"{told}. As it was begun: {session.not_taken}" if session.not_taken else told

@@ -42,6 +42,7 @@ from bayescal._data.read import read
 from bayescal._data.set_aside import set_aside
 from bayescal._inference.method import Method
 from bayescal._model.effect import Effect, with_forms
+from bayescal._model.formula import Formula
 from bayescal._model.frame import Reference
 from bayescal._model.installed import GROUP, installed_names
 from bayescal._model.instrument import Instrument
@@ -250,6 +251,15 @@ class SearchOptions:
         conflicts = sorted(self.accept_conflicts)
         return {**vars(self), "method": method, "accept_conflicts": conflicts}
 
+    def instead_of(self, asked: SearchOptions | None) -> list[str]:
+        """Which of these hold in the place of others that are asked for, in words."""
+        own, others = (json.loads(json.dumps(o.data())) for o in (self, asked or self))
+        return [
+            f"{name.replace('_', ' ')} {value}, not {others[name]}"
+            for name, value in own.items()
+            if value != others[name]
+        ]
+
     @classmethod
     def from_data(cls, told: Mapping[str, Any]) -> SearchOptions:
         """What `data` gave.
@@ -392,6 +402,12 @@ def keep_session(folder: Path, of: Origin, settings: SearchOptions, current: int
     about = {"origin": asdict(of), "settings": settings.data()}
     told = {"schema": SCHEMA, **about, "current": current}
     write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", folder / SESSION)
+
+
+def typed_code(effects: Sequence[Effect]) -> str:
+    """Python that defines the effects that were typed as formulas."""
+    lines = [f"    bc.effect({e.basis.text!r})," for e in effects if isinstance(e.basis, Formula)]
+    return "\n".join(["import bayescal as bc", "", "EFFECTS = (", *lines, ")", ""])
 
 
 def keep_draft(folder: Path, code: str) -> Path:

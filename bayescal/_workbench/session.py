@@ -22,15 +22,16 @@ from typing import Any
 import numpy as np
 
 from bayescal._calibration.compare import compare
-from bayescal._calibration.summary import summary
+from bayescal._calibration.summary import unknown_rows
 from bayescal._core import deadline
 from bayescal._core.errors import BayescalError, InputError, ModelError, NotDrawn
-from bayescal._core.formatting import WIDTH, number, with_error
+from bayescal._core.formatting import WIDTH, number
 from bayescal._core.result_table import plain_table
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import set_aside
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
+from bayescal._model.formula import effect as typed_effect
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._report.report import report
@@ -140,6 +141,7 @@ class Session:
         settings: as of `calibrate`.
         origin: where readings and effects come from.
         own: effects of the user's own, by name.
+        not_taken: what was asked for when it was gone on with and differs from how it was begun; empty for most.
         on_change: called when a state is made or gone to, by whichever page, from whatever thread.
     """
 
@@ -149,6 +151,7 @@ class Session:
     settings: SearchOptions
     origin: Origin
     own: dict[str, Effect]
+    not_taken: str = ""
     on_change: list[Callable[[], None]] = field(default_factory=list)
     _states: dict[int, State] = field(default_factory=dict)
     _at: int = 0
@@ -207,6 +210,7 @@ class Session:
         effects: Sequence[Effect] = (),
         of: Origin | None = None,
         trust: Sequence[str | Path] = (),
+        asked: SearchOptions | None = None,
     ) -> Session:
         """A session as its folder has it: every state that was made, whatever ended it.
 
@@ -215,6 +219,7 @@ class Session:
             effects: of the user's own that were given there as Python objects; those in files are run again.
             of: what it must be of; None: anything.
             trust: Python files that it may run, beside those that `of` names.
+            asked: what is asked for now; it goes on as it was begun, and says what of this it does not take.
 
         Raises:
             InputError: it holds no session, one of something else, something in it was changed, or it names a Python
@@ -238,7 +243,9 @@ class Session:
         first = found[0][1]
         holdout = origin.open_holdout(instrument or first.model.instrument)
         holdout = None if holdout is None else set_aside(holdout, settings.keep_spikes)
-        session = cls(first.readings, holdout, folder, settings, origin, own)
+        new = [f for f in (of.effect_files if of else ()) if f not in origin.effect_files]
+        left = [*settings.instead_of(asked), *(f"without {Path(f).name}" for f in new)]
+        session = cls(first.readings, holdout, folder, settings, origin, own, ", ".join(left))
         for said, calibration in found:
             step = step_of(calibration, holdout, settings.accept_conflicts)
             step = replace(step, added=said["added"], changed=said["changed"])
@@ -315,10 +322,12 @@ class Session:
         first = self.states[0].calibration
         return {first.model.noise.name: first.model.noise, **laws_over(first.model, first.frame)}
 
-    def preview(self, effect: str) -> Preview:
+    def preview(self, wanted: str | Effect) -> Preview:
         """What adding an effect to the current state would do: `bc.preview`, whose refusals it has; kept."""
+        if isinstance(wanted, str):
+            wanted = self.current.sized.get(wanted, wanted)
         with self._beside:
-            return self._previews_of(self.current).of(self.current.sized.get(effect, effect))
+            return self._previews_of(self.current).of(wanted)
 
     def consequences(self, kind: str, *arguments: Any) -> Preview:
         """What `act` would do, before it is done: `bc.preview` of the model that would come of it."""
@@ -420,6 +429,20 @@ class Session:
             previews = self._previews_of(state)
             return describe(state.calibration, rows, against, previews=previews)
 
+    def typed(self, line: str) -> Effect:
+        """The effect of a typed formula, as `bc.effect` takes it.
+
+        Raises:
+            InputError: it is none; the place is marked.
+        """
+        return typed_effect(line, readings=self.readings, instrument=self.current.model.instrument)
+
+    def add_typed(self, line: str) -> State:
+        """Have the effect of a typed formula among the candidates, and add it."""
+        made = self.typed(line)
+        self.load_draft(kept.typed_code([made]))
+        return self.add(made.name)
+
     def load_draft(self, code: str) -> tuple[str, ...]:
         """Run code that defines effects, as --effects does, and have them among the candidates; their names.
 
@@ -475,10 +498,12 @@ class Session:
         """
         both = self.current, self.states[number]
         fits = {f"{s.number} {s.title}": s.calibration for s in both}
-        told = [[t for rows in summary(c) for t in rows] for c in fits.values()]
-        values = [{t["name"]: with_error(t["mean"], t["sd"]) for t in own} for own in told]
-        units = {t["name"]: unit_label(t["unit"]) for own in told for t in own}
-        rows = [[n, *(v.get(n, "–") for v in values), unit] for n, unit in units.items()]
+        told = [unknown_rows(c) for c in fits.values()]
+        units = {name: row[2] for own in told for name, row in own.items()}
+        rows = [
+            [name, *(own[name][1] if name in own else "–" for own in told), unit]
+            for name, unit in units.items()
+        ]
         return f"{compare(fits)}\n\n{plain_table(['', *fits, 'unit'], rows)}"
 
     def budget(self, at: Mapping[str, float]) -> Budget:

@@ -89,3 +89,18 @@ def test_experiments_are_ranked_where_two_effects_are_confounded(seen: Seen) -> 
         ranked.click()
         seen.page.get_by_text("least expected for").wait_for()
     seen.clean()
+
+
+def test_a_typed_formula_is_drawn_and_then_added(seen: Seen) -> None:
+    before, typed = seen.count(), seen.page.get_by_label("type a formula")
+    typed.fill("square: a*(temperatur - 40)^2; a = 1e-3 deg/s")
+    typed.press("Enter")
+    seen.page.get_by_text("▸").wait_for()
+    typed.fill("square: a*(temperature - 40)^2; a = 1e-3 deg/s/degC^2")
+    typed.press("Enter")
+    seen.page.get_by_text("bias.square would be").wait_for()
+    assert seen.count() == before, "drawn, and not added"
+    seen.page.get_by_role("button", name="Add it", disabled=False).click()
+    seen.page.locator(f'tr[data-row="{before}"]').wait_for()
+    assert "bias.square" in seen.steps()[-1][0]
+    seen.clean()

@@ -77,15 +77,17 @@ def test_a_label_is_never_a_formula() -> None:
 
 def test_a_press_that_the_page_does_not_offer_is_not_taken() -> None:
     pressed: list[tuple[str, str]] = []
-    shown = {"id": "a", "cells": [], "actions": [{"id": "add"}, {"id": "shut", "off": True}]}
+    actions = [{"id": "add"}, {"id": "shut", "off": True}, {"id": "compare", "reads": True}]
+    shown = {"id": "a", "cells": [], "actions": actions}
     rows = Rows(lambda *press: pressed.append(press), rows=[shown])
     for message in ({"row": "b", "action": "add"}, {"row": "a", "action": "shut"}, "add", {}):
         rows._handle_msg(message)
     rows.busy = True
-    rows._handle_msg({"row": "a", "action": "add"})
+    for action in ("add", "compare"):  # which waits for nothing
+        rows._handle_msg({"row": "a", "action": action})
     rows.busy = False
     rows._handle_msg({"row": "a", "action": "add"})
-    assert pressed == [("a", "add")]
+    assert pressed == [("a", "compare"), ("a", "add")]
 
 
 def test_steps_stand_after_their_parents_and_branches_are_set_in() -> None:

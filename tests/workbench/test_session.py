@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._workbench.kept import SearchOptions
+from bayescal._workbench.panes.model_pane import effect_rows
+from bayescal._workbench.parts.work import UnderWay
 from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.workbench.conftest import HIDDEN, Campaign
@@ -194,3 +198,43 @@ def test_what_a_look_found_is_added_at_the_size_that_it_found_likeliest(
     state = session.add(sized.name)
     assert state.model.effect(sized.name) == sized
     assert f"resize({sized.name!r}" in session.script()
+
+
+def test_a_typed_formula_is_drawn_before_it_is_added_and_goes_on_with_the_session(
+    session: Session,
+) -> None:
+    line = "square: a*(temperature - 40)^2; a = 1e-3 deg/s/degC^2"
+    before, drawn = session.current, session.preview(session.typed(line))
+    assert session.current is before and not session.own and np.ptp(drawn.curve) > 0
+    added = session.add_typed(line)
+    assert added.title == "+ bias.square" and added.step.rmse == pytest.approx(drawn.rms, rel=0.02)
+    trusted = session.origin.python_files
+    again = Session.resume(session.folder, trust=trusted)
+    assert again.current.model == added.model and not again.not_taken
+    with pytest.raises(bc.InputError, match="▸"):
+        session.typed("square: a*(temperatur - 40)^2; a = 1e-3 deg/s")
+
+
+def test_a_session_that_is_gone_on_with_says_what_it_does_not_take(session: Session) -> None:
+    asked = SearchOptions.of(max_effects=2, time_limit=60.0)
+    new = replace(session.origin, effect_files=("/tmp/mine.py",))
+    again = Session.resume(session.folder, of=new, asked=asked)
+    assert again.not_taken == "max effects 5, not 2, time limit None, not 60.0, without mine.py"
+
+
+def test_a_curve_is_one_line(session: Session) -> None:
+    session.add("unknown(time)")
+    rows = {row["id"]: row for row in effect_rows(session.current.calibration)}
+    assert (
+        len(rows["unknown(time)"]["cells"]) == 2
+        and "rms" in rows["unknown(time)"]["cells"][1]["text"]
+    )
+    assert session.compare(0).count("unknown(time)") == 3  # two titles and one line
+
+
+def test_what_is_under_way_says_how_long_it_still_takes() -> None:
+    job = UnderWay("Finding all …", 20.0, None, begun=100.0)
+    assert job.told(105.0) == "Finding all … 5 s, about 15 s left"
+    assert job.told(125.0) == "Finding all … 25 s, longer than usual"
+    assert UnderWay("Reading …", None, None, begun=0.0).told(3.0) == "Reading … 3 s"
+    assert UnderWay("Finding all …", 20.0, 8.0, begun=0.0).told(5.0).endswith("about 3 s left")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import panel as pn
+
 from bayescal._core.formatting import number, probability, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import Discovery
-from bayescal._workbench.parts.pieces import Pane, Rows, column, row, words
+from bayescal._workbench.parts.pieces import Pane, Rows, button, column, field, row, words
 
 NOT_VISIBLE = "Not detectable in this experiment"
 NOT_TESTABLE = "Not testable with these readings"
@@ -25,9 +27,18 @@ class Missing(Pane):
         add = lambda effect, _: bench.act("add", effect)  # noqa: E731
         self.rows = Rows(add, kind="pair", pointing=True, label="Candidates")
         self.rows.param.watch(lambda event: bench.point(event.new), "pointed")
+        how: dict[str, Any] = {"placeholder": "supply: s * (supply_voltage - 5); s = 0.1 mV/V"}
+        room: dict[str, Any] = {"sizing_mode": "stretch_width", "min_width": 90, "max_length": 500}
+        self.formula = field(
+            pn.widgets.TextInput, "or type a formula: Enter draws it", **how, **room
+        )
+        self.formula.param.watch(lambda _: self._draw(), "value")
+        self.add_typed = button("Add it", lambda _: self._add_typed(), disabled=True, align="end")
         title = row(words("What is missing", "title"))
-        kinds = ("pane", "missing")
-        self.view = column(title, self.complete, self.told, self.rows, kinds=kinds)
+        typed = row(self.formula, self.add_typed, kinds=("spread",))
+        self.view = column(
+            *(title, self.complete, self.told, self.rows, typed), kinds=("pane", "missing")
+        )
 
     def show(self, state: Any, reason: str = "Looking for what is missing …") -> None:
         """Show what was found; where nothing was yet, or cannot be, the reason."""
@@ -41,12 +52,32 @@ class Missing(Pane):
         self.complete.object = f"{said}\n{found.stopped}" if found.stopped else said
         self.rows.rows = candidate_rows(found)
 
+    def _draw(self) -> None:
+        """Draw the curve of the typed formula over the residuals, and say what it would do; or why it is none."""
+        line, bench = self.formula.value.strip(), self.bench
+        self.add_typed.disabled = True
+        if not line:
+            return
+
+        def drawn(found: Any) -> None:
+            if line == self.formula.value.strip():
+                bench.fails.preview(found.curve)
+                self.preview(str(found))
+                self.add_typed.disabled = self.rows.busy
+
+        bench.work.preview(lambda: bench.session.preview(bench.session.typed(line)), drawn)
+
+    def _add_typed(self) -> None:
+        self.bench.act("add_typed", self.formula.value.strip())
+        self.formula.value = ""
+
     def preview(self, told: str) -> None:
         """Say what the candidate that is pointed at would do."""
         self.told.object = told or HINT
 
     def busy(self, busy: bool) -> None:
         self.rows.busy = busy
+        self.add_typed.disabled = self.add_typed.disabled or busy
 
 
 def candidate_rows(found: Discovery) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import panel as pn
 
-from bayescal._calibration.summary import null_directions, summary
+from bayescal._calibration.summary import null_directions, summary, unknown_rows
 from bayescal._core.formatting import probability, with_error
 from bayescal._data.unit_conversion import unit_label
 from bayescal._workbench.parts.pieces import Pane, Rows, button, column, field, row, words
@@ -66,8 +66,7 @@ class ModelPane(Pane):
     def show(self, state: Any) -> None:
         self._calibration = calibration = state.calibration
         self.equation.object = equation_in_words(calibration.model)
-        coefficients, others = summary(calibration)
-        self.effects.rows = effect_rows(calibration.model, [*coefficients, *others])
+        self.effects.rows = effect_rows(calibration)
         self.noise.rows = noise_rows(state)
         lines = [str(one) for one in null_directions(calibration)]
         lines += [f"conflict: {w}" for w in calibration.conflicts]
@@ -137,14 +136,19 @@ def equation_in_words(model: Any) -> str:
     return "\n".join([*lines, *([f"held: {fixed}"] if fixed else [])])
 
 
-def effect_rows(model: Any, told: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row an effect: each coefficient ± standard uncertainty, its contraction as a bar."""
-    rows = []
+def effect_rows(calibration: Any) -> list[dict[str, Any]]:
+    """A row an effect: each coefficient ± standard uncertainty, its contraction as a bar; a curve by its size."""
+    model, rows = calibration.model, []
+    told, curves = [t for own in summary(calibration) for t in own], unknown_rows(calibration)
     for effect in model.effects:
         own = [t for t in told if t["effect"] == effect.name]
         cells: list[dict[str, Any]] = [
             {"text": effect.name, "kind": "name", "title": effect.equation}
         ]
+        if effect.is_placeholder:
+            _, value, unit, *_ = curves[effect.name]
+            own = []
+            cells.append({"text": f"{value} [{unit}]", **NUMBER})
         for t in own[:COEFFICIENTS_IN_A_ROW]:
             short = t["name"].removeprefix(effect.name).lstrip(".:[").replace("]", "")
             value = f"{short if len(own) > 1 else ''} {_value(t)}".strip()

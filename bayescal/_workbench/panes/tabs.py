@@ -116,8 +116,8 @@ class ErrorPane(Pane):
         plain: dict[str, Any] = {"border_line_alpha": 0, "background_fill_alpha": 0}
         room: dict[str, Any] = {
             "margin": 0,
-            "spacing": 8,
-            "glyph_width": 16,
+            "spacing": 4,
+            "glyph_width": 12,
             "label_text_font_size": "11px",
         }
         self._legend: Any = Legend(items=items, orientation="horizontal", **room, **plain)
@@ -220,7 +220,10 @@ def step_rows(states: Mapping[int, Any], current: int) -> tuple[list[str], list[
             for head, text in zip(heads[1:], cells, strict=True)
         ]
         here = [
-            {"id": "compare", "label": "Compare", "title": "with the step that is shown"},
+            {
+                **{"id": "compare", "label": "Compare", "reads": True},
+                "title": "with the step that is shown",
+            },
             {"id": "go", "label": "Go back", "title": "what is done next branches off here"},
         ]
         now = row["state"] == current
@@ -306,6 +309,7 @@ class AskPane(Pane):
     LABEL = ""  # of the button
     TOLD = ""  # what is asked, in words
     BY_ITSELF = False  # whether it is asked when it is looked at
+    READS = False  # whether it fits nothing, and waits for no search
     KINDS: tuple[str, ...] = ("bare",)  # classes of the style of the answer's room
 
     def __init__(self, bench: Any, *fields: Any) -> None:
@@ -342,7 +346,8 @@ class AskPane(Pane):
             self.answered(found)
             self._say_age()
 
-        self.bench.run("Computing …", self.question(), came)
+        told = "Comparing …" if self.READS else "Computing …"
+        self.bench.run(told, self.question(), came, reads=self.READS)
 
     def _say_age(self) -> None:
         stale = self._of not in (-1, self._now)
@@ -364,7 +369,7 @@ class VerdictPane(AskPane):
 class ComparePane(AskPane):
     """Two steps side by side."""
 
-    LABEL, BY_ITSELF = "Compare", True
+    LABEL, BY_ITSELF, READS = "Compare", True, True
     TOLD = "The step that is shown beside another one; its residuals stand in the panels, hollow."
 
     def __init__(self, bench: Any) -> None:
@@ -492,7 +497,7 @@ class PlanPane(AskPane):
     def __init__(self, bench: Any) -> None:
         how: dict[str, Any] = {
             "placeholder": "corrected reading: ±0.1 °/s over -20..60 °C",
-            "width": 320,
+            **{"sizing_mode": "stretch_width", "min_width": 120, "max_width": 320},
         }
         self.limit = field(pn.widgets.TextInput, "what is to be known better", **how)
         self.count = field(pn.widgets.IntInput, "readings to pick", value=12, start=0, width=100)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import panel as pn
 import param
-from bokeh.models import Legend, PlainText, Range1d
+from bokeh.models import Legend, NoOverlap, PlainText, Range1d
 from bokeh.plotting import figure
 from panel.custom import JSComponent
 
@@ -71,6 +71,7 @@ def new_figure(x_label: str, y_label: str, **settings: Any) -> Any:
         axis.major_label_text_font_size = "11px"
         axis.minor_tick_line_color = None
         axis.axis_label_standoff = 4
+        axis.major_label_policy = NoOverlap()
     made.xaxis.ticker.desired_num_ticks = 5
     made.yaxis.ticker.desired_num_ticks = 6
     return made
@@ -182,12 +183,12 @@ class Rows(JSComponent):
 
     Attributes:
         rows: each {"id", "cells": [{"text", "bar", "kind", "title"}], "actions": [{"id", "label", "title",
-            "off"}], "group", "kind", "current", "note"}; `bar` from 0 to 1.
+            "off", "reads"}], "group", "kind", "current", "note"}; `bar` from 0 to 1.
         head: titles of a table's columns.
         table: whether it is one.
         pointing: whether pointing at a row, with the pointer or the keyboard, counts.
         pointed: the row pointed at last; empty for none.
-        busy: whether its buttons are shut for now.
+        busy: whether its buttons are shut for now, but those of actions that only read.
         label: its name for those who hear the page.
         kind: class of its style.
     """
@@ -212,11 +213,12 @@ class Rows(JSComponent):
 
     def _handle_msg(self, data: Any) -> None:
         """A press in the browser: taken only where the row and its action are there and open."""
-        if self.busy or self._on_press is None or not isinstance(data, dict):
+        if self._on_press is None or not isinstance(data, dict):
             return
         for row in self.rows:
             if row["id"] == data.get("row"):
-                open_now = {a["id"] for a in row.get("actions", ()) if not a.get("off")}
+                actions = [a for a in row.get("actions", ()) if not a.get("off")]
+                open_now = {a["id"] for a in actions if a.get("reads") or not self.busy}
                 if (action := str(data.get("action"))) in open_now:
                     self._on_press(row["id"], action)  # pyright: ignore[reportArgumentType]
                 return

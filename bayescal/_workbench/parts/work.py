@@ -1,11 +1,17 @@
-"""Work beside the page: what takes longer than a frame runs in a thread, and the page goes on."""
+"""Work beside the page: what takes longer than a frame runs in a thread, and the page goes on.
+
+What is under way is told with the time that it has taken and, once the like of it was done here, about how long it
+still takes.
+"""
 
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
+from dataclasses import dataclass
 from threading import Lock
 from typing import Any
 
@@ -28,8 +34,31 @@ def in_words(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
 
 
+@dataclass(eq=False)
+class UnderWay:
+    """A job: what is said of it, s that the last of its kind took and that it may take at most, whether it only reads,
+    and when it began."""
+
+    words: str
+    usual: float | None
+    most: float | None
+    reads: bool = False
+    begun: float | None = None
+
+    def told(self, now: float) -> str:
+        """What is being done, for how long by now, and about how long it still takes."""
+        taken = 0.0 if self.begun is None else now - self.begun
+        left = [end - taken for end in (self.usual, self.most) if end is not None]
+        said = f"{self.words} {taken:.0f} s" if taken >= 1 else self.words
+        if not left:
+            return said
+        rest = min(left)
+        return f"{said}, about {rest:.0f} s left" if rest >= 1 else f"{said}, longer than usual"
+
+
 class Work:
-    """One page's work: jobs one after the other, beside them a look, and at most one preview, the one asked for last.
+    """One page's work: jobs one after the other, beside them questions that only read, a look, and at most one preview,
+    the one asked for last.
 
     Results, and refusals in words, come back to the page's own thread.
     """
@@ -43,14 +72,16 @@ class Work:
         self._document = pn.state.curdoc
         # Settings in force where the page was made hold for its work.
         self._context = copy_context()
-        kinds = ("job", "look", "preview")
+        kinds = ("job", "question", "look", "preview")
         self._pools = {k: ThreadPoolExecutor(1, thread_name_prefix=f"workbench {k}") for k in kinds}
-        self._lock, self._wanted, self._under_way = Lock(), 0, 0
+        self._lock, self._wanted, self._ticking = Lock(), 0, None
+        self._under_way: list[UnderWay] = []
+        self._took: dict[str, float] = {}  # s, by the first word of what is said of a job
 
     @property
     def busy(self) -> bool:
-        """Whether a job is under way."""
-        return bool(self._under_way)
+        """Whether a job is under way that may change something."""
+        return not all(one.reads for one in self._under_way)
 
     def on_page(self, call: Callable[[], None]) -> None:
         """Call something in the page's own thread, soon; from any thread."""
@@ -66,20 +97,42 @@ class Work:
         job: Callable[[], Any],
         then: Then,
         failed: Callable[[], None] = nothing,
+        *,
+        reads: bool = False,
+        most: float | None = None,
     ) -> None:
-        """Begin a job, after those that are under way; `then(result)`, or `failed()`, follows on the page."""
+        """Begin a job, after those that are under way; `then(result)`, or `failed()`, follows on the page.
+
+        Args:
+            words: what is said of it; its first word is its kind.
+            job, then, failed: see above.
+            reads: it changes nothing, and waits for no job that does.
+            most: s that it may take.
+        """
+        kind = words.split()[0]
+        own = UnderWay(words, self._took.get(kind), most, reads)
+
+        def timed() -> Any:
+            own.begun = time.monotonic()
+            return self._timed(kind, job)
 
         def ended() -> None:
-            self._count(-1)
-            self._tell("", False)
+            self._under_way.remove(own)
+            self._follow()
 
-        self._count(1)
-        self._tell(words, False)
-        self._submit("job", job, then, failed=failed, ended=ended)
+        self._under_way.append(own)
+        self._follow()
+        self._submit("question" if reads else "job", timed, then, failed=failed, ended=ended)
+
+    def _timed(self, kind: str, job: Callable[[], Any]) -> Any:
+        begun = time.monotonic()
+        result = job()
+        self._took[kind] = time.monotonic() - begun
+        return result
 
     def look(self, job: Callable[[], Any], then: Then) -> None:
         """Look for something beside everything else; what is pressed meanwhile is not refused."""
-        self._submit("look", job, then)
+        self._submit("look", lambda: self._timed("Finding", job), then)
 
     def preview(self, job: Callable[[], Any], then: Then) -> None:
         """Compute a preview; one that another has overtaken is dropped."""
@@ -131,7 +184,19 @@ class Work:
 
         self._pools[kind].submit(self._context.copy().run, run)
 
-    def _count(self, more: int) -> None:
-        before, self._under_way = self.busy, self._under_way + more
-        if before != self.busy:
-            self._busy(self.busy)
+    def _follow(self) -> None:
+        """Work began or ended: shut or open what changes the model, and tell of the time while there is some."""
+        self._busy(self.busy)
+        self._say()
+        document = self._document
+        if document is None or document.session_context is None:
+            return
+        if self._under_way and self._ticking is None:
+            self._ticking = document.add_periodic_callback(self._say, 1000)
+        elif not self._under_way and self._ticking is not None:
+            document.remove_periodic_callback(self._ticking)
+            self._ticking = None
+
+    def _say(self) -> None:
+        now = time.monotonic()
+        self._tell("; ".join(one.told(now) for one in self._under_way), False)

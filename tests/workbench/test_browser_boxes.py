@@ -1,0 +1,99 @@
+"""The workbench's page at four widths, light and dark, measured: nothing beyond the window, clipped or over another.
+
+What Bokeh draws stands on a canvas: there every figure has room for its ticks, and its labels give way to each other.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from bokeh.models import NoOverlap
+
+from bayescal._workbench.parts.pieces import new_figure
+from tests.support.command_line import needs_installation
+from tests.workbench.real_page import Bench, opened
+
+pytestmark = [needs_installation, pytest.mark.nightly]
+SIZES = {390: 844, 768: 1024, 1024: 768, 1440: 900}
+TABS = ("The error", "Side by side", "Budget", "Decision", "Where to measure", "Export", "Describe")
+FIGURE = 80, 110  # px, least height and width
+# Lines of text with their boxes, cut where an ancestor scrolls; `clipped`: cut by one that does not, or across a scroll
+# that is no printed table or code. Text of the same element, or of its own ancestor, is not over it.
+MEASURED = """() => {
+  const found = { wide: document.documentElement.scrollWidth - window.innerWidth, clipped: [], over: [], figures: [] };
+  const up = (node) => node.assignedSlot || node.parentElement || (node.getRootNode().host || null);
+  const lines = [];
+  const look = (node) => {
+    if (node.nodeType === 3 && node.textContent.trim()) return text(node);
+    if (node.nodeType !== 1 && node.nodeType !== 11) return;
+    if (node.nodeType === 1) {
+      const style = getComputedStyle(node);
+      if (style.display === "none" || style.visibility === "hidden") return;
+      if (["STYLE", "SCRIPT", "OPTION"].includes(node.tagName)) return;
+      if (node.id === "skeleton") return;
+      if (node.classList.contains("bk-Figure")) {
+        const box = node.getBoundingClientRect();
+        found.figures.push([box.width, box.height]);
+        return;
+      }
+    }
+    for (const one of [...(node.shadowRoot ? node.shadowRoot.childNodes : []), ...node.childNodes]) look(one);
+  };
+  const text = (node) => {
+    const range = document.createRange();
+    range.selectNodeContents(node);
+    for (const box of range.getClientRects()) {
+      if (box.width < 5) continue;  // a space that hangs at the end of a line
+      const seen = { left: box.left, right: box.right, top: box.top, bottom: box.bottom };
+      let prose = true;
+      for (let at = node.parentElement; at; at = up(at)) {
+        const style = getComputedStyle(at), own = at.getBoundingClientRect();
+        prose = prose && !(at.tagName === "PRE" && style.whiteSpace === "pre");
+        if (style.overflowX !== "visible") {
+          const cut = box.left < own.left - 1 || box.right > own.right + 1;
+          if (prose && cut) found.clipped.push(node.textContent.slice(0, 40));
+          seen.left = Math.max(seen.left, own.left); seen.right = Math.min(seen.right, own.right);
+        }
+        if (style.overflowY !== "visible") {
+          const cut = box.top < own.top - 2 || box.bottom > own.bottom + 2;
+          if (cut && ["hidden", "clip"].includes(style.overflowY) && seen.bottom - seen.top > 2)
+            found.clipped.push("down: " + node.textContent.slice(0, 40));
+          seen.top = Math.max(seen.top, own.top); seen.bottom = Math.min(seen.bottom, own.bottom);
+        }
+      }
+      if (seen.right - seen.left > 1 && seen.bottom - seen.top > 1) lines.push({ node, ...seen });
+    }
+  };
+  look(document.body);
+  lines.forEach((a, i) => lines.slice(i + 1).forEach((b) => {
+    const across = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+    const down = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+    if (a.node !== b.node && across > 2 && down > 4)
+      found.over.push([a.node.textContent.slice(0, 30), b.node.textContent.slice(0, 30)]);
+  }));
+  return found;
+}"""
+
+
+@pytest.mark.parametrize("ground", ["light", "dark"])
+@pytest.mark.parametrize("width", SIZES)
+def test_nothing_is_clipped_and_nothing_overlaps(begun: Bench, width: int, ground: str) -> None:
+    with opened(begun.url, width=width, height=SIZES[width], dark=ground == "dark") as seen:
+        seen.looked()
+        if len(seen.steps()) == 1:
+            seen.add("bias.drift").looked()
+        wrong: dict[str, Any] = {}
+        for name in TABS:
+            seen.tab(name).page.wait_for_timeout(700)
+            found = seen.page.evaluate(MEASURED)
+            small = [f for f in found["figures"] if f[1] < FIGURE[0] or f[0] < FIGURE[1]]
+            if found["wide"] > 0 or found["clipped"] or found["over"] or small:
+                wrong[name] = {**found, "figures": small}
+        assert not wrong
+        seen.tab("The error").clean()
+
+
+def test_labels_of_ticks_give_way_to_each_other() -> None:
+    figure = new_figure("time [s]", "output [°/s]")
+    assert all(isinstance(axis.major_label_policy, NoOverlap) for axis in figure.axis)
