@@ -115,8 +115,6 @@ from ._fleet.find_devices import Find as Find
 from ._fleet.batch_result import load_fleet as load_fleet
 from ._fleet.devices import split_devices as split_devices
 from ._fleet.devices import Devices as Devices
-from ._fleet.weighted_draws import weighted_draws as weighted_draws
-from ._fleet.weighted_draws import Batch as Batch
 from ._fleet.batch_result import BatchResult as BatchResult
 from ._fleet.batch_result import load_batch as load_batch
 

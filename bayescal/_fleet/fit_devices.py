@@ -41,14 +41,14 @@ from bayescal._fleet.devices import DEVICE, DeviceBlock, Devices, joined
 from bayescal._fleet.partial_pooling import pooled
 from bayescal._fleet.population import Named
 from bayescal._inference import least_squares, sampled_products, trust
-from bayescal._inference.laplace import Mode, find_mode
+from bayescal._inference.laplace import find_mode
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
-from bayescal._inference.sampling import WeightedDraws, weighted_draws
+from bayescal._inference.sampling import weighted_draws
 from bayescal._model import forward
 from bayescal._model.frame import (
     GROUPS,
@@ -716,20 +716,11 @@ def _by_least_squares(one: DeviceFrame, method: LeastSquares) -> _Solved:
     return _Solved(layout, mean[None], whole, [reason], (HELD,) if places else ())
 
 
-def drawn(
-    layout: Layout, frame: Frame, y: np.ndarray, method: Marginal, seed: int, device: int
-) -> tuple[WeightedDraws, Mode]:
-    """Weighted joint draws of one device, and the mode that they were proposed around."""
-    problem = Problem(layout, Record(layout.model.instrument, frame, y))
-    mode = find_mode(problem)
-    own = int(np.random.SeedSequence([seed, device]).generate_state(1)[0])
-    found = weighted_draws(problem, mode, own, method.proposals, method.rounds)
-    return found, found.mode
-
-
 def _by_sampling(one: DeviceFrame, method: Marginal, seed: int, notes: tuple[str, ...]) -> _Solved:
     """`Marginal` by importance sampling; where its weights fail, the verdict says so."""
-    draws, _ = drawn(one.layout, one.frame, one.y, method, seed, one.device)
+    problem = Problem(one.layout, Record(one.layout.model.instrument, one.frame, one.y))
+    own = int(np.random.SeedSequence([seed, one.device]).generate_state(1)[0])
+    draws = weighted_draws(problem, find_mode(problem), own, method.proposals, method.rounds)
     weights, k_hat = _weights(draws.log_weight)
     values = _values(one.layout, draws.x, draws.v)
     mean = weights @ values

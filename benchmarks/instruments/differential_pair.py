@@ -3,9 +3,9 @@
     python -m benchmarks differential_pair
     BAYESCAL_BATCHES=2000 python -m benchmarks differential_pair
 
-Each batch is three outer and three inner devices. Every one is fitted (`bc.weighted_draws`), the pair of least expected
-residual is chosen, and its true residual is set beside that of the pairs which source 3's rule picks: on records with
-steps of acceleration, raw and after removing the commanded part, and on a raw record of the same devices at constant
+Each batch is three outer and three inner devices. Every one is fitted, the pair of least expected residual is chosen,
+and its true residual is set beside that of the pairs which source 3's rule picks: on records with steps of
+acceleration, raw and after removing the commanded part, and on a raw record of the same devices at constant
 acceleration. Resumable: a line per batch in results/differential_pair.jsonl. Batches with k̂ above 0.7 are counted
 with the others, and their number is reported.
 """
@@ -25,6 +25,7 @@ from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.pairing import criteria
 from bayescal_models.differential_pair.pairing.devices import devices_from
 from bayescal_models.differential_pair.pairing.selection import judge
+from benchmarks.accuracy.coverage import drawn_one_by_one
 from benchmarks.intervals import by_stated, expected_counts
 from benchmarks.record import RESULTS, add_line, read_lines, write
 
@@ -47,16 +48,14 @@ CHOICES = {
 
 
 def chunk(seeds: Sequence[int]) -> Iterator[dict[str, Any]]:
-    """Fit some batches in one compiled program, and judge their pairs."""
+    """Fit some batches, and judge their pairs."""
     made = [dp.simulate_batch(seed=seed, campaign=STEPS) for seed in seeds]
-    fitted = bc.weighted_draws(
-        dp.INSTRUMENT.baseline(), [one.readings for one in made], METHOD, seed=seeds[0]
-    )
-    weights = fitted.weights()
-    for i, one in enumerate(made):
-        devices = devices_from(fitted.samples(i), one.readings, weights=weights[i])
+    readings = [one.readings for one in made]
+    fitted, k_hats = drawn_one_by_one(dp.INSTRUMENT.baseline(), readings, METHOD, seeds[0])
+    for one, (weights, samples), k_hat in zip(made, fitted, k_hats, strict=True):
+        devices = devices_from(samples, one.readings, weights=weights)
         constant = dp.simulate_batch(seed=one.seed, campaign=PLATEAU).readings["output"]
-        yield {"pareto_k": float(fitted.pareto_k[i]), **judged(one, devices, constant)}
+        yield {"pareto_k": k_hat, **judged(one, devices, constant)}
 
 
 def judged(one: dp.SimulatedBatch, devices: dp.Devices, constant: np.ndarray) -> dict[str, Any]:

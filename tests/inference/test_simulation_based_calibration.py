@@ -16,7 +16,7 @@ from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
 from benchmarks.accuracy import coverage
 from benchmarks.accuracy.chunks import collect
-from benchmarks.accuracy.ranks import Posterior, band, drawn, judge, ranks
+from benchmarks.accuracy.ranks import band, drawn, judge, ranks
 
 SEED = 11
 LEVEL = 0.01  # chance that a right program fails one of these tests
@@ -45,21 +45,13 @@ def check(
     plan=PLAN,
     uneven: float = 0.05,
     rounds: int = 2,
-    draw=coverage.drawn_one_by_one,
 ) -> None:
     """Ranks are uniform; weights uneven (k̂ > 0.7) in a share of the data sets at most."""
     data, truth = drawn(model, count, plan, SEED)
-    made, k_hats = draw(
-        model, data, bc.Marginal(proposals=1024, rounds=rounds, promote=promote), SEED
-    )
+    method = bc.Marginal(proposals=1024, rounds=rounds, promote=promote)
+    made, k_hats = coverage.drawn_one_by_one(model, data, method, SEED)
     assert np.mean(np.asarray(k_hats) > 0.7) <= uneven
     assert_uniform(ranks(made, truth))
-
-
-def in_one_program(model, data, method, seed):
-    batch = bc.weighted_draws(model, data, method, seed=seed)
-    weights = batch.weights()
-    return [Posterior(w, batch.samples(i)) for i, w in enumerate(weights)], batch.pareto_k
 
 
 def test_uniform_numbers_leave_the_band_as_often_as_it_says() -> None:
@@ -81,12 +73,6 @@ def test_the_band_notices_a_posterior_that_is_wrong(wrong: str) -> None:
 
     assert judge(norm.cdf(truth), LEVEL).ok
     assert not judge(norm.cdf((truth - shift) / scale), LEVEL).uniform
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("draw", [coverage.drawn_one_by_one, in_one_program])
-def test_ranks_are_uniform_for_runs_over_a_parabola(draw) -> None:
-    check(BASELINE + "bias.run" + "bias.temperature_quadratic", 40, draw=draw)
 
 
 # Weights are uneven in two of five data sets, which `fit` leaves to chains; by weights alone intervals are too narrow.
@@ -119,7 +105,7 @@ def failures(rows) -> dict:
 
 
 @pytest.mark.slow
-def test_ranks_are_uniform_for_runs_over_a_parabola_on_many_data_sets() -> None:
+def test_ranks_are_uniform_for_runs_over_a_parabola() -> None:
     check(BASELINE + "bias.run" + "bias.temperature_quadratic", 200)
 
 
