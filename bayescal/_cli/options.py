@@ -191,8 +191,7 @@ HELP = {
     "first_order": "Propagate mean and covariance, as exports do, not draws.",
     "fix": "bias.temperature=0.041: hold an unknown at a value, in its unit; repeat.",
     "format_": (
-        "json, c, python, html (a page with sliders) or yaml (three axes), else by the suffix of --out; px4-params or "
-        "ardupilot-params; dcc."
+        "json, c, python or yaml (three axes), else by the suffix of --out; px4-params or ardupilot-params; dcc."
     ),
     "gyroscopes": "Their three columns, as gx,gy,gz; else by the usual names.",
     "holdout": "Hold-out data, only read after the last step; repeat for more.",
