@@ -464,7 +464,7 @@ def decide(
         saved.load_saved(calibration, own),
         limit,
         **vars(by),
-        population=saved.population_of(population),
+        population=population or None,
         capability=capability,
         conformity=conformity,
         members=own.members,

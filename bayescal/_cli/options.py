@@ -168,8 +168,7 @@ HELP = {
     "decide.limit": '"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.',
     "decide.out": "JSON file to write the decisions to.",
     "decide.population": (
-        'Devices of this kind, for global risks: what `bayescal batch --population` wrote, or "sd 0.2 °/s"; '
-        'repeat, by name of a limit: "bias: sd 0.2 °/s".'
+        'Devices of this kind, for global risks: "sd 0.2 °/s"; repeat, by name of a limit: "bias: sd 0.2 °/s".'
     ),
     "decimal": "In numbers of text files, where they do not show it.",
     "demo.instrument": "Whose demonstration.",

@@ -23,7 +23,6 @@ from bayescal._report.whole_folder import (
 from bayescal._search.own_files import instrument_named, user_effects
 
 if TYPE_CHECKING:
-    from bayescal._fleet.population import Population
     from bayescal._report.section import Chapter
 
 
@@ -94,29 +93,6 @@ def correction_from(path: Path, own: InUse) -> bc.Compensator | bc.VectorCorrect
     if calibration.model.instrument.vector is not None:
         return bc.vector_correction(calibration)
     return bc.compensator(calibration, members=own.members)
-
-
-def population_of(given: list[str] | None) -> Population | list[str] | None:
-    """Devices of one kind: the population that `bayescal batch` learned, or as they were written.
-
-    Raises:
-        InputError: results cannot be read or have no population, or another population is given beside them.
-    """
-    results = [one for one in given or [] if Path(one).exists()]
-    if not results:
-        return given or None
-    if len(given or []) > 1:
-        raise InputError(
-            f"--population {results[0]} is a fleet's: give it alone, or devices as text"
-        )
-    path = Path(results[0])
-    found = (bc.load_fleet(path) if path.is_dir() else bc.load_batch(path)).population
-    if found is None:
-        raise InputError(
-            f"--population {path}: these results have no population; fit them with `bayescal batch --population all`, "
-            'or give the devices as text, such as "sd 0.2 °/s"'
-        )
-    return found
 
 
 def of_units(paths: list[Path], file: str = "") -> list[Path]:

@@ -198,8 +198,7 @@ def spread_of_devices(text: str) -> SpreadOfDevices:
     found = _DEVICES.fullmatch(text.strip().replace("−", "-"))
     if found is None:
         raise InputError(
-            f'population {text!r}: write "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s" or "bias: sd 0.2 °/s", or give the folder '
-            "of a fleet that has a population"
+            f'population {text!r}: write "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s" or "bias: sd 0.2 °/s"'
         )
     sd = float(found["sd"])
     if not 0 < sd < math.inf:
@@ -361,29 +360,6 @@ def global_risks(
     return GlobalRisks(conforming, taken + wrongly, wrongly, conforming - taken)
 
 
-def risks_of_curves(
-    devices: Float[np.ndarray, "n g"],
-    errors: Float[np.ndarray, "d g"],
-    limits: Limits,
-    accepted: Limits,
-    seed: int,
-) -> GlobalRisks:
-    """Risks of a quantity over a range, which conforms, and is accepted, where all of its curve is inside: by counting.
-
-    Args:
-        devices: true curves of devices of the population.
-        errors: of the measurement of one, drawn.
-        limits, accepted: tolerance interval, and estimates that are accepted.
-        seed: of the errors that devices get.
-    """
-    drawn = np.random.default_rng(seed).integers(len(errors), size=len(devices))
-    read = devices + errors[drawn]
-    good = (devices.min(axis=1) >= limits.low) & (devices.max(axis=1) <= limits.high)
-    taken = (read.min(axis=1) >= accepted.low) & (read.max(axis=1) <= accepted.high)
-    counted = (good, taken, taken & ~good, good & ~taken)
-    return GlobalRisks(*(float(one.mean()) for one in counted))
-
-
 READING, MEAN = "corrected reading", "corrected mean"
 # Along each of so many ranges. Between 33 places a parabola rises by less than 1/1000 of what it rises over the range
 # ((1/32)²); with two and three ranges 81 and 125 places keep the draws in memory.
@@ -433,20 +409,6 @@ class LimitedQuantity:
         """Its value in each draw, in the calibration's order, at each place of the limit's range; as `drawn`."""
         raise NotImplementedError
 
-    def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
-        """Mean and standard deviation over devices whose coefficients have these; None where that cannot be said."""
-        raise NotImplementedError
-
-    def curves(
-        self, table: Mapping[str, tuple[float, float]], count: int
-    ) -> tuple[Float[np.ndarray, "n g"], Float[np.ndarray, "d g"]] | None:
-        """At each place of a range: `count` devices, whose coefficients have these means and standard deviations, drawn
-        anew; and the errors of a measurement of one, by draw.
-
-        None where it has a single place, or none of its coefficients is named.
-        """
-        return None
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LimitedUnknown(LimitedQuantity):
@@ -456,9 +418,6 @@ class LimitedUnknown(LimitedQuantity):
 
     def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
         return np.asarray(self.draws)[:, None]
-
-    def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
-        return table.get(self.limit.quantity)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -504,55 +463,20 @@ class QuantityInUse(LimitedQuantity):
         return "time" in self._acting
 
     def drawn(self, later: float = 0.0) -> DrawnQuantity:
-        return DrawnQuantity.of(*self._values(self.chosen._moments.draws, later))
+        return DrawnQuantity.of(*self._values(later))
 
     def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
-        return self._values(self.chosen._moments.draws, later)[0]
+        return self._values(later)[0]
 
-    def over_devices(self, table: Mapping[str, tuple[float, float]]) -> tuple[float, float] | None:
-        if self._size > 1:
-            return None
-        values = self._drawn_anew(table, len(self.chosen._moments.draws))
-        return None if values is None else (float(values.mean()), float(values.std()))
-
-    def curves(
-        self, table: Mapping[str, tuple[float, float]], count: int
-    ) -> tuple[Float[np.ndarray, "n g"], Float[np.ndarray, "d g"]] | None:
-        devices = None if self._size == 1 else self._drawn_anew(table, count)
-        if devices is None:
-            return None
-        values = self.values()
-        return devices, values - values.mean(axis=0)
-
-    def _drawn_anew(
-        self, table: Mapping[str, tuple[float, float]], count: int
-    ) -> Float[np.ndarray, "n g"] | None:
-        chosen = self.chosen
-        known = [i for i, u in enumerate(chosen._equation.unknowns()) if u.name in table]
-        if not known or self.is_error:
-            return None
-        theta = np.tile(chosen._moments.mean, (count, 1))
-        random = np.random.default_rng(chosen._calibration.seed)
-        for i in known:
-            mean, sd = table[chosen._equation.unknowns()[i].name]
-            theta[:, i] = mean + sd * random.standard_normal(count)
-        return self._values(theta, 0.0)[0]
-
-    @property
-    def _size(self) -> int:
-        return len(self.places[self.chosen.stimulus])
-
-    def _values(
-        self, theta: Float[np.ndarray, "d p"], later: float
-    ) -> tuple[Float[np.ndarray, "d g"], float]:
-        """Values for θ at the places, and by how much single readings scatter."""
+    def _values(self, later: float) -> tuple[Float[np.ndarray, "d g"], float]:
+        """Values of the draws at the places, and by how much single readings scatter."""
         chosen = self.chosen
         equation, moments = chosen._equation, chosen._moments
-        zero = np.zeros(self._size)
+        zero = np.zeros(len(self.places[chosen.stimulus]))
         inputs = {n: jnp.asarray(self.places.get(n, zero)) for n in equation.names}
         if "time" in inputs:
             inputs["time"] = inputs["time"] + later
-        stimulus, draws = jnp.asarray(self.places[chosen.stimulus]), jnp.asarray(theta)
+        stimulus, draws = jnp.asarray(self.places[chosen.stimulus]), jnp.asarray(moments.draws)
         if not self.is_error:
             name = self.limit.quantity
             found = operating_equation.slots_over_draws(equation, name, draws, stimulus, inputs)
@@ -762,16 +686,9 @@ def _beyond(chosen: Compensator, name: str, low: float, high: float) -> list[str
 
 
 def with_population(
-    quantity: LimitedQuantity, given: SpreadOfDevices | Mapping[str, tuple[float, float]]
+    quantity: LimitedQuantity, given: SpreadOfDevices
 ) -> tuple[float, float] | None:
-    """Mean and standard deviation of the quantity over devices, in its unit; None where the population says nothing.
-
-    Args:
-        quantity: a limited one.
-        given: devices as a user states them, or coefficient → (mean, standard deviation) of a fleet.
-    """
-    if not isinstance(given, SpreadOfDevices):
-        return quantity.over_devices(given)
+    """Mean and standard deviation of the quantity over devices, in its unit; None where the population says nothing."""
     limit = quantity.limit
     if quantity.is_error or any(r.high > r.low for r in limit.over):
         return None

@@ -24,10 +24,9 @@ import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from typing import Any, Literal, NamedTuple, Protocol, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-import pandas as pd
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
@@ -52,7 +51,6 @@ from bayescal._use.conformity import (
     acceptance,
     global_risks,
     limited_quantity,
-    risks_of_curves,
     spread_of_devices,
     stated_limit,
     with_population,
@@ -406,19 +404,10 @@ Rule = Literal["simple", "guarded", "shared-risk"]
 FALSE_ACCEPT = 0.025
 # Where U, k = 2, is at most a third of the maximum permissible error, as OIML R 111-1 asks of weights (JCGM 106, 8.2).
 CAPABILITY = 3.0
-# Drawn anew where risks over a range are counted: a risk of 2.5 % has then a standard error of 0.05 percentage points.
-DEVICES = 100_000
 CONFORMITY = 0.95  # of which a recalibration interval is stated: the usual coverage of a statement
 
 
-class HasTable(Protocol):
-    """A population of devices, as fleets learn one: rows with coefficient, mean, mean_sd and group_sd."""
-
-    @property
-    def table(self) -> pd.DataFrame: ...
-
-
-Population = str | SpreadOfDevices | HasTable | Sequence[str | SpreadOfDevices]
+Population = str | SpreadOfDevices | Sequence[str | SpreadOfDevices]
 
 
 def decide(
@@ -441,8 +430,8 @@ def decide(
         limits: such as "bias: ±0.5 °/s" or "corrected reading: ±0.1 °/s over -20..60 °C" (see `stated_limit`).
         rule: "guarded", "simple" or "shared-risk".
         false_accept: probability of a false acceptance (and, of a false rejection) that "guarded" allows.
-        population: devices of this kind, for global risks: "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s", one for a limit by name
-            ("bias: sd 0.2 °/s"), or the population of a fleet.
+        population: devices of this kind, for global risks: "sd 0.2 °/s", "mean 0.1 sd 0.2 °/s", or one for a limit by
+            name ("bias: sd 0.2 °/s").
         capability: least ratio of the tolerance to 2U, k = 2, with which "shared-risk" decides.
         conformity: probability of which the recalibration interval is stated.
         members: which member of a group is used, such as {"device": "A17"}; every other counts as new.
@@ -456,7 +445,7 @@ def decide(
     stated = [limits] if isinstance(limits, str | StatedLimit) else list(limits)
     if not stated:
         raise InputError('nothing to decide: give a limit, such as "bias: ±0.5 °/s"')
-    devices, about_devices = _devices(population)
+    devices = _devices(population)
     how = _How(rule, false_accept, capability, conformity)
     found, used = [], set[int]()
     for one in stated:
@@ -469,10 +458,9 @@ def decide(
             if (spread := with_population(quantity, given)) is not None or quantity.is_error:
                 used.add(i)
                 break
-        tables = (given for given in devices if not isinstance(given, SpreadOfDevices))
-        found.append(_decision(calibration, quantity, how, spread, next(tables, {}), bool(devices)))
+        found.append(_decision(calibration, quantity, how, spread, bool(devices)))
     for i, given in enumerate(devices):
-        if i not in used and isinstance(given, SpreadOfDevices):
+        if i not in used:
             raise InputError(
                 f"population {given.text!r} is of no limit that is given: global risks are stated for a slot or an "
                 "unknown at one point, in its unit, with a mean where there is one limit only"
@@ -483,7 +471,7 @@ def decide(
         false_accept=false_accept,
         decisions=tuple(found),
         calibration=identity(calibration),
-        notes=(*averaged_over(calibration), *about_devices),
+        notes=tuple(averaged_over(calibration)),
     )
 
 
@@ -509,29 +497,12 @@ def _refuse(rule: str, false_accept: float, capability: float, conformity: float
         raise InputError(f"capability = {capability:g}: a positive ratio was expected, such as 3")
 
 
-def _devices(
-    given: Population | None,
-) -> tuple[list[SpreadOfDevices | dict[str, tuple[float, float]]], list[str]]:
-    """Populations as they are used, and what to know of them."""
+def _devices(given: Population | None) -> list[SpreadOfDevices]:
+    """Populations as they are used."""
     if given is None:
-        return [], []
-    if not isinstance(given, str | SpreadOfDevices | Sequence):
-        table = given.table
-        table = table.rename(columns={"spread": "group_sd"})  # as it was called; goes in 0.3.0
-        if "group_sd" not in table:
-            raise InputError(
-                "this fleet has no population: fit it with population=True, or give the devices as text, such as "
-                '"sd 0.2 °/s"'
-            )
-        # Of a device drawn anew: between the devices, and what is not known of their mean.
-        sd = np.hypot(table["group_sd"], table["mean_sd"])
-        rows = zip(table["coefficient"], table["mean"], sd, strict=True)
-        unreliable = getattr(given, "ok", True) is False
-        return [{str(n): (float(m), float(s)) for n, m, s in rows}], [
-            "The population's own result is not reliable, and so are the global risks."
-        ] * unreliable
+        return []
     several = [given] if isinstance(given, str | SpreadOfDevices) else list(given)
-    return [spread_of_devices(one) if isinstance(one, str) else one for one in several], []
+    return [spread_of_devices(one) if isinstance(one, str) else one for one in several]
 
 
 def _decision(
@@ -539,7 +510,6 @@ def _decision(
     quantity: LimitedQuantity,
     how: _How,
     devices: tuple[float, float] | None,
-    table: Mapping[str, tuple[float, float]],
     asked: bool,
 ) -> Decision:
     drawn, limits = quantity.drawn(), quantity.limits
@@ -557,12 +527,10 @@ def _decision(
         # Each device is corrected by what was found of it: its error is estimated as zero, and the decision the same.
         took = decision == ACCEPT
         risks = GlobalRisks(p, float(took), (1 - p) * took, p * (not took))
-    elif (curves := quantity.curves(table, DEVICES)) is not None:
-        risks = risks_of_curves(*curves, limits, within, calibration.seed)
     elif asked:
         notes.append(
-            "No global risk is stated: the population is of another quantity, or the limit holds over a range and no "
-            "fleet says how the coefficients differ between devices."
+            "No global risk is stated: the population is of another quantity, or the limit holds over a range, of "
+            "which one standard deviation says nothing."
         )
     return Decision(
         limit=quantity.limit.text,

@@ -261,69 +261,6 @@ def test_global_risks_are_those_of_the_population_that_is_stated(gyro) -> None:
     assert middle.population == (21.5, 0.3)
 
 
-def test_the_population_of_a_fleet_is_taken_by_its_coefficients(gyro) -> None:
-    import pandas as pd
-
-    class Learned:
-        ok = True
-        table = pd.DataFrame(
-            {
-                "coefficient": ["bias.constant", "bias.temperature"],
-                "mean": [21.0, 0.05],
-                "mean_sd": [0.03, 0.0],
-                "group_sd": [0.04, 0.002],
-                "unit": ["deg/s", "deg/s/degC"],
-            }
-        )
-
-    at = "at temperature = 65 °C"
-    slot, unknown = bc.decide(
-        gyro, [f"bias: 20..22 °/s {at}", "bias.constant: 20..22 °/s"], population=Learned()
-    ).decisions
-    lever = 65 - float(gyro.frame.reference["T0"])
-    assert slot.population == pytest.approx(
-        (21 + 0.05 * lever, np.hypot(0.05, 0.002 * lever)), rel=0.05
-    )
-    assert unknown.population == (21.0, pytest.approx(0.05))
-
-
-def test_risks_over_a_range_are_counted_over_the_fleet(gyro) -> None:
-    """10⁵ devices with lines of their own, each measured with errors that are correlated over the range."""
-    import pandas as pd
-
-    class Fleet:
-        table = pd.DataFrame(
-            {
-                "coefficient": ["bias.constant", "bias.temperature"],
-                "mean": [21.6, 0.054],
-                "mean_sd": [0.0, 0.0],
-                "spread": [0.2, 0.004],
-            }
-        )
-
-    (found,) = bc.decide(
-        gyro, "bias: 19.7..23.5 °/s over temperature 30..80 °C", population=Fleet()
-    ).decisions
-    assert found.population is None and found.global_risks is not None
-    assert found.accepted is not None
-    random, count, middle = np.random.default_rng(4), 100_000, float(gyro.frame.reference["T0"])
-    at = np.array([30.0, 80.0]) - middle  # of a line the ends decide
-    true = random.normal(21.6, 0.2, (count, 1)) + random.normal(0.054, 0.004, (count, 1)) * at
-    names = ("bias.constant", "bias.temperature")
-    draws = np.column_stack([np.asarray(gyro.samples(n)) for n in names])
-    (spread,) = (h.name for h in gyro.layout.hypers if h.kind == "group_sd")
-    errors = draws - draws.mean(axis=0)
-    k = random.integers(len(draws), size=count)
-    run = random.standard_normal((count, 1)) * np.asarray(gyro.samples(spread))[k][:, None]
-    read = true + errors[k][:, :1] + errors[k][:, 1:] * at + run
-    good = (true.min(axis=1) >= 19.7) & (true.max(axis=1) <= 23.5)
-    taken = (read.min(axis=1) >= found.accepted.low) & (read.max(axis=1) <= found.accepted.high)
-    risks = found.global_risks
-    assert risks.conforming == pytest.approx(good.mean(), abs=0.005)
-    assert risks.consumer == pytest.approx((taken & ~good).mean(), abs=0.002)
-    assert risks.producer == pytest.approx((good & ~taken).mean(), abs=0.002)
-
-
 def test_every_device_shares_the_risk_of_a_corrected_reading(gyro) -> None:
     limits = ["corrected reading: ±0.2 °/s over 30..80 °C", "corrected reading: ±0.1 °/s"]
     safe, narrow = bc.decide(gyro, limits, population="sd 0.2 °/s").decisions
