@@ -15,7 +15,6 @@ from ._report.save_search import calibrate_channels as calibrate_channels
 # beside the loop: which test to run next, an effect's draft
 from ._search.poses import poses as poses
 from ._search.next_experiment import next_experiment as next_experiment
-from ._search.plan_readings import plan_readings as plan_readings
 from ._search.undetermined import undetermined as undetermined
 from ._search.draft_effect import shape_of as shape_of
 from ._search.draft_effect import draft_effect as draft_effect
@@ -100,7 +99,6 @@ from ._report.save_search import (
     Channels as Channels,
 )  # with `save`, which save_search.py attaches
 from ._search.next_experiment import NextExperiment as NextExperiment
-from ._search.plan_readings import ReadingPlan as ReadingPlan
 from ._search.undetermined import Undetermined as Undetermined
 from ._use.compensator import Compensator as Compensator
 from ._use.vector_correction import VectorCorrection as VectorCorrection

@@ -154,7 +154,7 @@ class NotMeasured:
             told = f"readings over more of {' and '.join(columns)}"
         elif apart[1:]:
             told = f"readings that tell {' and '.join(apart)} apart"
-        return f"What would tell: {told} (bayescal plan ranks campaigns)"
+        return f"What would tell: {told}"
 
     def by_readings_alone(
         self, calibration: Calibration, values: Float[np.ndarray, "d g"]

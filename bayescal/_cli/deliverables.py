@@ -1,4 +1,4 @@
-"""Commands for what the user takes away: plan, triad, imu, compensate, export, budget, decide, report.
+"""Commands for what the user takes away: triad, imu, compensate, export, budget, decide, report.
 
 Heavy modules load inside the commands.
 """
@@ -23,7 +23,6 @@ from bayescal._cli.options import (
     OwnParts,
     ReadRequest,
     named_numbers,
-    named_values,
     names_in,
 )
 from bayescal._core.as_json import write_json
@@ -58,19 +57,6 @@ def not_shown(found: bc.Decisions | None) -> str:
     decisions = () if found is None else found.decisions
     open_ = [f"{d.limit} ({d.decision})" for d in decisions if d.decision != "accept"]
     return f"not shown to conform: {', '.join(open_)}" * bool(open_)
-
-
-@commands.example('bayescal plan result --limit "corrected reading: ±0.1 °/s over -20..60 °C"')
-def plan(
-    calibration: Path,
-    own: OwnParts,
-    limit: str,
-    count: int = 12,
-    member: list[str] | None = None,
-) -> Answer:
-    """Where to measure next: campaigns, and their readings, by the uncertainty that they would leave."""
-    members, loaded = named_values(member, "--member"), saved.load_saved(calibration, own)
-    return Answer(bc.plan_readings(loaded, limit, count=count, members=members))
 
 
 @dataclass(frozen=True)

@@ -158,7 +158,6 @@ HELP = {
     "compensate.calibration": "Folder of results, its calibration (.nc), or a JSON export.",
     "compensate.out": "File to write, of the same format (Excel, MATLAB: .csv).",
     "conformity": "Probability of which the next calibration is stated.",
-    "count": "Readings of the best campaign to pick.",
     "covariates": (
         "Of the columns that the instrument does not know, those that may be causes; all but other channels of the "
         "unit if not given."
@@ -232,7 +231,6 @@ HELP = {
         "scale. JSON stays as it is."
     ),
     "pairs.instrument": "Whose devices are chosen in pairs.",
-    "plan.limit": 'On what is to be known better, as `bayescal decide` takes it: "bias.temperature: ±1e-3 °/s/°C".',
     "poses": "Each row is a pose or a rate; else steady stretches of a log.",
     "predict.out": "File to write: .csv, .parquet or .nc.",
     "prior_sensitivity": "Also how much the priors matter (psense).",
@@ -279,7 +277,6 @@ MORE: dict[str, dict[str, Any]] = {
     "batch.method": {"callback": _refuse_unknown_method},
     "channels": {"metavar": "NAME,NAME,…"},
     "check": {"metavar": "my.py:INSTRUMENT"},
-    "count": {"min": 0},
     "covariates": {"metavar": "NAME,NAME,…"},
     "date_order": {"metavar": "mdy|dmy|ymd"},
     "decimal": {"metavar": ".|,"},

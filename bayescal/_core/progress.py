@@ -26,7 +26,6 @@ USUALLY = {
     "averaging over structures": "1 to 20 s",
     "fitting each possibility": "some seconds each",
     "expecting the outcome of each experiment": "10 s",
-    "expecting what each campaign would leave": "10 s",
     "fitting devices": "a second for ten thousand lines, with --find about a second for each device",
     "calibrate": "5 to 60 s",
     "report": "5 to 10 s",

@@ -175,7 +175,7 @@ def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
         calibration: the fit.
         readings: the campaign's plan; of more than `MOST_READINGS` readings, as many evenly spread.
     """
-    _, means, noise = expected_readings(calibration, readings, DRAWS)
+    means, noise = expected_readings(calibration, readings, DRAWS)
     # Signal by draws, noise in closed form: a covariance from draws alone would have the rank of their number.
     centred = means - means.mean(axis=0)
     return Outlook(means.mean(axis=0), centred.T @ centred / len(means) + noise)
@@ -183,22 +183,21 @@ def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
 
 @on_one_thread
 def expected_readings(
-    calibration: Calibration, readings: Measurements, draws: int | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What a fitted model expects of a campaign: rows (n,), means of draws (d, n), covariance of the rest (n, n).
+    calibration: Calibration, readings: Measurements, draws: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a fitted model expects of a campaign: means of draws (d, n), covariance of the rest (n, n).
 
     Args:
         calibration: the fit.
         readings: the campaign's plan.
-        draws: of the posterior; all if None.
+        draws: of the posterior.
 
     Returns:
-        Rows of the plan that are looked at; expected outputs of each draw, members of groups new; and what single
-        readings add to that: noise, the deviations of new members, coefficients of readings.
+        Expected outputs of each draw, members of groups new; and what single readings add to that: noise, the
+        deviations of new members, coefficients of readings.
     """
     calibration.model.require(readings)
-    kept = np.arange(0, len(readings), -(-len(readings) // MOST_READINGS))
-    readings = readings.select(kept)
+    readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MOST_READINGS)))
     frame = build_frame(readings, calibration.reference)
     # Members of groups in a campaign to come are new ones: their codes are taken away from the means, and their
     # deviations come back as covariance between readings of one member.
@@ -221,4 +220,4 @@ def expected_readings(
         member = np.arange(record.size) if t.place == "row" else codes[str(t.known.per)]
         same = (member[:, None] == member) & (member[:, None] >= 0)
         covariance += same * np.outer(column, column)
-    return kept, np.concatenate(means), covariance
+    return np.concatenate(means), covariance

@@ -44,7 +44,6 @@ from bayescal._search.gate import judged
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.own_files import refuse_unnamed, user_effects
-from bayescal._search.plan_readings import ReadingPlan, plan_readings
 from bayescal._search.posterior import Posterior, Search, ShownStructure
 from bayescal._search.preview import Preview, Previews
 from bayescal._search.search_path import SearchPath, Step
@@ -509,10 +508,6 @@ class Session:
     def budget(self, at: Mapping[str, float]) -> Budget:
         """`bc.budget` of the current model."""
         return budget(self.final().calibration, at)
-
-    def plan(self, limit: str, count: int) -> ReadingPlan:
-        """`bc.plan_readings` for the current model."""
-        return plan_readings(self.final().calibration, limit, count=count)
 
     def decide(self, limits: Sequence[str], **how: Any) -> Decisions:
         """`bc.decide` about the current model; its report begins with it."""

@@ -16,8 +16,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-import bayescal as bc
-from bayescal_models import accelerometer_triad, differential_pair, gyro_triad, mems_gyro
+from bayescal_models import accelerometer_triad, differential_pair, gyro_triad
 from tests.commands.test_help_and_tables import COMMANDS
 from tests.support.command_line import TABLE, needs_installation
 from tests.support.folder_of_strangers import SETTINGS, ran, strangers_folder
@@ -41,7 +40,6 @@ GIVEN = {
     "compare": "{data}/table.csv --instrument mems_gyro",
     "predict": "{result} {data}/table.csv --out {out}/predicted.csv",
     "noise": "{data}/still.csv --columns output=gyro_x --unit gyro_x=deg/s --out {out}/noise",
-    "plan": "{data}/line.nc --limit|bias.temperature: ±1e-3 deg/s/degC|--count 2",
     "triad": "{data}/triad.csv --poses --baseline --out {out}/triad",
     "imu": "{data}/unit.csv --baseline --out {out}/unit",
     "compensate": "{result} {data}/table.csv --out {out}/done.csv",
@@ -71,9 +69,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     units = {"time": "s", "gyro": "deg/s", "accel": "g", "mag": "uT"}
     named = {f"{n} [{units[n.partition('_')[0]]}]": values for n, values in log.items()}
     pd.DataFrame(named).to_csv(folder / "unit.csv", index=False)
-    campaign = mems_gyro.simulate(seed=1)
-    line = bc.fit(mems_gyro.INSTRUMENT.baseline(), campaign, bc.LeastSquares())
-    line.save(folder / "line.nc")
     still = {"time [s]": log["time"][:400], "gyro_x": log["gyro_x"][:400]}
     pd.DataFrame(still).to_csv(folder / "still.csv", index=False)
     return folder

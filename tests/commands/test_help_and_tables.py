@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
     *("instruments", "effects", "simulate", "pairs", "demo", "calibrate"),
     *("workbench", "fit", "check", "discover", "compare", "predict", "noise"),
-    *("plan", "triad", "imu", "compensate", "export", "budget", "decide", "report", "batch"),
+    *("triad", "imu", "compensate", "export", "budget", "decide", "report", "batch"),
 )
 
 

@@ -132,13 +132,6 @@ def test_in_an_average_over_structures_what_is_improbable_does_not_count(untold)
     assert CANNOT in common.why_not
 
 
-def test_a_plan_says_that_the_uncertainty_is_the_priors(unturned, told) -> None:
-    plan = bc.plan_readings(unturned, "scale.constant: ±200 ppm", {"again": unturned.readings})
-    assert any("tell less of" in note and "scale.constant" in note for note in plan.notes)
-    plan = bc.plan_readings(told, "zero: ±12 arcsec", {"again": told.readings})
-    assert not any("tell less of" in note for note in plan.notes)
-
-
 def test_a_budget_says_which_part_is_a_prior(unturned) -> None:
     at_speed, at_rest = (bc.budget(unturned, {"rate_input": rate}) for rate in (80.0, 0.0))
     assert any("Most of it is prior" in n and "scale.constant" in n for n in at_speed.notes)

@@ -249,17 +249,6 @@ def test_what_no_pose_determines_is_said() -> None:
 
 
 @pytest.mark.slow
-def test_directions_that_shrink_an_uncertainty_are_planned() -> None:
-    readings = accelerometer_triad.simulate(seed=1, campaign=Campaign(kind="six", poses=12))
-    plan = bc.plan_readings(
-        bc.fit(MODEL, readings), "misalignment.constant[xy]: ±0.5 mrad", count=2
-    )
-    for picked in plan.picked:
-        assert abs(picked.at["output_x"] * picked.at["output_y"]) == pytest.approx(0.5)
-    assert plan.picked[-1].u < 0.1 * plan.u
-
-
-@pytest.mark.slow
 def test_a_family_is_found_as_one_effect() -> None:
     readings = accelerometer_triad.simulate({"bias.temperature": 0.3}, seed=7, campaign=THERMAL)
     found = bc.discover(bc.fit(MODEL, readings))

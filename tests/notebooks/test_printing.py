@@ -40,7 +40,6 @@ def results() -> dict[str, object]:
         "trail": trail,
         "channels": bc.calibrate_channels(models, unit, method=QUICK, max_effects=1),
         "budget": bc.budget(last),
-        "plan": bc.plan_readings(last, "corrected reading: ±0.1 °/s", count=2),
         "next experiment": bc.next_experiment(
             first, ["bias.thermal_lag", "bias.temperature_quadratic"]
         ),
@@ -57,7 +56,6 @@ NAMES = [
     "trail",
     "channels",
     "budget",
-    "plan",
     "next experiment",
 ]
 

@@ -96,17 +96,6 @@ def test_budget_verdict_and_decision_follow_the_model(seen: Seen) -> None:
     seen.clean()
 
 
-def test_where_to_measure_next_is_said_and_drawn(seen: Seen) -> None:
-    seen.tab("Where to measure")
-    fill(seen, "what is to be known better", "bias.temperature: ±1e-3 °/s/°C")
-    figures = seen.page.locator(".bk-Figure").count()
-    seen.press("Plan")
-    seen.page.get_by_text("standard uncertainty now").wait_for()
-    seen.page.wait_for_timeout(SECOND)
-    assert seen.page.locator(".bk-Figure").count() == figures + 1
-    seen.clean()
-
-
 def test_a_file_is_dropped_anywhere_and_read_by_the_form(seen: Seen, tmp_path: Path) -> None:
     readings, _ = write_campaign(tmp_path)
     text = readings.read_text("utf-8").replace("temperature [degC]", "oven", 1)

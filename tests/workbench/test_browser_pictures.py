@@ -15,7 +15,7 @@ from tests.workbench.real_page import Bench, Seen, opened
 
 pytestmark = [needs_installation, pytest.mark.nightly]
 TABS = (
-    *("Side by side", "Verdict", "Budget", "Decision", "Where to measure", "Next experiment"),
+    *("Side by side", "Verdict", "Budget", "Decision", "Next experiment"),
     *("Allan deviation", "Report", "Export", "Python", "File", "Describe"),
 )
 SIZES = {"1280": (1280, 800), "768": (768, 1024), "1920": (1920, 1080)}

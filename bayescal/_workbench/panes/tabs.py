@@ -1,10 +1,10 @@
 """The lower part of the page: the error, and behind it what is needed less often; one at a time.
 
 The error is the tree of steps with the path so far, every step to go back to, the whole search with its progress.
-Behind it are questions to the current step, answered in text (verdict, comparison, budget, decisions, what to measure
-next); the Allan deviation of the residuals; report, export and Python, as the command line writes them; a file dropped
-on the page, with what `calibrate` would say of it and one form for how it is to be read; a selected region, described,
-with the draft of an effect as code.
+Behind it are questions to the current step, answered in text (verdict, comparison, budget, decisions, next
+experiment); the Allan deviation of the residuals; report, export and Python, as the command line writes them; a file
+dropped on the page, with what `calibrate` would say of it and one form for how it is to be read; a selected region,
+described, with the draft of an effect as code.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ from bayescal._data.read import read
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
 from bayescal._report.plot_colours import GREEN, ORANGE, RED
 from bayescal._search.next_experiment import next_experiment
-from bayescal._search.plan_readings import ReadingPlan
 from bayescal._search.search_path import steps_table
 from bayescal._tables.cells import ORDERS
 from bayescal._tables.mapping_file import save_mapping
@@ -488,39 +487,6 @@ class ExperimentPane(AskPane):
         return lambda: next_experiment(calibration, rivals)
 
 
-class PlanPane(AskPane):
-    """Where to measure next: the readings that make a stated uncertainty small."""
-
-    LABEL, KINDS = "Plan", ("bare", "drawn")
-    TOLD = "Campaigns by the uncertainty that they would leave, and the readings of the best that matter most."
-
-    def __init__(self, bench: Any) -> None:
-        how: dict[str, Any] = {
-            "placeholder": "corrected reading: ±0.1 °/s over -20..60 °C",
-            **{"sizing_mode": "stretch_width", "min_width": 120, "max_width": 320},
-        }
-        self.limit = field(pn.widgets.TextInput, "what is to be known better", **how)
-        self.count = field(pn.widgets.IntInput, "readings to pick", value=12, start=0, width=100)
-        super().__init__(bench, row(self.limit, self.count))
-
-    def question(self) -> Callable[[], Any]:
-        limit, count = self.limit.value.strip(), self.count.value or 0
-        return lambda: self.session.plan(limit, count)
-
-    def answered(self, found: ReadingPlan) -> None:
-        """What is left of the uncertainty with each reading of the best campaign."""
-        palette, left = self.bench.palette, [found.u, *(p.u for p in found.picked)]
-        made = new_figure("readings picked", f"u [{unit_label(found.unit) or '1'}]", tools="")
-        count = list(range(len(left)))
-        made.line(count, left, color=palette.blue, line_width=2)
-        made.scatter(count, left, color=palette.blue, size=6)
-        made.line([0, len(left) - 1], [found.campaigns[0].u] * 2, color=NOISE, line_dash="dashed")
-        made.y_range.start, made.y_range.end = 0.0, 1.05 * found.u
-        dress(made, palette)
-        self.figures = [made]
-        self.right[:] = [plot(made), self.answer]
-
-
 RUNS = (
     "Loading runs this code on this computer, with your rights. Read it first; then tick the box."
 )
@@ -908,7 +874,6 @@ class Tabs(Pane):
             "Verdict": VerdictPane(bench),
             "Budget": BudgetPane(bench),
             "Decision": DecisionPane(bench),
-            "Where to measure": PlanPane(bench),
             "Next experiment": ExperimentPane(bench),
             "Allan deviation": AllanPane(bench),
             "Report": ReportPane(bench),
