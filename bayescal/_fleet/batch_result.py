@@ -397,7 +397,6 @@ class FleetResult:
         table: one row a coefficient: mean over the devices that are fitted, standard deviation between them, typical
             (root mean square) standard uncertainty, unit.
         population: what the devices have in common, if it was asked for.
-        apart: devices that stand out from the population, and their posterior predictive p, the least first.
         effects: where effects were looked for, one row an effect, as `shares.effects_table` says; else no rows.
         about: instrument, effects, method, seed, versions, partitions and what they took.
         left_out: what stands in folders of readings and was not read → why.
@@ -413,7 +412,6 @@ class FleetResult:
     odd: dict[str, list[str]]
     table: pd.DataFrame
     population: Population | None
-    apart: dict[str, float]
     effects: pd.DataFrame
     about: dict[str, Any]
     left_out: dict[str, str] = field(default_factory=dict)
@@ -480,11 +478,6 @@ class FleetResult:
             shown = printed(self.effects.head(SHOWN_DEVICES), 3)
             lines.append(f"missing from the devices' models:\n{shown}")
         lines += [str(self.population)] if self.population else []
-        if self.apart:
-            least = ", ".join(
-                f"{n} (p = {p:.2g})" for n, p in list(self.apart.items())[:SHOWN_DEVICES]
-            )
-            lines.append(f"standing out from the population: {least}")
         return "\n".join(lines)
 
 
@@ -505,6 +498,7 @@ def load_fleet(folder: str | Path) -> FleetResult:
         )
         population = population and Population.of_data(population)
         effects = pd.DataFrame(held.pop("effects"), columns=EFFECTS)
+        held.pop("apart", None)  # of fleets of 0.2.0
         held = {"fitted": held.pop("trusted", None), "checked": len(effects) > 0, "odd": {}} | held
         return FleetResult(folder, table=table, population=population, effects=effects, **held)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

@@ -554,10 +554,10 @@ def fit_fleet(
     done = run.in_order
     if not any(one.fitted for one in done):
         raise InputError(f"none of the devices can be used; {run.first_reason}")
-    learned, apart = None, dict[str, float]()
+    learned = None
     files = [folder / ALONE / partitions[one.number].file for one in done]
     if named:
-        learned, apart = learn_population(files, folder / POOLED, named, fit_options.seed, engine)
+        learned = learn_population(files, folder / POOLED, named, fit_options.seed, engine)
     doubted = {name: why for one in done for name, why in one.doubted.items()}
     structures = {name: each for one in done for name, each in one.structures.items()}
     effects, shares = effects_table([*structures.values()], fit_options.seed)
@@ -576,7 +576,6 @@ def fit_fleet(
         odd=odd,
         table=table,
         population=learned,
-        apart=apart,
         effects=effects,
         about={
             **request.fit_options.data(request.model),

@@ -12,12 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy import stats
 
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._fleet.batch_result import BatchPart, BatchResult, load_batch
 from bayescal._fleet.engine import Engine
-from bayescal._fleet.odd_devices import STANDS_OUT_EXPECTED
 from bayescal._fleet.population import (
     DeviceEstimates,
     Learned,
@@ -27,8 +25,6 @@ from bayescal._fleet.population import (
     learn,
     loaded,
 )
-
-KEPT_DEVICES = 100  # devices that stand out most, of which the whole keeps the p
 
 
 def pooled(result: BatchResult, named: Named, seed: int) -> BatchResult:
@@ -43,7 +39,7 @@ def pooled(result: BatchResult, named: Named, seed: int) -> BatchResult:
 
 def learn_population(
     files: Sequence[Path], folder: Path, named: Named, seed: int, engine: Engine
-) -> tuple[Population, dict[str, float]]:
+) -> Population:
     """Learn a population from the results of partitions, and write each partition's devices under it.
 
     Args:
@@ -52,9 +48,6 @@ def learn_population(
         named: the population's coefficients.
         seed: of every random number.
         engine: where the sums are made.
-
-    Returns:
-        The population, and the devices that stand out from it with their posterior predictive p.
 
     Raises:
         ModelError: fewer than three devices that are reliable.
@@ -68,15 +61,10 @@ def learn_population(
     engine.every(write_estimates, [(*pair, named) for pair in pairs])
     learned = learn(places, named, seed, engine)
     tasks = [(file, place, folder / file.name, named, learned) for file, place in pairs]
-    outliers = sorted(one for some in engine.every(write_pooled, tasks) for one in some)[
-        :KEPT_DEVICES
-    ]
+    engine.every(write_pooled, tasks)
     for place in places:
         place.unlink(missing_ok=True)
-    devices = learned.population.devices
-    return learned.population, {
-        name: p for p, name in outliers if p * devices < STANDS_OUT_EXPECTED
-    }
+    return learned.population
 
 
 def write_estimates(file: Path, place: Path, named: Named) -> None:
@@ -85,13 +73,9 @@ def write_estimates(file: Path, place: Path, named: Named) -> None:
         _estimates_of(load_batch(file), named).save(partial)
 
 
-def write_pooled(
-    file: Path, place: Path, to: Path, named: Named, learned: Learned
-) -> list[tuple[float, str]]:
-    """Write a partition's devices under the population; those that stand out from it most, (p, device)."""
-    result, own = load_batch(file), loaded(place)
-    _under_population(result, own, named, learned).save(to)
-    return _standing_out(result, own, learned)
+def write_pooled(file: Path, place: Path, to: Path, named: Named, learned: Learned) -> None:
+    """Write a partition's devices under the population."""
+    _under_population(load_batch(file), loaded(place), named, learned).save(to)
 
 
 def _estimates_of(result: BatchResult, named: Named) -> DeviceEstimates:
@@ -139,22 +123,3 @@ def _follow(
     change = gain @ (covariance - inner) @ np.swapaxes(gain, 1, 2)
     new[:, rest[:, None], rest] += change
     return new_mean, new
-
-
-def _standing_out(
-    result: BatchResult, own: DeviceEstimates, learned: Learned
-) -> list[tuple[float, str]]:
-    """Posterior predictive p of what each device's readings alone say, as of a device drawn from the population anew.
-
-    For a device of mean m and variances T, h − Λm has the covariance Λ + ΛTΛ; directions that its readings do not
-    determine take no part.
-    """
-    table, size = learned.population.table, learned.size
-    mean = table["mean"].to_numpy() / size
-    variance = (table["group_sd"].to_numpy() ** 2 + table["mean_sd"].to_numpy() ** 2) / size**2
-    apart = np.einsum("bij,bj->bi", own.precision, own.estimate - mean) + own.rest
-    covariance = own.precision + (own.precision * variance) @ own.precision
-    square = np.einsum("bi,bij,bj->b", apart, np.linalg.pinv(covariance, hermitian=True), apart)
-    p = stats.chi2.sf(square, np.linalg.matrix_rank(covariance, hermitian=True))
-    at = [int(d) for part in result.parts for d in part.devices[result.ok[part.devices]]]
-    return [(float(p[i]), result.devices[at[i]]) for i in np.argsort(p)[:KEPT_DEVICES]]

@@ -70,7 +70,7 @@ def test_ctrl_c_ends_a_batch_and_not_one_device_s_search(fleet, tmp_path, monkey
     assert not list((tmp_path / "out").rglob("*.parquet"))
 
 
-def test_what_stands_out_from_a_population_is_named(tmp_path) -> None:
+def test_a_device_beside_a_population_is_named(tmp_path) -> None:
     rng, rows = np.random.default_rng(3), []
     for d in range(40):
         temperature = rng.uniform(-40, 85, 30)
@@ -82,6 +82,5 @@ def test_what_stands_out_from_a_population_is_named(tmp_path) -> None:
     found = bc.fit_batch(
         MODEL, tmp_path / "lot.parquet", out=tmp_path / "out", population=["bias.constant"]
     )
-    assert list(found.apart) == ["D17"]
-    assert found.apart["D17"] < 1e-4
-    assert "standing out from the population: D17" in str(found)
+    assert list(found.odd) == ["D17"] and "bias.constant" in found.odd["D17"][0]
+    assert "1 of 40 devices are not like the others" in str(found)
