@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._core.formatting import number
 from bayescal_models import inclinometer, still_sensor
 from tests.support.command_line import needs_installation, run
 from tests.support.log_files import write_dataflash, write_ulog
@@ -139,7 +138,7 @@ def test_a_scale_factor_that_has_no_place_is_said_with_its_size(axes) -> None:
     made = bc.firmware_parameters({"gyro_y": bent_sensor.gyro()}, "ardupilot-params")
     calibration = bent_sensor.gyro()
     share = 1e-4 * calibration.samples("scale.constant").mean()  # %, of ppm
-    said = f"gyro_y: the scale factor differs from nominal by {number(share)} %, has no place here, and is left"
+    said = f"gyro_y: the scale factor differs from nominal by {share:.3g} %, has no place here, and is left"
     assert any(note.startswith(said) for note in made.notes)
     assert said in made.text()
     at_rest = bc.firmware_parameters({"gyro_x": axes["gyro_x"]}, "ardupilot-params")

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._use.decide import DAY, YEAR
 from bayescal_models import mems_gyro
 from tests.support.inside import dcc_of
 from tests.support.made_up import bent_sensor
 from tests.support.made_up.level import level
 from tests.support.stated import STATED
 
+DAY, YEAR = 86400.0, 365.25 * 86400.0  # s
 CANNOT = "cannot be said from these readings"
 
 
