@@ -16,7 +16,7 @@ from tests.workbench.real_page import Bench, opened
 
 pytestmark = [needs_installation, pytest.mark.nightly]
 SIZES = {390: 844, 768: 1024, 1024: 768, 1440: 900}
-TABS = ("The error", "Side by side", "Budget", "Decision", "Where to measure", "Export", "Describe")
+TABS = ("The error", "Side by side", "Budget", "Decision", "Export", "Describe")
 FIGURE = 80, 110  # px, least height and width
 # Lines of text with their boxes, cut where an ancestor scrolls; `clipped`: cut by one that does not, or across a scroll
 # that is no printed table or code. Text of the same element, or of its own ancestor, is not over it.
