@@ -354,9 +354,12 @@ def export(
     from bayescal._data.unit_conversion import STANDARD_GRAVITY
     from bayescal._use import correction_files as files
     from bayescal._use.autopilot import AUTOPILOTS
-    from bayescal._use.vector_parameters import left_out
+    from bayescal._use.vector_parameters import READ_BY_OTHERS, left_out
 
-    known, paths = ", ".join((*files.OF_ONE_OUTPUT, "yaml", *AUTOPILOTS, DCC)), calibrations or []
+    known, paths = (
+        ", ".join((*files.OF_ONE_OUTPUT, *READ_BY_OTHERS, *AUTOPILOTS, DCC)),
+        calibrations or [],
+    )
     if format_ is None and out is None:
         raise InputError(f"say which format: --format {known}")
     if format_ not in (None, *known.split(", ")):

@@ -224,9 +224,15 @@ def _ardupilot_values(found: Polynomials, devices: Mapping[tuple[str, int], int]
     return values
 
 
+def _written(value: float | int) -> str:
+    """A parameter as text: nine digits are all that a number of single precision has, others have more."""
+    if isinstance(value, int):
+        return str(value)
+    return f"{value:.9g}" if float(np.float32(value)) == value else f"{value:.13g}"
+
+
 def _px4_line(name: str, value: float | int) -> str:
-    kind = INTEGER if isinstance(value, int) else REAL
-    return f"1\t1\t{name}\t{value if isinstance(value, int) else f'{value:.9g}'}\t{kind}"
+    return f"1\t1\t{name}\t{_written(value)}\t{INTEGER if isinstance(value, int) else REAL}"
 
 
 AUTOPILOTS = {
@@ -247,7 +253,7 @@ AUTOPILOTS = {
         together=lambda a: (a.sensor,),
         reference=lambda low, high: ARDUPILOT_REFERENCE,
         values=_ardupilot_values,
-        line=lambda name, value: f"{name},{value if isinstance(value, int) else f'{value:.9g}'}",
+        line=lambda name, value: f"{name},{_written(value)}",
         head=("Parameters, for Mission Planner, MAVProxy or QGroundControl",),
         afterwards="Restart, then calibrate gyroscopes and accelerometers again: their offsets hold for the "
         "temperature INS_GYR*_CALTEMP and INS_ACC*_CALTEMP at which they were found.",

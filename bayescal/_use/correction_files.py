@@ -21,7 +21,7 @@ from bayescal._use.correction import CorrectionInUse
 from bayescal._use.expression_graph import LANGUAGES, Language
 from bayescal._use.program_text import program_text
 from bayescal._use.vector_correction import VectorCorrection
-from bayescal._use.vector_parameters import kalibr_yaml_of, parameter_file
+from bayescal._use.vector_parameters import READ_BY_OTHERS, parameter_file
 from bayescal._use.vector_text import headers, module, vector_from_data
 
 Writer = Callable[[Mapping[str, Any], bool], str]  # of corrections by the names of their sensors
@@ -52,10 +52,10 @@ OF_THREE_AXES: dict[str, Writer] = {
     "json": _json,
     "c": headers,
     "python": module,
-    "yaml": _in_form(kalibr_yaml_of),
+    **{name: _in_form(write) for name, write in READ_BY_OTHERS.items()},
     **{autopilot: _in_form(parameter_file, autopilot) for autopilot in AUTOPILOTS},
 }
-TOGETHER = ("c", "python", "yaml")  # formats of several triads in one file
+TOGETHER = ("c", "python", "yaml", "openvins", "realsense")  # formats of several triads in one file
 
 
 def sensor_name(given: str | None, instrument: str) -> str:
@@ -163,8 +163,10 @@ def export_vector(
     Args:
         correction: to write.
         path: of the file.
-        format: "json", "c", "python", "yaml", "px4-params" or "ardupilot-params", whatever the suffix.
-        others: beside it in one file of C, Python or YAML, in the same body axes: gyroscopes beside accelerometers.
+        format: "json", "c", "python", "yaml" (Kalibr), "openvins", "realsense", "ros", "px4-params" or
+            "ardupilot-params", whatever the suffix.
+        others: beside it in one file of C, Python, Kalibr, OpenVINS or RealSense, in the same body axes: gyroscopes
+            beside accelerometers.
         name: of the sensor in C and Python; that of the instrument if not given. With `others`, of the unit.
         uncertainty: with the covariance; False for C and Python that give what acts alone: of a plain offset and matrix
             twelve numbers are left.

@@ -1,4 +1,4 @@
-"""A correction of three axes in forms that hold less: YAML for Kalibr and OpenVINS, parameters of autopilots.
+"""A correction of three axes in forms that hold less: files for Kalibr, OpenVINS, RealSense, ROS, and autopilots.
 
 Equations of what reads them, and their sources:
 
@@ -6,7 +6,11 @@ Equations of what reads them, and their sources:
   sensor x; https://github.com/ethz-asl/kalibr/wiki/Multi-IMU-and-IMU-intrinsic-calibration. A rotation takes ours
   there. A gyroscope has that rotation, ω_measured = M·C_gyro_i·ω + A·C_gyro_i·a + b, in rad/s and m/s².
 * OpenVINS (kalibr_imu_chain.yaml, ov_msckf/VioManagerOptions.h): a_measured = Ta·R_IMUtoACC·a + b, ω_measured =
-  Tw·R_IMUtoGYRO·ω + Tg·a + b; of T it keeps the lower triangle under the model "kalibr".
+  Tw·R_IMUtoGYRO·ω + Tg·a + b; of T it keeps the lower triangle under the model "kalibr". It is read by OpenCV, which
+  wants a first line that YAML's other readers refuse (modules/core/src/persistence_yml.cpp): a file of its own.
+* RealSense (librealsense, tools/rs-imu-calibration/rs-imu-calibration.py, calibration.json): corrected = Sᵀ·y − bias,
+  the nine numbers of scale_and_alignment being S by rows; in m/s² and rad/s.
+* ROS (imu_calib, src/accel_calib/accel_calib.cpp): corrected = SM·y − bias of accelerometers, SM by rows, in m/s².
 * PX4 (src/lib/sensor_calibration): corrected = (raw − OFF)·SCALE on each axis of an accelerometer, in m/s², raw −
   OFF of a gyroscope, in rad/s; a symmetric matrix with ODIAG beside it for a magnetometer, in gauss.
 * ArduPilot (AP_InertialSensor_Backend, AP_Compass_Backend): (raw − INS_ACCOFFS)·INS_ACCSCAL in m/s², raw − INS_GYROFFS
@@ -17,10 +21,15 @@ Each gets the nearest of its form, and says what that leaves out.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from bayescal._core.as_json import json_text
 from bayescal._core.errors import InputError
 from bayescal._core.quoting import c_comment, identifier
 from bayescal._core.version import __version__
@@ -53,6 +62,104 @@ def kalibr_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> s
             "",
         ]
     )
+
+
+def openvins_yaml_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
+    """kalibr_imu_chain.yaml of OpenVINS, without its noise: the lines that `bayescal noise --yaml` writes go below it.
+
+    Raises:
+        InputError: a correction is neither of accelerometers nor of gyroscopes.
+    """
+    every = _inertial("openvins", (correction, *others))
+    notes = [f"{kind}: {c.calibrated_at} {c.notes}" for kind, c in every.items()]
+    held = {name: np.eye(3) for name in ("Tw", "R_IMUtoGYRO", "Ta", "R_IMUtoACC")}
+    held["Tg"] = np.zeros((3, 3))
+    for kind, one in every.items():
+        held |= _openvins(one)
+        bias, unit = _in_kalibr(one).offset * _si(one.unit)[0], _si(one.unit)[1]
+        notes += [f"{kind}: {_in_kalibr(one).said or NOTHING}"]
+        notes += [f"bias of the {kind}, which OpenVINS estimates: {_list(bias)} {unit}"]
+    return "\n".join(
+        [
+            "%YAML:1.0",
+            f"# Intrinsics of an inertial unit, made by bayescal {__version__}",
+            *(f"# {c_comment(note)}" for note in notes),
+            "imu0:",
+            *("  T_i_b:", *_rows(np.eye(4)), "  time_offset: 0.0", '  model: "kalibr"'),
+            *(line for name, matrix in held.items() for line in (f"  {name}:", *_rows(matrix))),
+            "",
+        ]
+    )
+
+
+def _openvins(correction: VectorCorrection) -> dict[str, np.ndarray]:
+    """Matrices of one triad by OpenVINS' names."""
+    factor, unit = _si(correction.unit)
+    plain = _in_kalibr(correction)
+    lower, turn = _split(plain.matrix)
+    if unit == "m/s^2":
+        return {"Ta": lower, "R_IMUtoACC": turn}
+    by_gravity = np.zeros((3, 3))
+    if correction.beside:
+        by_gravity = plain.terms[12:].reshape(3, 3) * factor / STANDARD_GRAVITY
+    return {"Tw": lower, "R_IMUtoGYRO": turn, "Tg": by_gravity}
+
+
+def realsense_json_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
+    """calibration.json of librealsense; what is not given is left as it is measured.
+
+    Raises:
+        InputError: a correction is neither of accelerometers nor of gyroscopes.
+    """
+    every = _inertial("realsense", (correction, *others))
+    as_measured = {"scale_and_alignment": np.eye(3).ravel().tolist(), "bias": [0.0, 0.0, 0.0]}
+    imu: dict[str, Any] = dict.fromkeys(("accelerometer", "gyroscope"), as_measured)
+    said = [f"Made by bayescal {__version__}"]
+    for kind, one in every.items():
+        back, bias = _after(one)
+        imu[kind] = {"scale_and_alignment": back.T.ravel().tolist(), "bias": bias.tolist()}
+        said += [one.calibrated_at, *one.notes, f"{kind}: {_plain(one).said or NOTHING}"]
+    return json_text({"imus": [imu], "said": said}, indent=1)
+
+
+def ros_yaml_of(correction: VectorCorrection) -> str:
+    """imu_calib.yaml of ROS' imu_calib, of accelerometers.
+
+    Raises:
+        InputError: of something else.
+    """
+    if "accelerometer" not in _inertial("ros", (correction,)):
+        raise InputError("ros: imu_calib corrects accelerometers, and these are gyroscopes")
+    back, bias = _after(correction)
+    notes = (correction.calibrated_at, *correction.notes, _plain(correction).said or NOTHING)
+    lines = [f"# Made by bayescal {__version__}", *(f"# {c_comment(note)}" for note in notes)]
+    return "\n".join([*lines, f"SM: {_list(back.ravel())}", f"bias: {_list(bias)}", ""])
+
+
+def _plain(correction: VectorCorrection) -> PlainCorrection:
+    return plain_correction(correction, beside=False)
+
+
+def _after(correction: VectorCorrection) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix, and what is taken off behind it, m/s² or rad/s: what acts = matrix·y − bias."""
+    plain = _plain(correction)
+    back = np.linalg.inv(plain.matrix)
+    return back, back @ plain.offset * _si(correction.unit)[0]
+
+
+def _inertial(format: str, every: Sequence[VectorCorrection]) -> dict[str, VectorCorrection]:
+    """Triads by what they are of, "accelerometer" or "gyroscope".
+
+    Raises:
+        InputError: one is of neither.
+    """
+    kinds = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
+    found = {kinds.get(_si(c.unit)[1], ""): c for c in every}
+    if "" in found:
+        raise InputError(
+            f"{format} holds accelerometers and gyroscopes, and these outputs are in [{found[''].unit}]"
+        )
+    return found
 
 
 def _in_kalibr(correction: VectorCorrection) -> PlainCorrection:
@@ -92,21 +199,16 @@ def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
         "    matrix_uncertainty:",
         *_rows(plain.uncertainty[3:12].reshape(3, 3)),
     ]
-    by_gravity = np.zeros((3, 3))
-    if turns and correction.beside:
-        by_gravity = plain.terms[12:].reshape(3, 3) * factor / STANDARD_GRAVITY
-        lines += ["    # sensitivity to specific force in the axes of M, rad/s per m/s^2", "    A:"]
-        lines += _rows(by_gravity @ turn.T)
     if name is None:
         return lines
+    held = _openvins(correction)
+    if turns and correction.beside:
+        lines += ["    # sensitivity to specific force in the axes of M, rad/s per m/s^2", "    A:"]
+        lines += _rows(held["Tg"] @ turn.T)
     return [
         *lines,
         "  # OpenVINS: measured = T*R*f + bias, of gyroscopes + Tg*a, in the body axes of this calibration",
-        f"  {'Tw' if turns else 'Ta'}:",
-        *_rows(lower),
-        f"  {'R_IMUtoGYRO' if turns else 'R_IMUtoACC'}:",
-        *_rows(turn),
-        *(["  Tg:", *_rows(by_gravity)] if turns else []),
+        *(line for name, matrix in held.items() for line in (f"  {name}:", *_rows(matrix))),
     ]
 
 
@@ -163,7 +265,9 @@ def left_out(correction: VectorCorrection, format: str) -> str:
     """What a format has no place for and how large it is, in a sentence; empty where it holds all of the correction."""
     if format in AUTOPILOTS:
         return autopilot_parameters(correction, format)[1]
-    return _in_kalibr(correction).said if format == "yaml" else ""
+    if format in ("realsense", "ros"):
+        return _plain(correction).said
+    return _in_kalibr(correction).said if format in READ_BY_OTHERS else ""
 
 
 def parameter_file(correction: VectorCorrection, format: str) -> str:
@@ -182,8 +286,19 @@ def _si(unit: str) -> tuple[float, str]:
 
 
 def _list(values: np.ndarray) -> str:
-    return f"[{', '.join(f'{v:.9g}' for v in values)}]"
+    """Numbers as YAML 1.1 takes them for such: a power of ten has a point before it."""
+    written = (f"{v:.15g}" for v in values)
+    pointed = (re.sub(r"^(-?[0-9]+)e", r"\1.0e", v) for v in written)
+    return f"[{', '.join(pointed)}]"
 
 
 def _rows(matrix: np.ndarray) -> list[str]:
     return [f"    - {_list(row)}" for row in matrix]
+
+
+READ_BY_OTHERS: dict[str, Callable[..., str]] = {
+    "yaml": kalibr_yaml_of,
+    "openvins": openvins_yaml_of,
+    "realsense": realsense_json_of,
+    "ros": ros_yaml_of,
+}
