@@ -25,6 +25,8 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "samplers": "speed.samplers.rows",
     "hidden_effects": "hidden_effects.measurement",
     "triads": "hidden_effects.triads",
+    "dividing_head": "hidden_effects.dividing_head",
+    "triad_coverage": "hidden_effects.triad_coverage",
     "under_noise": "hidden_effects.under_noise",
     "units": "hidden_effects.units",
     "holdout": "wrong_model.holdout",

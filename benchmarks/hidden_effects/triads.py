@@ -94,7 +94,7 @@ def summarise() -> None:
     """Write and print the counts of the campaigns that stand."""
     rows = read_lines(RESULTS / "triads.jsonl")
     summary = {
-        name: _counts([row for row in rows if name in (row["instrument"], "all")])
+        name: counts([row for row in rows if name in (row["instrument"], "all")])
         for name in (*PLANS, "all")
     }
     write("triads", summary)
@@ -102,7 +102,8 @@ def summarise() -> None:
         print(f"{name:20s} {counts}")
 
 
-def _counts(rows: list[dict[str, Any]]) -> dict[str, Any]:
+def counts(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """What became of campaigns with one hidden effect, and of those with none."""
     empty = [row for row in rows if not row["hidden"]]
     hidden = [row for row in rows if row["hidden"]]
     visible = [row for row in hidden if row["oracle"] > CLEAR]
