@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -30,8 +32,9 @@ def found():
         if name not in made:
             instrument, hidden, _, _ = CAMPAIGNS[name]
             readings, later = (instrument.INSTRUMENT.simulate(hidden, seed=s) for s in (11, 12))
-            baseline, how = instrument.INSTRUMENT.baseline(), bc.LeastSquares()
-            made[name] = bc.calibrate(baseline, readings, holdout=later, method=how)
+            how: dict[str, Any] = {"method": bc.LeastSquares(), "widen_noise": False}
+            baseline = instrument.INSTRUMENT.baseline()
+            made[name] = bc.calibrate(baseline, readings, holdout=later, **how)
         return made[name]
 
     return of

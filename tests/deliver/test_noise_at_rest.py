@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -240,10 +241,14 @@ def test_noise_that_is_correlated_over_a_few_steps_is_density_to_a_filter() -> N
     assert ratio.min() > 0.949 and ratio.max() < 1.4
 
 
+@cache
+def curve() -> bc.AllanDeviation:
+    return bc.allan_deviation(still(1, n=100))
+
+
 def told(unit: str, law: str = "white + random walk", **more) -> bc.SensorNoise:
     """A noise of N about 1 and K about 2, in a unit."""
     nothing = np.zeros(0)
-    curve = bc.allan_deviation(still(1, n=100))
     return bc.SensorNoise(
         file="a.csv",
         unit=unit,
@@ -251,7 +256,7 @@ def told(unit: str, law: str = "white + random walk", **more) -> bc.SensorNoise:
         law=law,
         probabilities={law: 1.0},
         figures=(),
-        measured=curve,
+        measured=curve(),
         notes=(),
         expected=nothing,
         low=nothing,

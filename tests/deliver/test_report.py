@@ -22,7 +22,7 @@ from bayescal._report.section import Chapter, chapters, of_folder
 from bayescal_models import accelerometer_triad, mems_gyro, ng_accelerometer
 from tests.support.browser import Opened, chromium
 from tests.support.command_line import needs_installation, run
-from tests.support.reported import HIDDEN, Page, trail
+from tests.support.reported import HIDDEN, Page, trail, unpaint
 from tests.support.tiers import slow_but
 
 FIGURES = {
@@ -61,7 +61,11 @@ def pages(folder: Path) -> Callable[[str], Page]:
 
     @cache
     def page(kind: str) -> Page:
-        return Page(bc.report(given[kind](), folder / f"{kind.replace(' ', '_')}.html"))
+        path = folder / f"{kind.replace(' ', '_')}.html"
+        with pytest.MonkeyPatch.context() as patch:
+            if kind == "a folder":  # its pictures are those of the trail
+                unpaint(patch)
+            return Page(bc.report(given[kind](), path))
 
     return page
 

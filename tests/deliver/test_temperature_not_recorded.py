@@ -26,7 +26,7 @@ def correction(*temperatures: float) -> bc.VectorCorrection:
     if temperatures:
         given["temperature"] = np.resize(temperatures, len(made))
     readings = bc.Measurements.from_arrays(INSTRUMENT, **given)
-    return bc.vector_correction(bc.fit(INSTRUMENT.baseline(), readings, bc.LeastSquares()))
+    return bc.vector_correction(bc.fit(INSTRUMENT.baseline(), readings, bc.LeastSquares(draws=400)))
 
 
 def outside(correct: bc.VectorCorrection, folder: Path, *temperatures: float) -> list[float]:

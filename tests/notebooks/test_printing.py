@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,7 +25,8 @@ QUICK = bc.LeastSquares(draws=400)
 def results() -> dict[str, object]:
     readings = simulate({"bias.thermal_lag": 0.03}, seed=1)
     readings = replace(readings, sources=(Source(f"{SCRIPT}.csv", "0", 330),))
-    trail = bc.calibrate(INSTRUMENT.baseline(), readings, method=QUICK, max_effects=1)
+    short: dict[str, Any] = {"method": QUICK, "max_effects": 1, "widen_noise": False}
+    trail = bc.calibrate(INSTRUMENT.baseline(), readings, **short)
     first, last = trail.steps[0].calibration, trail.final.calibration
     unit = {
         n: still_sensor.simulate({}, seed=i, runs=1, interval=60) for i, n in enumerate(("x", "y"))
@@ -38,7 +40,7 @@ def results() -> dict[str, object]:
         "discovery": trail.steps[0].discovery,
         "comparison": bc.compare({SCRIPT: first, "with it": last}),
         "trail": trail,
-        "channels": bc.calibrate_channels(models, unit, method=QUICK, max_effects=1),
+        "channels": bc.calibrate_channels(models, unit, **short),
         "budget": bc.budget(last),
         "next experiment": bc.next_experiment(
             first, ["bias.thermal_lag", "bias.temperature_quadratic"]

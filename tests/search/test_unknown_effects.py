@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -67,7 +69,8 @@ def test_what_a_user_states_of_a_model_stays(stated: str) -> None:
         model = model.fix({"bias.temperature_cubic": 1e-7})
     elif stated == "of another baseline":
         model = model - "bias.temperature"
-    found = bc.calibrate(model, readings, method=bc.LeastSquares(), max_effects=most)
+    how: dict[str, Any] = {"method": bc.LeastSquares(), "max_effects": most, "widen_noise": False}
+    found = bc.calibrate(model, readings, **how)
     assert "bias.temperature_cubic" in found.steps[0].calibration.model.names
 
 
