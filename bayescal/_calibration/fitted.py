@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from bayescal._calibration.confounding import Confounder, confounders, unexplained, widened
@@ -186,7 +187,7 @@ def named(
     hyper |= {h.name: np.asarray(h.prior.value(v[..., i])) for i, h in enumerate(layout.hypers)}
     row = 0
     found: dict[str, tuple] = {}
-    coordinates: dict[str, list[str]] = {}
+    coordinates: dict[str, pd.Index] = {}
     for b in (b for b in layout.blocks if b.place != "fixed"):
         c, dims = b.coefficient, ("chain", "draw")
         if b.place == "row":
@@ -203,7 +204,8 @@ def named(
         else:
             dims = (*dims, c.per)
             if c.per != "reading":
-                coordinates[c.per] = list(levels[c.per])
+                # xarray would load Dask to look at a list
+                coordinates[c.per] = pd.Index(list(levels[c.per]))
         found[b.name] = (dims, value, {"units": c.unit, "effect": b.effect.name})
     for h in layout.hypers:
         if h.kind != "promoted":

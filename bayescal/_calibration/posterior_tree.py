@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, named
@@ -70,7 +71,11 @@ def _numbered(group: xr.Dataset, count: int) -> xr.Dataset:
     if "draw" not in group.sizes:
         return group
     chains, size = group.sizes["chain"], group.sizes["draw"]
-    return group.assign_coords(chain=np.arange(chains), draw=-(-count // size) * np.arange(size))
+    step = -(-count // size)
+    # Indices of pandas: xarray would load Dask to look at arrays.
+    return group.assign_coords(
+        chain=pd.RangeIndex(chains), draw=pd.RangeIndex(0, step * size, step)
+    )
 
 
 def _log_prior(layout: Layout, posterior: xr.Dataset, draws: Draws) -> xr.Dataset:

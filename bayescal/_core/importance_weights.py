@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.optimize import minimize
 
 ALIKE_SCATTER = 0.01  # scatter of corrections, from which the posterior is the same without
 FEWEST_OF_TAIL = 5  # weights that a tail is fitted to
@@ -103,6 +102,8 @@ def stacking(log_densities: np.ndarray) -> np.ndarray:
 
     Source: Yao et al., Bayesian Analysis 13 (2018) 917.
     """
+    from scipy.optimize import minimize  # a quarter of a second that a search does without
+
     count = log_densities.shape[1]
     density = np.exp(log_densities - log_densities.max(axis=1, keepdims=True))
 

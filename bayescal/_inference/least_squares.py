@@ -20,7 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
-from scipy.optimize import minimize, root
 
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
@@ -399,6 +398,8 @@ class _Refinement:
         given, problem = self.conditional(theta, v), self.problem
         if self.density.even and [problem.kinds[i] for i in self.scales] == ["noise"]:
             return self._noise(given, v)
+        from scipy import optimize  # a quarter of a second that other methods do without
+
         # Restricted likelihood: θ is integrated out, so that σ² is divided by the degrees of freedom that are left
         # (H. Patterson and R. Thompson, Biometrika 58 (1971) 545). A minimiser on values stops where these have no
         # digits; a root of the slopes goes on.
@@ -423,9 +424,9 @@ class _Refinement:
 
         best = v[self.scales]
         if np.max(np.abs(slope(best))) > 1e-3:
-            found = minimize(value, best, jac=True)
+            found = optimize.minimize(value, best, jac=True)
             best = found.x if found.fun <= value(best)[0] else best
-        sharper = root(slope, best, jac=partial(differences, slope, step=SHIFT)).x
+        sharper = optimize.root(slope, best, jac=partial(differences, slope, step=SHIFT)).x
         best = min(best, sharper, key=lambda v: np.linalg.norm(slope(v)))
         # Where one of them is best at zero, nothing but its logarithm would go on for ever.
         bounded = [isinstance(h.prior, LogUniform) for _, h in hypers]

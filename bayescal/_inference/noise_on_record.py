@@ -8,6 +8,7 @@ and their share of a log determinant or density is left out.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -25,6 +26,7 @@ Each = Mapping[str, Any]  # φ by name, one number a draw, or one for all
 WIDTH = 8  # columns that a table is padded to at least, else to twice as many, and so on
 CELLS = 2_000_000  # numbers in the tables of several draws that are held at once
 FEWEST_DRAWS_TOGETHER = 8  # draws that are worked out together where there are few
+KEYS_TOGETHER = 4096  # of draws, made by one program
 ABREAST = 4  # draws whose filters run in one loop: half the time of one after another; more leave the cache
 
 
@@ -381,8 +383,15 @@ def samples(
     law: Noise, record: Record, means: Float[np.ndarray, "b n"], hyper: Each, seed: int
 ) -> Float[np.ndarray, "b n"]:
     """Readings drawn about expected outputs."""
-    keys = jax.random.key_data(jax.random.split(jax.random.key(seed), len(means)))
-    return _by_draws(_samples, law, record, hyper, means, plain=(np.asarray(keys),))
+    # A key does not hang on the number of keys: one program makes those of most numbers of draws.
+    count = -(-len(means) // KEYS_TOGETHER) * KEYS_TOGETHER
+    keys = np.asarray(_keys(np.uint32(seed), count))[: len(means)]
+    return _by_draws(_samples, law, record, hyper, means, plain=(keys,))
+
+
+@partial(jax.jit, static_argnums=1)
+def _keys(seed: np.uint32, count: int) -> Any:
+    return jax.random.key_data(jax.random.split(jax.random.key(seed), count))
 
 
 def normal_scores(

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jax_setup import configure_jax
+from bayescal._core.jit import compiled
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS
@@ -164,11 +165,7 @@ class Frame(eqx.Module):
         pace does not matter, and a pause is remembered. It follows the record, as a lag does.
         Source: P. Dahl, A solid friction model (The Aerospace Corporation, TOR-0158(3107-18)-1, 1968).
         """
-        values, first = self.record[name][self.order], self.step < 0
-        change = jnp.where(first, 0.0, jnp.diff(values, prepend=values[:1]))
-        share = jnp.where(first, 0.0, jnp.exp(-jnp.abs(change) / width))
-        turned = self._followed(share, jnp.where(first, 0.0, (1.0 - share) * jnp.sign(change)))
-        return turned, self._followed(share, jnp.where(first, 1.0, 0.0))
+        return _direction(self, width, name)
 
     def only(self, names: Sequence[str]) -> Frame:
         """The same readings with some of their columns, rates of these and what is known of both; with time, elapsed.
@@ -202,6 +199,17 @@ class Frame(eqx.Module):
     def with_column(self, name: str, values: Float[Array, "n"]) -> Frame:
         """The same readings with one measured column corrected (its rate stays that of the record)."""
         return eqx.tree_at(lambda f: f.columns[name], self, values)
+
+
+@compiled
+def _direction(
+    frame: Frame, width: Float[Array, ""], name: str
+) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
+    values, first = frame.record[name][frame.order], frame.step < 0
+    change = jnp.where(first, 0.0, jnp.diff(values, prepend=values[:1]))
+    share = jnp.where(first, 0.0, jnp.exp(-jnp.abs(change) / width))
+    turned = frame._followed(share, jnp.where(first, 0.0, (1.0 - share) * jnp.sign(change)))
+    return turned, frame._followed(share, jnp.where(first, 1.0, 0.0))
 
 
 def derived(readings: Measurements, every: bool = False) -> dict[str, np.ndarray]:

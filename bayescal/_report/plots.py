@@ -87,8 +87,11 @@ def save(figure: Figure, path: Path) -> Path:
         InputError: no such folder, or a place that cannot be written to.
     """
     path = Path(path)
+    dpi = figure.dpi
     with replacing_for_user(path) as partial:
-        figure.savefig(partial, dpi=150, format="png")
+        figure.dpi = 150
+        FigureCanvasAgg(figure).print_png(partial)  # `savefig` would draw it twice
+    figure.dpi = dpi
     return path
 
 

@@ -15,7 +15,6 @@ from functools import cache, cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize_scalar
 
 from bayescal._core.settings import settings
 from bayescal._inference.density import NOWHERE, Density
@@ -262,6 +261,8 @@ class Structures:
 
     def roughly(self, structure: Structure, near: Weighed) -> float:
         """The total under independent noise of one size, all else of φ as another has it; infinite under others."""
+        from scipy.optimize import minimize_scalar  # a quarter of a second that few searches need
+
         if structure in self.visited or not self.noise(structure).independent:
             return math.inf
         problem = self._bound(structure, near)
