@@ -77,8 +77,13 @@ class given(partial):
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, given) and self._key() == other._key())
 
-    def __hash__(self) -> int:
-        return hash(self._key())
+    def __hash__(self) -> int:  # asked for at each call of a program
+        if "_hash" not in vars(self):
+            self._hash = hash(self._key())
+        return self._hash
+
+    def __reduce__(self) -> tuple[Any, ...]:  # another process hashes texts otherwise
+        return partial(given, self.func, *self.args, **self.keywords), ()
 
 
 def by_value(function: Any) -> Any:

@@ -22,6 +22,7 @@ from bayescal._inference.noise_on_record import variance
 from bayescal._inference.problem import Point, Problem
 from bayescal._inference.record import Record
 from bayescal._model.composition import Linearised
+from bayescal._model.terms import ColumnsOf
 
 STILL_SD = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
@@ -193,10 +194,13 @@ def across(problem: Problem, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
     """For each shape whose evidence has many maxima: coordinates along it, all else as it is."""
     names, made = [h.name for h in problem.hypers], []
     shapes = ((e, s) for e in problem.layout.model.effects for s in e.column_shapes if s.ragged)
-    for name in (e.shape_name(s) for e, s in shapes):
-        if name in names:
+    for e, s in shapes:
+        if (name := e.shape_name(s)) in names:
             made.append(np.tile(v, (len(AHEAD), 1)))
             made[-1][:, names.index(name)] = AHEAD
+            if len(e.column_shapes) == 1:
+                values = [float(s.prior.value(one)) for one in AHEAD]
+                problem.record.keep_along(ColumnsOf.of(e), values)
     return made
 
 

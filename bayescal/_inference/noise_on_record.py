@@ -7,7 +7,7 @@ and their share of a log determinant or density is left out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -466,7 +466,12 @@ def sloped_log_densities(
         pick = np.minimum(start + np.arange(together), count - 1)
         some = {name: v[pick] for name, v in own.items()}
         found.append(_sloped(what, frame, *arrays, some, np.float64(record.size)))
-    return jax.tree.map(lambda *a: np.concatenate([np.asarray(b) for b in a])[:count], *found)
+
+    def joined(parts: Iterable[Any]) -> np.ndarray:
+        return np.concatenate([np.asarray(part) for part in parts])[:count]
+
+    slopes = {name: joined(by_name[name] for _, by_name in found) for name in own}
+    return joined(value for value, _ in found), slopes
 
 
 def total_log_density(

@@ -166,13 +166,24 @@ class Record:
     def _kept_at(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
         """Columns at shapes, of which the latest are kept."""
         key = (effect.key, values)
-        if key not in self._shaped:
-            self._shaped[key] = self.moved_columns(effect, values, {})[0]
-            self._bytes += self._shaped[key].nbytes
-            while self._bytes > KEPT_BYTES and len(self._shaped) > 1:
+        found = self._shaped.pop(key, None)
+        if found is None:
+            found = self.moved_columns(effect, values, {})[0]
+            self._bytes += found.nbytes
+            while self._bytes > KEPT_BYTES and self._shaped:
                 self._bytes -= self._shaped.popitem(last=False)[1].nbytes
-        self._shaped.move_to_end(key)
-        return self._shaped[key]
+        self._shaped[key] = found
+        return found
+
+    def keep_along(self, effect: ColumnsOf, values: Sequence[float]) -> None:
+        """Columns at many values of the only shape, in one program, for when each is asked for."""
+        if effect.corrections or len(values) * self.size * 8 > KEPT_BYTES / 2:
+            return
+        left = [value for value in values if (effect.key, (value,)) not in self._shaped]
+        if left:
+            made = self._computed(effect, [np.array(left)], {})
+            self._bytes += made.nbytes
+            self._shaped |= {(effect.key, (v,)): one for v, one in zip(left, made, strict=True)}
 
     def basis_along(self, effect: ColumnsOf) -> Basis | None:
         """Columns as sums of a few along one shape; None where they run too sharply, or along several shapes."""
@@ -242,8 +253,11 @@ class Record:
         """Columns where columns of the readings are corrected by `moves`, and their slopes by these moves."""
         moves = {**moves, **self._corrected(effect, values)}
         named = {name: np.float64(v) for name, v in zip(effect.own, values, strict=False)}
-        made = programs.shaped_columns(effect.basis, self.padded, named, self._longer(moves))
-        return jax.tree.map(lambda a: np.asarray(a)[: self.size], made)
+        made, slopes = programs.shaped_columns(
+            effect.basis, self.padded, named, self._longer(moves)
+        )
+        sloped = {name: np.asarray(a)[: self.size] for name, a in slopes.items()}
+        return np.asarray(made)[: self.size], sloped
 
     def response(
         self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]

@@ -73,11 +73,13 @@ class Library:
             self.points[name] = []
             # Uneven where the channels of a unit ask along a shape that they share, else of equal prior mass.
             grid = self.grids[name] if self.grids else _grid(effect.column_shapes)
-            for v in grid:
-                pairs = list(zip(effect.column_shapes, v.tolist(), strict=True))
-                shapes = {s.name: float(s.prior.value(np.float64(x))) for s, x in pairs}
-                hint = {effect.shape_name(s): x for s, x in pairs}
-                basis = record.columns(of, tuple(shapes.values()))
+            own = effect.column_shapes
+            each = [[float(s.prior.value(x)) for s, x in zip(own, v, strict=True)] for v in grid]
+            bases = record.columns_of_draws(of, [*np.transpose(each)], {}) if own else None
+            for i, v in enumerate(grid.tolist()):
+                shapes = {s.name: value for s, value in zip(own, each[i], strict=True)}
+                hint = {effect.shape_name(s): x for s, x in zip(own, v, strict=True)}
+                basis = record.columns(of, ()) if bases is None else bases[i]
                 at = slice(self.width, self.width + sum(width))
                 self.points[name].append(GridPoint(name, shapes, hint, basis, at))
                 self.width += sum(width)

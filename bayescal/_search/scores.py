@@ -133,8 +133,20 @@ class WithoutNuisances(NamedTuple):
             # Most candidates have one column: their points are scored in one array, without a matrix for each.
             alone = points[0].at.stop - points[0].at.start == 1
             gains = self._of_columns(name) if alone else self._of_blocks(name)
-            made = [self._scored(p, own) for p, own in zip(points, gains, strict=True)]
-            found[name] = sorted(made, key=lambda s: -s.gain)
+            totals, best = np.logaddexp.reduce(gains, axis=1), np.argmax(gains, axis=1)
+            sizes, order = self.view.library.sizes[name], np.argsort(-totals, kind="stable")
+            columns = self.view.columns
+            found[name] = [
+                ScoredPoint(
+                    p := points[i],
+                    float(totals[i]),
+                    sizes[best[i]],
+                    columns[:, p.at],
+                    self.inside[:, p.at],
+                    self.u[p.at],
+                )
+                for i in order
+            ]
         return found
 
     def _of_columns(self, name: str) -> Float[np.ndarray, "points sizes"]:
@@ -161,12 +173,6 @@ class WithoutNuisances(NamedTuple):
         sd = np.stack([s.sd for s in library.sizes[name]])
         gains = self.gain(sd * u, sd[:, :, None] * information[:, None] * sd[:, None])
         return gains + [s.log_weight for s in library.sizes[name]]
-
-    def _scored(self, point: GridPoint, gains: Float[np.ndarray, "sizes"]) -> ScoredPoint:
-        best = self.view.library.sizes[point.effect][int(np.argmax(gains))]
-        columns, inside = self.view.columns[:, point.at], self.inside[:, point.at]
-        total = float(np.logaddexp.reduce(gains))
-        return ScoredPoint(point, total, best, columns, inside, self.u[point.at])
 
     @property
     def dropped(self) -> float:
