@@ -363,9 +363,19 @@ class Record:
 
     def _together(self, program, what: Any, count: int, *both: Mapping[str, np.ndarray]) -> Any:
         """What a program gives for `count` draws, computed in stretches, without what these were padded with."""
-        parts = [program(what, self.padded, *part) for part in self._stretches(count, *both)]
-        whole = jax.tree.map(lambda *a: np.concatenate([np.asarray(b) for b in a]), *parts)
-        return jax.tree.map(lambda a: a[:count, : self.size], whole)
+        whole, done = None, 0
+        for part in self._stretches(count, *both):
+            made = program(what, self.padded, *part)
+            if whole is None:
+                whole = jax.tree.map(lambda a: np.empty((count, self.size, *a.shape[2:])), made)
+
+            def put(into: np.ndarray, own: Any, start: int = done) -> int:
+                there = into[start : start + len(own)]
+                there[:] = np.asarray(own)[: len(there), : self.size]
+                return len(own)
+
+            done += max(jax.tree.leaves(jax.tree.map(put, whole, made)))
+        return whole
 
     def several(
         self, slots: Mapping[str, np.ndarray], moves: Mapping[str, np.ndarray]

@@ -243,7 +243,7 @@ def _z(point: ScoredPoint, group: bool) -> float:
 
 
 def _visibility(point: ScoredPoint) -> float:
-    before = float(np.sum(point.columns**2))
+    before = float(np.trace(point.products))
     return float(np.trace(point.information)) / before if before > 0 else 0.0
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -21,6 +21,8 @@ from bayescal._search.structures import SIZE_FACTORS, Structures
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
 SEVERAL_SHAPES = 32  # of several at once, a Sobol sequence
 RAGGED_SHAPES = 128  # where the evidence has many maxima over one of them
+# Of candidates' columns, held at once; those of more are made each time.
+HELD_NUMBERS = 2**23
 LEVELS = 4  # of a learned spread, of an amplitude
 
 
@@ -39,8 +41,8 @@ class GridPoint(NamedTuple):
     effect: str
     shapes: dict[str, float]
     hint: dict[str, float]
-    basis: Float[np.ndarray, "n c"]
     at: slice  # its columns among all
+    index: int  # among the candidate's points
 
 
 @dataclass(eq=False)
@@ -61,57 +63,82 @@ class Library:
     points: dict[str, list[GridPoint]] = field(default_factory=dict)
     sizes: dict[str, list[Size]] = field(default_factory=dict)
     width: int = 0
-    _columns: np.ndarray | None = None
+    _bases: dict[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        record, counts = self.structures.record, dict(self.structures.layout.counts)
+        counts = dict(self.structures.layout.counts)
         for name, effect in self.structures.candidates.items():
             if (self.grids and name not in self.grids) or self.structures.moves_a_column(name):
                 continue
-            of, width = ColumnsOf.of(effect), [_members(c, counts) for c in effect.coefficients]
-            self.sizes[name] = _sizes(effect, np.cumsum([0, *width]))
+            widths = [_members(c, counts) for c in effect.coefficients]
+            self.sizes[name] = _sizes(effect, np.cumsum([0, *widths]))
             self.points[name] = []
             # Uneven where the channels of a unit ask along a shape that they share, else of equal prior mass.
             grid = self.grids[name] if self.grids else _grid(effect.column_shapes)
-            own = effect.column_shapes
-            each = [[float(s.prior.value(x)) for s, x in zip(own, v, strict=True)] for v in grid]
-            bases = record.columns_of_draws(of, [*np.transpose(each)], {}) if own else None
-            for i, v in enumerate(grid.tolist()):
-                shapes = {s.name: value for s, value in zip(own, each[i], strict=True)}
-                hint = {effect.shape_name(s): x for s, x in zip(own, v, strict=True)}
-                basis = record.columns(of, ()) if bases is None else bases[i]
-                at = slice(self.width, self.width + sum(width))
-                self.points[name].append(GridPoint(name, shapes, hint, basis, at))
-                self.width += sum(width)
+            for v in grid:
+                pairs = list(zip(effect.column_shapes, v.tolist(), strict=True))
+                shapes = {s.name: float(s.prior.value(np.float64(x))) for s, x in pairs}
+                hint = {effect.shape_name(s): x for s, x in pairs}
+                at = slice(self.width, self.width + sum(widths))
+                self.points[name].append(GridPoint(name, shapes, hint, at, len(self.points[name])))
+                self.width += sum(widths)
 
     def grouped(self, name: str) -> bool:
         """Whether a candidate's size is that of many coefficients together: learned, or an amplitude."""
         effect = self.structures.candidates[name]
         return effect.is_placeholder or effect.coefficients[0].group_sd is not None
 
-    def columns(self, slopes: Mapping[str, np.ndarray]) -> Float[np.ndarray, "n P"]:
-        """∂μ/∂θ of all, output unit per reported unit, where the output has these slopes by the slots."""
-        if self._columns is not None and self.structures.record.affine is not None:
-            return self._columns
+    def blocks(self) -> Iterator[list[GridPoint]]:
+        """All points, as many at once as have their columns held together."""
+        size, block = self.structures.record.size, list[GridPoint]()
+        for point in itertools.chain(*self.points.values()):
+            if block and (point.at.stop - block[0].at.start) * size > HELD_NUMBERS:
+                yield block
+                block = []
+            block.append(point)
+        if block:
+            yield block
+
+    def columns(
+        self, slopes: Mapping[str, np.ndarray], points: Iterable[GridPoint]
+    ) -> Float[np.ndarray, "n k"]:
+        """∂μ/∂θ at some points, output unit per reported unit, where the output has these slopes by the slots."""
         record, instrument = self.structures.record, self.structures.base.instrument
-        made = np.zeros((record.size, self.width), order="F")
-        for name, points in self.points.items():
-            effect, at = self.structures.candidates[name], 0
-            for i, c in enumerate(effect.coefficients):
+        counts = dict(self.structures.layout.counts)
+        points, end = list(points), 0
+        width = sum(p.at.stop - p.at.start for p in points)
+        made = np.empty((record.size, width), order="F")
+        for name, own in itertools.groupby(points, lambda p: p.effect):
+            effect, bases = self.structures.candidates[name], self._along(name, list(own))
+            widths = [_members(c, counts) for c in effect.coefficients]
+            begin, end = end, end + len(bases) * sum(widths)
+            # A view: (n, points, columns of each).
+            block = made[:, begin:end].T.reshape(len(bases), sum(widths), -1).transpose(2, 0, 1)
+            at = 0
+            for i, (c, size) in enumerate(zip(effect.coefficients, widths, strict=True)):
                 slot = instrument.slot(c.slot or effect.slot)
                 # Chain rule: the output by the slot, and the slot by the coefficient (a factor of units, and the
                 # basis).
                 slope = slopes[slot.name] * factor_of(instrument, effect, c)
                 codes = None if c.per is None else record.codes[c.per]
-                size = _members(c, dict(self.structures.layout.counts))
-                for p in points:
-                    start = p.at.start + at
-                    made[:, start : start + size] = by_member(
-                        np, slope * p.basis[:, i], codes, size
-                    )
+                spread = by_member(np, slope * bases[..., i], codes, size)
+                block[:, :, at : at + size] = np.moveaxis(spread, 0, 1)
                 at += size
-        self._columns = made
         return made
+
+    def _along(self, name: str, points: list[GridPoint]) -> Float[np.ndarray, "points n k"]:
+        """A candidate's basis at some of its points: of a short record that at all of them is kept."""
+        if name not in self._bases:
+            record, of = self.structures.record, ColumnsOf.of(self.structures.candidates[name])
+            kept = self.width * record.size <= HELD_NUMBERS
+            wanted = self.points[name] if kept else points
+            values = np.transpose([[*p.shapes.values()] for p in wanted])
+            made = record.columns_of_draws(of, [*values], {})
+            made = made[None] if made.ndim == 2 else made
+            if not kept:
+                return made
+            self._bases[name] = made
+        return self._bases[name][[p.index for p in points]]
 
 
 def _members(coefficient: Coefficient, counts: Mapping[str, int]) -> int:

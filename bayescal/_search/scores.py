@@ -34,15 +34,15 @@ class ScoredPoint:
         point: which.
         gain: log Bayes factor by score, averaged over sizes.
         size: the likeliest.
-        columns: whitened (n, k), in output units per reported unit.
-        inside: what the nuisances take of them (q, k).
+        view: of the structure that it is beside.
+        inside: what the nuisances take of its columns (q, k).
         u: score after the nuisances.
     """
 
     point: GridPoint
     gain: float
     size: Size
-    columns: Float[np.ndarray, "n k"]
+    view: View
     inside: Float[np.ndarray, "q k"]
     u: Float[np.ndarray, "k"]
 
@@ -56,8 +56,18 @@ class ScoredPoint:
         return {**self.point.hint, **self.size.hint}
 
     @cached_property
+    def columns(self) -> Float[np.ndarray, "n k"]:
+        """Whitened, in output units per reported unit."""
+        return self.view.white([self.point])
+
+    @property
+    def products(self) -> Float[np.ndarray, "k k"]:
+        """Of these columns."""
+        return self.view.products[self.effect][self.point.index]
+
+    @cached_property
     def information(self) -> Float[np.ndarray, "k k"]:
-        return self.columns.T @ self.columns - self.inside.T @ self.inside
+        return self.products - self.inside.T @ self.inside
 
     @cached_property
     def standard(self) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k k"]]:
@@ -69,21 +79,38 @@ class ScoredPoint:
 class View:
     """A structure as a linear model about its mode, all candidates beside it: what may be added, dropped, exchanged.
 
-    Everything is products that are computed once; the readings are not looked at again.
+    Everything is products that are computed once, of some candidates at a time: columns of all at all points may be
+    more than memory holds.
+
+    Attributes:
+        products: of each candidate, those of its whitened columns at each point (points, k, k).
     """
 
     @on_one_thread
     def __init__(self, library: Library, at: Weighed):
         line = library.structures.line(at)
         self.library, self.at, self.line = library, at, line
-        self.columns = line.whiten(library.columns(line.slopes))
         nuisance = line.white_nuisance
         # With whitened nuisances A, residual r and a column c all scores follow from AᵀA, Aᵀc, cᵀc and cᵀr.
         self.inner = nuisance.T @ nuisance
-        self.cross = nuisance.T @ self.columns
-        self.u = self.columns.T @ line.white_residual
+        self.cross = np.empty((nuisance.shape[1], library.width))
+        self.u = np.empty(library.width)
+        products: dict[str, list[np.ndarray]] = {name: [] for name in library.points}
+        for points in library.blocks():
+            white, begin = self.white(points), points[0].at.start
+            at = slice(begin, points[-1].at.stop)
+            self.cross[:, at] = nuisance.T @ white
+            self.u[at] = white.T @ line.white_residual
+            for p in points:
+                own = white[:, p.at.start - begin : p.at.stop - begin]
+                products[p.effect].append(own.T @ own)
+        self.products = {name: np.stack(own) for name, own in products.items()}
         self.volume = 0.0
         self.volume = self.without().volume
+
+    def white(self, points: Sequence[GridPoint]) -> Float[np.ndarray, "n k"]:
+        """Columns of candidates at some points, whitened."""
+        return self.line.whiten(self.library.columns(self.line.slopes, points))
 
     def without(self, *names: str) -> WithoutNuisances:
         """What is left where some of its effects are dropped; φ held."""
@@ -135,13 +162,12 @@ class WithoutNuisances(NamedTuple):
             gains = self._of_columns(name) if alone else self._of_blocks(name)
             totals, best = np.logaddexp.reduce(gains, axis=1), np.argmax(gains, axis=1)
             sizes, order = self.view.library.sizes[name], np.argsort(-totals, kind="stable")
-            columns = self.view.columns
             found[name] = [
                 ScoredPoint(
                     p := points[i],
                     float(totals[i]),
                     sizes[best[i]],
-                    columns[:, p.at],
+                    self.view,
                     self.inside[:, p.at],
                     self.u[p.at],
                 )
@@ -153,8 +179,7 @@ class WithoutNuisances(NamedTuple):
         """Log Bayes factors of a candidate of one column, at each point and size."""
         library = self.view.library
         at = slice(library.points[name][0].at.start, library.points[name][-1].at.stop)
-        columns, inside = self.view.columns[:, at], self.inside[:, at]
-        information = np.sum(columns**2, axis=0) - np.sum(inside**2, axis=0)
+        information = self.view.products[name][:, 0, 0] - np.sum(self.inside[:, at] ** 2, axis=0)
         square = np.array([s.sd[0] ** 2 for s in library.sizes[name]])
         weight = np.array([s.log_weight for s in library.sizes[name]])
         # A coefficient of prior sd s and information K: log Bayes factor ½·s²u²/(1 + s²K) − ½·log(1 + s²K), the
@@ -166,10 +191,9 @@ class WithoutNuisances(NamedTuple):
     def _of_blocks(self, name: str) -> Float[np.ndarray, "points sizes"]:
         """The same for a candidate of several columns."""
         library, places = self.view.library, [p.at for p in self.view.library.points[name]]
-        columns = np.stack([self.view.columns[:, at] for at in places])
         inside = np.stack([self.inside[:, at] for at in places])
         u = np.stack([self.u[at] for at in places])[:, None]
-        information = columns.mT @ columns - inside.mT @ inside
+        information = self.view.products[name] - inside.mT @ inside
         sd = np.stack([s.sd for s in library.sizes[name]])
         gains = self.gain(sd * u, sd[:, :, None] * information[:, None] * sd[:, None])
         return gains + [s.log_weight for s in library.sizes[name]]
@@ -218,8 +242,11 @@ class WithoutNuisances(NamedTuple):
         # Columns of all points side by side, and one of zeros, which changes no gain: it fills those of fewer up.
         sd = np.concatenate([*(p.size.sd for p in points), [0.0]])
         columns, inside = (
-            np.column_stack([*parts, np.zeros(len(parts[0]))])
-            for parts in ([p.columns for p in points], [p.inside for p in points])
+            np.column_stack([part, np.zeros(len(part))])
+            for part in (
+                self.view.white([p.point for p in points]),
+                np.column_stack([p.inside for p in points]),
+            )
         )
         u = sd * np.concatenate([*(p.u for p in points), [0.0]])
         information = sd[:, None] * (columns.T @ columns - inside.T @ inside) * sd
