@@ -64,9 +64,9 @@ def printed(table: pd.DataFrame, digits: int) -> str:
     return table.to_string(index=False, float_format=lambda v: f"{v:.{digits}g}")
 
 
-# Of a curve, unknown or a departure: its coefficients, and how long and how large it is.
-_OF_CURVE = re.compile(r"^((?:unknown|departure)\(.*\))(\[\d+\]|\.length|\.amplitude)$", re.DOTALL)
-_AMPLITUDE = re.compile(r"^((?:unknown|departure)\(.*\))\.amplitude$", re.DOTALL)
+# Of a curve: its coefficients, and how long and how large it is.
+_OF_CURVE = re.compile(r"^(unknown\(.*\))(\[\d+\]|\.length|\.amplitude)$", re.DOTALL)
+_AMPLITUDE = re.compile(r"^(unknown\(.*\))\.amplitude$", re.DOTALL)
 
 
 def odd_in_words(odd: Mapping[str, list[str]], devices: int) -> list[str]:

@@ -99,7 +99,6 @@ REFUSED = (
     ("batch {table} --instrument mems_gyro --out {folder}/b.csv", "a batch is saved as Parquet"),
     ("batch no.csv --instrument mems_gyro --out {folder}/b.parquet", "'no.csv' cannot be read"),
     ("pairs {table} --instrument mems_gyro", "does not choose its devices in pairs"),
-    ("plan {saved} --limit bias", "names no quantity"),
     ("report no.nc --out {folder}/r.html", "There is no file no.nc"),
     ("workbench {no_unit} --instrument mems_gyro --no-open --out {new}", "unit"),
     ("demo --instrument gyro --out {new}", "no instrument is called 'gyro'"),
