@@ -32,7 +32,7 @@ def found():
         if name not in made:
             instrument, hidden, _, _ = CAMPAIGNS[name]
             readings, later = (instrument.INSTRUMENT.simulate(hidden, seed=s) for s in (11, 12))
-            how: dict[str, Any] = {"method": bc.LeastSquares(), "widen_noise": False}
+            how: dict[str, Any] = {"method": bc.LeastSquares(draws=400), "widen_noise": False}
             baseline = instrument.INSTRUMENT.baseline()
             made[name] = bc.calibrate(baseline, readings, holdout=later, **how)
         return made[name]

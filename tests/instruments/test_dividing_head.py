@@ -37,7 +37,8 @@ def test_what_is_hidden_is_found(name: str) -> None:
 
 
 def test_nothing_is_found_where_nothing_is_hidden() -> None:
-    found = bc.discover(bc.fit(head.INSTRUMENT.baseline(), head.simulate(seed=4), LS))
+    line = bc.fit(head.INSTRUMENT.baseline(), head.simulate(seed=4), LS)
+    found = bc.discover(line, widen_noise=False)
     assert not found.sets
 
 

@@ -13,8 +13,10 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._inference.problem import Point
+from bayescal._inference.problem import Point, Problem
+from bayescal._inference.record import record_of
 from bayescal._model import forward
+from bayescal._model.parameters import bind
 from bayescal._search.discover import structures_over
 from bayescal._search.structures import Structure
 from bayescal.effects.thermal import BODIES
@@ -97,16 +99,16 @@ def test_the_engine_and_the_composition_agree(form: str) -> None:
     readings = readings.select(np.arange(0, len(readings), 6))  # of all runs
     name = f"bias.thermal_lag.{form}"
     model = GYRO.baseline() + "bias.temperature_quadratic" + name + "bias.run"
-    fitted = bc.fit(model, readings, bc.LeastSquares(draws=50))
-    problem, frame = fitted.problem, fitted.frame
-    random = np.random.default_rng(3)
-    x = fitted.mode.point.x + 0.1 * random.standard_normal(problem.size)
-    hyper = problem.hyper(fitted.mode.v)
+    layout, _ = bind(model, readings)
+    record = record_of(GYRO, readings, constants_of(readings))
+    problem, random = Problem(layout, record), np.random.default_rng(3)
+    x = 0.1 * random.standard_normal(problem.size)
+    hyper = problem.hyper(0.5 * random.standard_normal(len(layout.hypers)))
     rows = np.zeros((len(readings), 0))
     line = problem.linearise(Point(x, rows), hyper)
     whole = forward.linearise(
-        fitted.layout,
-        frame,
+        layout,
+        record.frame,
         jnp.asarray(x),
         jnp.asarray(rows),
         {k: jnp.asarray(v) for k, v in hyper.items()},

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -34,8 +36,13 @@ def noisy(values: np.ndarray) -> np.ndarray:
     return values + np.random.default_rng(5).normal(0, 7.0, len(values))
 
 
+@cache
+def of_a_bad_thermometer() -> tuple[bc.Calibration, bc.Calibration]:
+    return fits(spoilt(1, noisy), "unknown(elapsed)")
+
+
 def test_a_function_of_the_time_in_runs_that_repeat_stands_for_a_bad_thermometer() -> None:
-    (found,) = taken_over(*fits(spoilt(1, noisy), "unknown(elapsed)"))
+    (found,) = taken_over(*of_a_bad_thermometer())
     assert found.term.name == "bias.temperature"
     assert not found.measured
     assert found.kept < 0.1
@@ -44,7 +51,7 @@ def test_a_function_of_the_time_in_runs_that_repeat_stands_for_a_bad_thermometer
 
 
 def test_the_gate_says_so_and_the_result_is_not_converged() -> None:
-    first, last = (step_of(c) for c in fits(spoilt(1, noisy), "unknown(elapsed)"))
+    first, last = (step_of(c) for c in of_a_bad_thermometer())
     found = gate([first, last])
     assert not found.ok
     assert "unknown(elapsed) stands for it" in found.reason
@@ -96,7 +103,7 @@ def test_a_second_thermometer_that_is_a_cause_takes_nothing_over() -> None:
 
 def test_a_description_that_moves_a_coefficient_beyond_chance_leaves_it_unmeasured() -> None:
     """A cause with a name may; which of both values is right, what has none does not tell."""
-    (found,) = taken_over(*fits(spoilt(1, noisy), "unknown(elapsed)"))
+    (found,) = taken_over(*of_a_bad_thermometer())
     for moved, left, measured in ((3.0, 0.9, True), (8.0, 0.9, False), (8.0, 0.2, True)):
         one = found._replace(moved=moved, left=left, kept=0.9)
         assert (one.unnamed, one.measured) == (True, measured)
