@@ -162,16 +162,19 @@ def _sizes(effect: Effect, at: np.ndarray) -> list[Size]:
             made.append(Size(plain * weights, hint, named, -len(scales) * math.log(LEVELS)))
         return made
     learned = [i for i, c in enumerate(effect.coefficients) if c.group_sd is not None]
-    if learned:
-        made = []
-        for z in ndtri(0.5 + 0.5 * levels):  # a half-normal's quantiles
-            sd = plain.copy()
-            for i in learned:
-                sd[at[i] : at[i + 1]] *= z
-            hint = {f"{effect.coefficient_name(i)}.group_sd": math.log(z) for i in learned}
-            made.append(Size(sd, hint, {}, -math.log(LEVELS)))
-        return made
-    return [Size(plain * factor, {}, {}, math.log(p)) for factor, p in SIZE_FACTORS.items()]
+    of_spread = np.isin(np.searchsorted(at[1:], np.arange(at[-1]), side="right"), learned)
+    spreads = ndtri(0.5 + 0.5 * levels) if learned else np.ones(1)  # a half-normal's quantiles
+    factors = {1.0: 1.0} if of_spread.all() else SIZE_FACTORS
+    return [
+        Size(
+            plain * np.where(of_spread, z, factor),
+            {f"{effect.coefficient_name(i)}.group_sd": math.log(z) for i in learned},
+            {},
+            math.log(p / len(spreads)),
+        )
+        for z in spreads
+        for factor, p in factors.items()
+    ]
 
 
 def _grid(shapes: Sequence[Shape]) -> np.ndarray:

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.settings import settings
-from bayescal._inference.density import NOWHERE, Density
+from bayescal._inference.density import Density
 from bayescal._inference.gaussian import condition
 from bayescal._inference.laplace import Mode, at_mode, find_mode, flat_scales
 from bayescal._inference.linear_model import LinearModel, linear_model
@@ -449,7 +449,10 @@ def averaged(problem: Problem, mode: Mode, sized: Sequence[Effect]) -> tuple[Pro
     log_evidence = mode.log_evidence
     for name in chosen:
         gains = at_sizes.of(name, chosen)
-        here = gains[chosen[name]] - math.log(SIZE_FACTORS[chosen[name]])
+        here = gains[chosen[name]]
+        if not math.isfinite(here):  # the products have no digits at the sizes that the mode was found at
+            return problem, mode, -math.inf
+        here -= math.log(SIZE_FACTORS[chosen[name]])
         log_evidence += float(np.logaddexp.reduce(list(gains.values()))) - here
     return problem, mode, log_evidence
 
@@ -480,6 +483,6 @@ class _AtSizes:
             # A size is a prior standard deviation: the products are as they are, and only the small solve is done
             # anew.
             got = condition(self.gram, self.size, self.prior._replace(sd=sd), self.at)
-            value = NOWHERE if got is None else got.log_marginal
+            value = -math.inf if got is None else got.log_marginal
             found[factor] = value + math.log(probability)
         return found

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +16,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import run_codes
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
-from bayescal._model.prior import Known, Normal
+from bayescal._model.prior import HalfNormal, Known, Normal
 
 # Share of the readings during which a temperature must rise, and fall, for a hysteresis to show.
 DIRECTION_SHARE = 0.02
@@ -25,23 +25,53 @@ WINDOWS = (
     2.0,
     120.0,
 )  # s, of a rate: from a reading or two to what a lag describes; -lag/w is the same function
-Modes = tuple[tuple[float, float], ...]  # of a body: multiples of τ, and their weights
+RATIOS = (0.1, 0.8)  # of a second stage's time to the first's: at 1 the two cannot be told from 0.8
+Modes = tuple[tuple[Any, Any], ...]  # of a body: multiples of τ, and their weights
 
 
-def _modes(*found: tuple[float, float]) -> Modes:
-    """Modes whose weights are one in sum, and whose τ is the time by which the body is behind a steady ramp."""
+class Body(NamedTuple):
+    """How a body follows what is around it: its modes, by the shapes that they depend on beside τ.
+
+    The weights are one in sum, and τ is the time by which the body is behind a steady ramp.
+    """
+
+    modes: Callable[..., Modes]
+    equation: str
+    shapes: tuple[Shape, ...] = ()
+
+
+def _first_order() -> Modes:
+    return ((1.0, 1.0),)
+
+
+def _two_stages(ratio: Any) -> Modes:
+    return (
+        (1 / (1 + ratio), 1 / (1 - ratio)),
+        (ratio / (1 + ratio), -ratio / (1 - ratio)),
+    )
+
+
+def slab() -> Modes:
+    """Mean temperature of a slab: modes as 1/k², weights as 1/k², k odd, cut after three.
+
+    Source: H. Carslaw and J. Jaeger, Conduction of Heat in Solids, 2nd ed. (1959), section 3.3.
+    """
+    found = [(k**-2.0, k**-2.0) for k in (1, 3, 5)]
     whole = sum(w for _, w in found)
     behind = sum(m * w for m, w in found) / whole
     return tuple((m / behind, w / whole) for m, w in found)
 
 
-BODIES: Mapping[str, Modes] = MappingProxyType(
+BODIES: Mapping[str, Body] = MappingProxyType(
     {
-        "body": _modes((1.0, 1.0)),
-        "two_stages": _modes((2.0, 2.0), (1.0, -1.0)),  # one body behind another twice as slow
-        # Mean temperature of a slab: modes as 1/k², weights as 1/k², k odd, cut after three.
-        # Source: H. Carslaw and J. Jaeger, Conduction of Heat in Solids, 2nd ed. (1959), section 3.3.
-        "diffusion": _modes(*((k**-2.0, k**-2.0) for k in (1, 3, 5))),
+        "body": Body(_first_order, "T → T̃(τ)"),
+        # One body behind another: what the outer one of τ₁ has is the inner one's outside, of r·τ₁.
+        "two_stages": Body(
+            _two_stages,
+            "T → (T̃(τ₁) − r·T̃(r·τ₁))/(1 − r),  τ₁ = τ/(1 + r)",
+            (Shape("ratio", "1", *RATIOS, scale="bounded"),),
+        ),
+        "diffusion": Body(slab, "T → " + " + ".join(f"{w:.3g}·T̃({m:.3g}·τ)" for m, w in slab())),
     }
 )
 WIDTHS = (0.2, 5.0)  # °C, within which hysteresis turns round: a chamber that holds wanders by less
@@ -81,7 +111,7 @@ def hysteresis(
         basis=partial(_directions, column),
         coefficients=(
             Coefficient(unit, Normal(0.0, size)),
-            Coefficient(unit, Normal(0.0, size), part="start", per="run"),
+            _start(unit, size),
         ),
         shapes=(Shape("width", "degC", *WIDTHS),),
         columns=("time", column),
@@ -104,7 +134,7 @@ def thermal_lag(
     source: str,
     column: str = "temperature",
     name: str = "thermal_lag",
-    bodies: Mapping[str, Modes] | None = None,
+    bodies: Mapping[str, Body] | None = None,
     short: Effect | None = None,
 ) -> Effect:
     """A thermal lag: c·(T̃ − T), with T̃ a first-order body that lags T by τ; or all that depends on T acts at T̃.
@@ -129,7 +159,7 @@ def thermal_lag(
             _lagging,
             (
                 Coefficient(unit, Normal(0.0, size)),
-                Coefficient(start_unit, Normal(0.0, start), part="start", per="run"),
+                _start(start_unit, start),
             ),
             "c·(T̃ − T) + d[run]·exp(−(t − t_start)/τ),  τ·dT̃/dt = T − T̃",
             (low, high),
@@ -141,14 +171,14 @@ def thermal_lag(
                 slot,
                 start,
                 start_unit,
-                modes=modes,
+                behind=behind,
                 low=low,
                 high=high,
                 source=source,
                 column=column,
                 name=f"{name}.{form}",
             )
-            for form, modes in (BODIES if bodies is None else bodies).items()
+            for form, behind in (BODIES if bodies is None else bodies).items()
         )
         + (() if short is None else (short,)),
     )
@@ -162,7 +192,7 @@ def body(
     low: float,
     high: float,
     source: str,
-    modes: Modes = BODIES["body"],
+    behind: Body = BODIES["body"],
     column: str = "temperature",
     name: str = "body",
 ) -> Effect:
@@ -176,23 +206,23 @@ def body(
         slot: that the initial state adds to.
         start: prior standard deviation of what it adds, in `start_unit`.
         low, high: plausible range of τ, s.
-        modes: (m, w) of each, the weights one in sum.
+        behind: how it follows, of `BODIES`.
         name: of the effect, after the slot.
     """
-    terms = " + ".join(f"{w:.3g}·T̃(τ·{m:.3g})" if len(modes) > 1 else "T̃(τ)" for m, w in modes)
     return replace(
         _of_a_body(
             slot,
             name,
-            partial(_body, modes),
+            partial(_stages if behind.shapes else _body, behind.modes),
             (
-                Coefficient(start_unit, Normal(0.0, start), part="start", per="run", slot=slot),
+                _start(start_unit, start, slot),
                 Coefficient("1", Known(1.0)),
             ),
-            f"T → {terms},  τ·dT̃/dt = T − T̃;  + d[run]·exp(−(t − t_start)/τ)",
+            f"{behind.equation},  τ·dT̃/dt = T − T̃;  + d[run]·exp(−(t − t_start)/τ)",
             (low, high),
             column,
             source,
+            behind.shapes,
         ),
         slot=column,
     )
@@ -235,6 +265,7 @@ def _of_a_body(
     times: tuple[float, float],
     column: str,
     source: str,
+    shapes: tuple[Shape, ...] = (),
 ) -> Effect:
     """An effect of a body that lags behind a column by τ, between `times`, s; one τ for all channels of a unit."""
     return Effect(
@@ -242,13 +273,19 @@ def _of_a_body(
         slot,
         basis=partial(basis, column),
         coefficients=coefficients,
-        shapes=(Shape("tau", "s", *times, shared=True),),
+        shapes=(Shape("tau", "s", *times, shared=True), *shapes),
         columns=("time", column),
         varies=(column,),
         untestable=partial(_too_short, times[0]),
         equation=equation,
         source=source,
     )
+
+
+def _start(unit: str, size: float, slot: str | None = None) -> Coefficient:
+    """What a state adds where it was when a run began: one a run, none where it always began at rest."""
+    spread = HalfNormal(size)
+    return Coefficient(unit, Normal(0.0, size), "start", slot, "run", spread)
 
 
 def _smoothed_rate(column: str, r: Frame, window: Any) -> Any:
@@ -259,7 +296,15 @@ def _directions(column: str, r: Frame, width: Any) -> Any:
     return jnp.stack(r.direction(width, column), axis=1)
 
 
-def _body(modes: Modes, column: str, r: Frame, tau: Any) -> Any:
+def _stages(modes: Callable[..., Modes], column: str, r: Frame, tau: Any, ratio: Any) -> Any:
+    return _followed(modes(ratio), column, r, tau)
+
+
+def _body(modes: Callable[..., Modes], column: str, r: Frame, tau: Any) -> Any:
+    return _followed(modes(), column, r, tau)
+
+
+def _followed(modes: Modes, column: str, r: Frame, tau: Any) -> Any:
     behind = sum(w * r.behind(m * tau, column) for m, w in modes)
     return jnp.stack([sum(w * jnp.exp(-r.elapsed / (m * tau)) for m, w in modes), behind], axis=1)
 

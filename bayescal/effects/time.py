@@ -12,10 +12,10 @@ import jax.numpy as jnp
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame
 from bayescal._model.prior import Normal
-from bayescal.effects.thermal import BODIES, Modes
+from bayescal.effects.thermal import Modes, slab
 
 BENDS = (0.03, 3.0)  # of the test, after which a drift has slowed down to a half
-FAST = 0.2  # of τ, the shorter one of a warm-up of two times
+RATIOS = (0.05, 0.5)  # of the shorter time of a warm-up of two to the longer
 
 
 def _progress(r: Frame) -> Any:
@@ -31,8 +31,8 @@ def _decays(modes: Modes, r: Frame, tau: Any) -> Any:
     return sum(w * jnp.exp(-r.elapsed / (m * tau)) for m, w in modes)
 
 
-def _two_decays(r: Frame, tau: Any) -> Any:
-    return jnp.stack([jnp.exp(-r.elapsed / tau), jnp.exp(-r.elapsed / (FAST * tau))], axis=1)
+def _two_decays(r: Frame, tau: Any, ratio: Any) -> Any:
+    return jnp.stack([jnp.exp(-r.elapsed / tau), jnp.exp(-r.elapsed / (ratio * tau))], axis=1)
 
 
 def drift(slot: str, size: float, unit: str, *, source: str) -> Effect:
@@ -70,26 +70,32 @@ def warm_up(slot: str, size: float, unit: str, *, low: float, high: float, sourc
         low, high: plausible range of τ, s.
     """
 
-    def form(name: str, basis: Callable[..., Any], parts: Sequence[str], equation: str) -> Effect:
+    def form(
+        name: str,
+        basis: Callable[..., Any],
+        equation: str,
+        parts: Sequence[str] = ("",),
+        shapes: Sequence[Shape] = (),
+    ) -> Effect:
         return Effect(
             f"{slot}.{name}",
             slot,
             basis=basis,
             coefficients=tuple(Coefficient(unit, Normal(0.0, size), part) for part in parts),
-            shapes=(Shape("tau", "s", low, high),),
+            shapes=(Shape("tau", "s", low, high), *shapes),
             columns=("time",),
             equation=equation,
             source=source,
             along="elapsed",
         )
 
-    slab = BODIES["diffusion"]
-    terms = " + ".join(f"{w:.3g}·exp(−t/({m:.3g}·τ))" for m, w in slab)
-    two = f"c·exp(−t/τ) + d·exp(−t/({FAST:g}·τ)),  t from the run's start"
+    terms = " + ".join(f"{w:.3g}·exp(−t/({m:.3g}·τ))" for m, w in slab())
+    two = "c·exp(−t/τ) + d·exp(−t/(r·τ)),  t from the run's start"
+    ratio = Shape("ratio", "1", *RATIOS, scale="bounded")
     return replace(
-        form("warm_up", partial(_decays, ((1.0, 1.0),)), ("",), "c·exp(−(t − t_start)/τ)"),
+        form("warm_up", partial(_decays, ((1.0, 1.0),)), "c·exp(−(t − t_start)/τ)"),
         forms=(
-            form("warm_up.two_times", _two_decays, ("", "fast"), two),
-            form("warm_up.diffusion", partial(_decays, slab), ("",), f"c·({terms})"),
+            form("warm_up.two_times", _two_decays, two, ("", "fast"), (ratio,)),
+            form("warm_up.diffusion", partial(_decays, slab()), f"c·({terms})"),
         ),
     )

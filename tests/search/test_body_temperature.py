@@ -19,7 +19,7 @@ from bayescal._model import forward
 from bayescal._model.parameters import bind
 from bayescal._search.discover import structures_over
 from bayescal._search.structures import Structure
-from bayescal.effects.thermal import BODIES
+from bayescal.effects.thermal import BODIES, RATIOS
 from bayescal_models import mems_gyro
 from tests.support.inside import constants_of, frame_of
 
@@ -119,8 +119,11 @@ def test_the_engine_and_the_composition_agree(form: str) -> None:
 
 @pytest.mark.parametrize("form", BODIES)
 def test_a_body_comes_to_rest_at_what_is_around_it_and_is_behind_a_ramp_by_tau(form: str) -> None:
-    assert math.fsum(w for _, w in BODIES[form]) == pytest.approx(1.0)
-    assert math.fsum(m * w for m, w in BODIES[form]) == pytest.approx(1.0)
+    body = BODIES[form]
+    for ratio in RATIOS if body.shapes else [None]:
+        modes = body.modes() if ratio is None else body.modes(ratio)
+        assert math.fsum(w for _, w in modes) == pytest.approx(1.0)
+        assert math.fsum(m * w for m, w in modes) == pytest.approx(1.0)
 
 
 def test_two_stages_are_one_body_behind_another() -> None:
@@ -132,7 +135,8 @@ def test_two_stages_are_one_body_behind_another() -> None:
     )
     frame = frame_of(readings)
     tau = 300.0
-    found = sum(w * frame.behind(jnp.asarray(m * tau)) for m, w in BODIES["two_stages"]) + air
+    modes = BODIES["two_stages"].modes(0.5)
+    found = sum(w * frame.behind(jnp.asarray(m * tau)) for m, w in modes) + air
     fine, steps = 0.02, int(10 / 0.02)
     first = second = air[0]
     expected = [second]

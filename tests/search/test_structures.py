@@ -98,6 +98,15 @@ def test_evidence_is_averaged_over_the_plausible_sizes() -> None:
     assert found == pytest.approx(np.logaddexp.reduce(each), abs=0.02)
 
 
+def test_a_structure_whose_products_have_no_digits_has_no_evidence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Found beside a free curve of 10⁴ noises and a body far faster than the readings: 1e300 nats, and chosen."""
+    made = structures(hidden(2), ("bias.temperature_quadratic",))
+    monkeypatch.setattr("bayescal._search.structures.condition", lambda *_: None)
+    assert made.weigh(Structure(frozenset(made.candidates))).log_evidence == -math.inf
+
+
 def test_a_score_at_the_mode_expects_what_a_refit_gives_where_little_changes() -> None:
     made = structures(hidden(3), ("bias.temperature_quadratic", "bias.drift", "bias.warm_up"))
     base = made.weigh(Structure())
