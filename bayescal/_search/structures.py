@@ -450,7 +450,7 @@ def averaged(problem: Problem, mode: Mode, sized: Sequence[Effect]) -> tuple[Pro
     for name in chosen:
         gains = at_sizes.of(name, chosen)
         here = gains[chosen[name]]
-        if not math.isfinite(here):  # the products have no digits at the sizes that the mode was found at
+        if not math.isfinite(here):  # no digits at the sizes that the mode was found at
             return problem, mode, -math.inf
         here -= math.log(SIZE_FACTORS[chosen[name]])
         log_evidence += float(np.logaddexp.reduce(list(gains.values()))) - here

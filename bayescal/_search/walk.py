@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import NamedTuple
 
 from bayescal._core import deadline
@@ -188,6 +188,7 @@ def _look_around(
             structures.expect(other, rough)
     if not math.isfinite(at.total):
         return
+    lost = _weigh_forms(structures, at, end)
     changes = [m for m in _changes_of_noise(structures, at) if among.has(m.to.noise)]
     moves = [*_moves(View(library, at), max_effects, among)]
     # Without what moves a column nothing that depends on it is what it was: what may stand in its place is seen beside
@@ -209,8 +210,7 @@ def _look_around(
     for i, move in enumerate(moves[: REFITTED_NEIGHBOURS[1]]):
         near = move.total > structures.best.total - NEAR_NATS
         if (i < REFITTED_NEIGHBOURS[0] or near) and not end.over:
-            _weigh_forms(structures, structures.weigh(move.to, at, move.hints), end)
-    _weigh_forms(structures, at, end)
+            _weigh_forms(structures, structures.weigh(move.to, at, move.hints), end, lost)
     # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
     if at is structures.best and not structures.noise(here).independent:
         for name in sorted(here.effects):
@@ -218,18 +218,34 @@ def _look_around(
                 structures.weigh(here.minus(name), at)
 
 
-def _weigh_forms(structures: Structures, at: Weighed, end: Deadline) -> None:
+def _weigh_forms(
+    structures: Structures, at: Weighed, end: Deadline, but: Collection[str] = ()
+) -> set[str]:
     """Weigh a structure with the forms of its effects that no score tells of, each in place of the one that it has.
 
     Where the structure is so improbable that no form could make it anything else they are left alone.
+
+    Args:
+        structures: that were weighed.
+        at: which.
+        end: of the search.
+        but: forms to leave alone.
+
+    Returns:
+        The forms that make it so improbable: not to be tried beside one effect more or less.
     """
+    lost = set[str]()
     if not at.total > structures.best.total - OTHER_LAW_NATS:
-        return
+        return lost
     for name in sorted(at.structure.effects):
         for to in structures.other_forms(at.structure, name):
             (other,) = to.effects - at.structure.effects
-            if structures.moves_a_column(other) and to not in structures.visited and not end.over:
-                structures.weigh(to, at, [_in_other_form(structures, at, name, other)])
+            if end.over or other in but or not structures.moves_a_column(other):
+                continue
+            found = structures.weigh(to, at, [_in_other_form(structures, at, name, other)])
+            if not found.total > at.total - OTHER_LAW_NATS:
+                lost.add(other)
+    return lost
 
 
 def _in_other_form(structures: Structures, at: Weighed, name: str, other: str) -> dict[str, float]:
