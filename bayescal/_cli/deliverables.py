@@ -347,7 +347,7 @@ def export(
     name: str | None = None,
     without_uncertainty: bool = False,
 ) -> Answer:
-    """Write the calibration for use elsewhere: C99, Python, JSON, autopilot parameters, a certificate.
+    """Write the calibration for use elsewhere: C99, Python, JSON, a page, autopilot parameters, a certificate.
 
     Of three axes too, also YAML; those of a unit together in one file.
     """

@@ -189,8 +189,8 @@ HELP = {
     "first_order": "Propagate mean and covariance, as exports do, not draws.",
     "fix": "bias.temperature=0.041: hold an unknown at a value, in its unit; repeat.",
     "format_": (
-        "json, c or python, else by the suffix of --out; of three axes yaml (Kalibr), openvins, realsense, ros; "
-        "px4-params or ardupilot-params; dcc."
+        "json, c, python or html (a page with sliders), else by the suffix of --out; of three axes yaml (Kalibr), "
+        "openvins, realsense, ros; px4-params or ardupilot-params; dcc."
     ),
     "gyroscopes": "Their three columns, as gx,gy,gz; else by the usual names.",
     "holdout": "Hold-out data, only read after the last step; repeat for more.",

@@ -19,7 +19,7 @@ from bayescal._use.autopilot import AUTOPILOTS
 from bayescal._use.compensation_program import SCHEMA, CompensationProgram, from_data
 from bayescal._use.correction import CorrectionInUse
 from bayescal._use.expression_graph import LANGUAGES, Language
-from bayescal._use.program_text import program_text
+from bayescal._use.program_text import page, program_text
 from bayescal._use.vector_correction import VectorCorrection
 from bayescal._use.vector_parameters import READ_BY_OTHERS, parameter_file
 from bayescal._use.vector_text import headers, module, vector_from_data
@@ -43,10 +43,14 @@ def _program(language: Language) -> Writer:
     )
 
 
-FORMATS = {".json": "json", ".h": "c", ".py": "python", ".yaml": "yaml", ".yml": "yaml"}
+FORMATS = {
+    **{".json": "json", ".h": "c", ".py": "python", ".html": "html"},
+    **{".yaml": "yaml", ".yml": "yaml"},
+}
 OF_ONE_OUTPUT: dict[str, Writer] = {
     "json": _json,
     **{name: _program(language) for name, language in LANGUAGES.items()},
+    "html": _in_form(page),
 }
 OF_THREE_AXES: dict[str, Writer] = {
     "json": _json,

@@ -52,9 +52,10 @@ def taken_away(folder: Path, file: Path, *said: str) -> None:
     program = bc.load_compensator(
         folder / "a.json"
     )  # as commands export it, without tracing it anew
-    for suffix in ("h", "py"):
+    for suffix in ("h", "py", "html"):
         program.export(folder / f"a.{suffix}")
-    assert not MARKUP.search((folder / "report.html").read_text("utf-8"))
+    for page in ("report.html", "a.html"):
+        assert not MARKUP.search((folder / page).read_text("utf-8"))
     compile((folder / "a.py").read_text("utf-8"), "a.py", "exec")
 
 

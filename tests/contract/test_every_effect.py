@@ -62,7 +62,7 @@ def test_it_is_compared_reported_and_exported(maker: str, tmp_path: Path) -> Non
     assert MADE[maker].name in bc.report(c, tmp_path / "report.html").read_text("utf-8")
     used, budget = bc.compensator(c), bc.budget(c)
     assert str(budget) and np.isfinite(used(c.readings).value).all()
-    for format in ("h", "py", "json"):
+    for format in ("h", "py", "json", "html"):
         assert used.export(tmp_path / f"used.{format}").stat().st_size > 0
 
 
@@ -84,7 +84,7 @@ def test_commands_take_it(maker: str, tmp_path: Path) -> None:
         assert ran.status in (0, 1), (
             ran.err
         )  # 1: what is not there has two places, or no measured size
-    for suffix in ("h", "py", "json"):
+    for suffix in ("h", "py", "json", "html"):
         ran = run("export", *saved, "--out", tmp_path / f"used.{suffix}")
         assert ran.status in (0, 1), ran.err
 

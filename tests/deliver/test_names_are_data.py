@@ -6,6 +6,7 @@ import ast
 import csv
 import io
 import json
+import re
 import subprocess
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -245,9 +246,18 @@ def check_python(name: str) -> None:
     assert space["compensate"](4.0, 10.0)[0] == pytest.approx((4.0 - 1.0) / 1.5)
 
 
+def check_page(name: str) -> None:
+    """The page has the same tags and the same scripts whatever its texts say."""
+    hostile, plain = exported(lambda _: name, "html"), plain_export("html")
+    assert Seen(hostile).tags == Seen(plain).tags
+    scripts = re.compile(r"<script.*?</script>", re.DOTALL)
+    assert scripts.findall(hostile) == scripts.findall(plain)
+
+
 EXPORTS = [
     pytest.param(check_c, marks=[needs_compiler, pytest.mark.slow]),
     check_python,
+    check_page,
 ]
 
 

@@ -226,8 +226,9 @@ def test_a_body_is_one_state_wherever_it_is_used(tmp_path: Path) -> None:
     given = {"temperature": temperature, "temperature_lag": lag}
     rows = np.column_stack([output, *(given.get(i.name, 0 * lag) for i in used.inputs)])
     np.testing.assert_allclose(run_header(used, rows, tmp_path)[:, 0], by_fit.value, atol=1e-9)
-    text = used.export(tmp_path / "die.py").read_text("utf-8")
-    assert "temperature_lag" in text and "temperature_lag_2" not in text
+    for suffix in ("py", "html"):
+        text = used.export(tmp_path / f"die.{suffix}").read_text("utf-8")
+        assert "temperature_lag" in text and "temperature_lag_2" not in text
 
 
 def test_a_calibration_of_the_old_word_means_what_it_meant(readings, tmp_path: Path) -> None:
