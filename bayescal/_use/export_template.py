@@ -10,10 +10,11 @@ from bayescal._core import templates
 from bayescal._core.quoting import number_text
 
 
-def template(file: str, filters: Mapping[str, Callable[..., Any]]) -> Any:
+def template(file: str, filters: Mapping[str, Callable[..., Any]], autoescape: bool = False):
     """A template beside this file, in which `number` writes a number with all its digits."""
     filters = {"number": number_text, **filters}
-    return templates.template("bayescal._use", file, filters, keep_trailing_newline=True)
+    how = {"autoescape": autoescape, "keep_trailing_newline": True}
+    return templates.template("bayescal._use", file, filters, **how)
 
 
 def include_guard(name: str, *computed: Any) -> str:
