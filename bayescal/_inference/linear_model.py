@@ -81,6 +81,11 @@ class LinearModel:
         return len(self.residual)
 
     @cached_property
+    def at_rest(self) -> Record:
+        """What is left of the readings, as the output of a channel at rest: what noise laws are tried on."""
+        return self.problem.record.of_noise(self.residual)
+
+    @cached_property
     def white_residual(self) -> Float[np.ndarray, "n"]:
         return self.whiten(self.residual[:, None])[:, 0]
 

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
@@ -80,7 +79,6 @@ NO_FIT = OnResiduals(-math.inf, {})
 def on_residuals(
     law: Noise,
     record: Record,
-    left: Float[np.ndarray, "n"],
     near: OnResiduals = NO_FIT,
 ) -> OnResiduals:
     """A law of known expected output, by Laplace: the fit of a model without effects.
@@ -89,8 +87,7 @@ def on_residuals(
 
     Args:
         law: which.
-        record: the readings.
-        left: what the expected output leaves of them.
+        record: what the expected output leaves of the readings, as `Record.of_noise` has it.
         near: the law on other residuals, whose maximum may be near.
     """
     priors = law.parameters()
@@ -99,7 +96,7 @@ def on_residuals(
         starts
         + [
             one
-            for values in _stated(law, record, left)
+            for values in _stated(law, record)
             for one in itertools.product(
                 *([p.coordinate(values[n])] if n in values else LEVELS for n, p in priors.items())
             )
@@ -107,7 +104,7 @@ def on_residuals(
     )
     if not len(starts):
         return NO_FIT
-    alone = Problem(Layout(Model(CHANNEL, (), law), ()), record.of_noise(left))
+    alone = Problem(Layout(Model(CHANNEL, (), law), ()), record)
     density = Density(alone, alone.start, np.ones(0))
     v, _ = climb(density, starts, near.covariance, CLIMBED_NATS)
     mode = at_mode(density, v, 0.0, quick=True)
@@ -115,8 +112,9 @@ def on_residuals(
     return OnResiduals(float(mode.log_evidence), hint, mode.covariance)
 
 
-def _stated(law: Noise, record: Record, left: Float[np.ndarray, "n"]) -> list[dict[str, float]]:
+def _stated(law: Noise, record: Record) -> list[dict[str, float]]:
     """Values of some of a law's parameters where its maximum may be; none where nothing is left of the readings."""
+    left = record.y
     scale = float(np.sqrt(np.mean(left**2)))
     if law.independent:
         # 1.5 times the median absolute value is the standard deviation that outliers have not widened; the rms is

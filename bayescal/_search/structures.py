@@ -239,8 +239,8 @@ class Structures:
         @cache
         def found(weighed: Weighed, name: str) -> OnResiduals:
             # Residuals of another structure are much alike: where their maximum is, the climb is shorter.
-            left, near = self.line(weighed).residual, latest.get(name, NO_FIT)
-            latest[name] = on_residuals(laws[name], self.record, left, near)
+            near = latest.get(name, NO_FIT)
+            latest[name] = on_residuals(laws[name], self.line(weighed).at_rest, near)
             return latest[name]
 
         return found

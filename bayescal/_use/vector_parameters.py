@@ -27,7 +27,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from bayescal._core.as_json import json_text
 from bayescal._core.errors import InputError
@@ -237,6 +236,8 @@ def autopilot_parameters(
         off = "CAL_GYRO0_{}OFF" if px4 else "INS_GYROFFS_{}"
         return {off.format(a): plain.offset[i] * factor for i, a in enumerate("XYZ")}, plain.said
     if same_dimension(correction.unit, "uT"):
+        from scipy.spatial.transform import Rotation  # loads a tenth of a second of SciPy
+
         plain = plain_correction(correction, beside=False)
         back = np.linalg.inv(plain.matrix)
         values, vectors = np.linalg.eigh(back.T @ back)

@@ -51,7 +51,7 @@ def gain(readings: bc.Measurements) -> float:
     frame = frame_of(readings)
     record = Record(SENSOR, frame, np.asarray(readings["output"]))
     left = readings["output"] - readings["output"].mean()
-    with_it, without = (on_residuals(one, record, left) for one in (law(), law("")))
+    with_it, without = (on_residuals(one, record.of_noise(left)) for one in (law(), law("")))
     return with_it.log_evidence - without.log_evidence
 
 

@@ -293,10 +293,10 @@ def test_what_a_law_gains_on_residuals_is_what_a_refit_gains() -> None:
         made = structures(hidden(seed))
         base = made.weigh(Structure())
         left = linear_model(base.problem, base.mode).residual
-        own = on_residuals(made.base.noise, made.record, left).log_evidence
+        own = on_residuals(made.base.noise, made.record.of_noise(left)).log_evidence
         for name, law in made.laws.items():
             if law.independent:
-                found = on_residuals(law, made.record, left)
+                found = on_residuals(law, made.record.of_noise(left))
                 refit = made.weigh(Structure(noise=name), base, (found.hint,))
                 gain = refit.log_evidence - base.log_evidence
                 assert found.log_evidence - own == pytest.approx(gain, abs=0.4), name

@@ -39,7 +39,7 @@ def evidence(amplitude: float, seed: int) -> tuple[float, dict[str, float]]:
         )
         for terms in (("correlated",), ("correlated", "tone"))
     }
-    plain, with_it = (on_residuals(law, fit.problem.record, left) for law in sums.values())
+    plain, with_it = (on_residuals(law, fit.problem.record.of_noise(left)) for law in sums.values())
     priors = sums["correlated", "tone"].parameters()
     values = {name: float(priors[name].value(v)) for name, v in with_it.hint.items()}
     return with_it.log_evidence - plain.log_evidence, values
