@@ -1,10 +1,13 @@
 """The workbench's page at four widths, light and dark, measured: nothing beyond the window, clipped or over another.
 
+And what axe-core finds in it and in its report: nothing serious.
+
 What Bokeh draws stands on a canvas: there every figure has room for its ticks, and its labels give way to each other.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +15,7 @@ from bokeh.models import NoOverlap
 
 from bayescal._workbench.parts.pieces import new_figure
 from tests.support.command_line import needs_installation
-from tests.workbench.real_page import Bench, opened
+from tests.workbench.real_page import Bench, browser, opened
 
 pytestmark = [needs_installation, pytest.mark.nightly]
 SIZES = {390: 844, 768: 1024, 1024: 768, 1440: 900}
@@ -97,3 +100,34 @@ def test_nothing_is_clipped_and_nothing_overlaps(begun: Bench, width: int, groun
 def test_labels_of_ticks_give_way_to_each_other() -> None:
     figure = new_figure("time [s]", "output [°/s]")
     assert all(isinstance(axis.major_label_policy, NoOverlap) for axis in figure.axis)
+
+
+def serious(page: Any) -> list[tuple[str, str]]:
+    """What axe-core finds that is serious or critical, with the element."""
+    kept = pytest.importorskip("axe_playwright_python", reason="axe-core is not here")
+    page.evaluate(f"{(Path(kept.__file__).parent / 'axe.min.js').read_text('utf-8')};0")
+    found = page.evaluate("() => axe.run(document, { resultTypes: ['violations'] })")["violations"]
+    return [
+        (one["id"], node["html"][:80])
+        for one in found
+        if one["impact"] in ("serious", "critical")
+        for node in one["nodes"]
+    ]
+
+
+@pytest.mark.parametrize("ground", ["light", "dark"])
+def test_axe_finds_nothing_serious(begun: Bench, ground: str) -> None:
+    dark = ground == "dark"
+    with opened(begun.url, dark=dark) as seen:
+        found = {}
+        for name in (*TABS, "File", "Report"):
+            seen.looked().tab(name).page.wait_for_timeout(700)
+            at_rest = {"name": "Change … bias.constant", "disabled": False}
+            seen.page.get_by_role("button", **at_rest).wait_for()
+            found[name] = serious(seen.page)
+        seen.press("Write the report")
+        report = seen.download("Download report.html").read_text("utf-8")
+    with browser(dark=dark) as seen:
+        seen.page.set_content(report)
+        found["the report"] = serious(seen.page)
+    assert not any(found.values()), found

@@ -70,7 +70,7 @@ def test_a_region_is_described_and_its_draft_added(seen: Seen) -> None:
     code.fill(re.sub(r'"bias\.\w+"', '"bias.mine"', code.input_value()))
     code.press("Tab")
     assert seen.page.get_by_role("button", name=load).is_disabled(), "only when the user said so"
-    seen.page.locator("input[type=checkbox]").last.check()
+    seen.tab("I have read it: run it")
     seen.page.get_by_role("button", name=load, disabled=False).click()
     seen.page.locator('[data-row="bias.mine"]').wait_for()
     seen.tab("The error")

@@ -56,6 +56,7 @@ from bayescal._workbench.parts.pieces import (
     new_figure,
     plot,
     row,
+    several,
     words,
 )
 
@@ -492,6 +493,9 @@ RUNS = (
 )
 
 
+READ_IT = "I have read it: run it"
+
+
 class DescribePane(Pane):
     """An unexplained pattern, from a region to an effect of one's own."""
 
@@ -510,11 +514,11 @@ class DescribePane(Pane):
         self.code = code_field(
             "Draft of an effect, to be edited", max_length=100_000, min_height=110
         )
-        self.sure = field(pn.widgets.Checkbox, "I have read it: run it", align="center")
+        self.sure = several([READ_IT], [], "Whether it may be run")
         self.load = button("Load the effect", lambda _: self._load(), disabled=True)
         for one in (self.sure, self.code):
             one.param.watch(lambda _: self._open(), "value")
-        self.code.param.watch(lambda _: setattr(self.sure, "value", False), "value")
+        self.code.param.watch(lambda _: setattr(self.sure, "value", []), "value")
         self.by.param.watch(lambda _: self._ends(), "value")
         left = column(
             words("Drag over a panel, or give a region here.", "small"),
@@ -534,7 +538,7 @@ class DescribePane(Pane):
         value = self.by.value if self.by.value in names else names[0]
         self.by.param.update(options=names, value=value)
         self._ends()
-        self.told.object, self.code.value, self.sure.value = "", "", False
+        self.told.object, self.code.value, self.sure.value = "", "", []
 
     def selected(self, rows: np.ndarray) -> None:
         """Rows were brushed."""

@@ -27,6 +27,7 @@ export function render({ model, view }) {
 
   let top = view;  // of the page, which only one property of reaches all: a class more would have all of it laid out anew
   while (top.parent) top = top.parent;
+  top.el.setAttribute("role", "main");
   model.on("stale", () => top.el.style.setProperty("--shown", model.stale ? "0.45" : "1"));
 
   const banner = document.createElement("div");

@@ -105,10 +105,14 @@ def range_over(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
 
 
 class Text(pn.pane.Str):
-    """Panel's pane of text, which shows `<b>` in bold: here it stays text."""
+    """Panel's pane of text, which shows `<b>` in bold: here it stays text; a table, which may scroll, can be focused."""
 
     def _transform_object(self, obj: Any) -> dict[str, Any]:
-        return super()._transform_object(html_text(obj) if obj else "")
+        made = super()._transform_object(html_text(obj) if obj else "")
+        if "table" in self.css_classes:
+            focused = "&lt;pre tabindex=&quot;0&quot;&gt;"
+            made["object"] = made["object"].replace("&lt;pre&gt;", focused, 1)
+        return made
 
 
 def words(text: str = "", *kinds: str, **settings: Any) -> Text:

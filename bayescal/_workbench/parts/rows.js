@@ -81,8 +81,8 @@ export function render({ model, el }) {
     if (model.table) {
       const head = element("tr", "head");
       for (const title of model.head) {
-        const cell = element("th", "", title);
-        cell.scope = "col";
+        const cell = element(title ? "th" : "td", "", title);
+        if (title) cell.scope = "col";
         head.append(cell);
       }
       table.append(head);
