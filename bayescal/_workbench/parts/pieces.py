@@ -105,7 +105,7 @@ def range_over(*values: np.ndarray, view: Range1d | None = None) -> Range1d:
 
 
 class Text(pn.pane.Str):
-    """Panel's pane of text, which shows `<b>` in bold: here it stays text; a table, which may scroll, can be focused."""
+    """Panel's pane of text, which shows `<b>` in bold: here it stays text; a table, which may scroll, takes focus."""
 
     def _transform_object(self, obj: Any) -> dict[str, Any]:
         made = super()._transform_object(html_text(obj) if obj else "")
