@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -12,9 +13,9 @@ import pytest
 import bayescal as bc
 from bayescal._core.quoting import ascii_text
 from bayescal._use.compensation_program import program_of
-from bayescal._use.expression_graph import Graph
+from bayescal._use.expression_graph import LANGUAGES, OPERATIONS, Graph, statements
 from bayescal._use.operating_equation import posterior_moments
-from tests.support.export_check import needs_compiler, run_header, tilted
+from tests.support.export_check import needs_compiler, run_c, run_header, tilted
 from tests.support.inside import text_of
 from tests.support.made_up import bent_sensor, split_search
 
@@ -190,3 +191,64 @@ def test_a_graph_writes_nothing_that_comes_to_nothing() -> None:
     assert graph.apply("neg", graph.apply("neg", x)) == x
     assert graph.apply("select", graph.apply("gt", one, zero), x, zero) == x
     assert graph.apply("sin", x) == graph.apply("sin", x)
+
+
+PAIRS = np.array([(0.7, -0.2), (-1.3, 1.3), (2.0, 2.0), (5.5, 2.0), (-5.5, 2.0), (2.5, 3.0)])
+C_PROGRAM = """
+#include <math.h>
+#include <stdio.h>
+#define BAYESCAL_CALL(name, x) ((BAYESCAL_REAL)name((double)(x)))
+#define BAYESCAL_CALL2(name, x, y) ((BAYESCAL_REAL)name((double)(x), (double)(y)))
+int main(void)
+{
+    double row[2];
+    while (fread(row, sizeof(double), 2, stdin) == 2) {
+        const double a = row[0], b = row[1];
+        {lines}
+        const double found[] = {{ {results} }};
+        fwrite(found, sizeof(double), {count}, stdout);
+    }
+    return 0;
+}
+"""
+
+
+def each_operation() -> tuple[Graph, list[int]]:
+    """Every operation on a and b, or on what is true of them; where it needs positive ones or a sine, on those."""
+    graph = Graph()
+    a, b, zero = graph.input("a"), graph.input("b"), graph.constant(0.0)
+    up, down = graph.apply("gt", a, zero), graph.apply("lt", b, zero)
+    size, sine = (
+        graph.apply("add", graph.apply("abs", a), graph.constant(0.1)),
+        graph.apply("sin", a),
+    )
+    of = {"and": (up, down), "or": (up, down), "not": (up,), "select": (down, a, b), "real": (up,)}
+    of |= {"log": (size,), "sqrt": (size,), "log1p": (size,), "acos": (sine,), "asin": (sine,)}
+    of |= {"pow": (size, b)}
+    found = []
+    for name, operation in OPERATIONS.items():
+        made = graph.apply(name, *of.get(name, (a, b)[: 1 + ("{1}" in operation.c)]))
+        found.append(graph.apply("real", made) if graph.boolean(made) else made)
+    return graph, found
+
+
+def test_each_operation_is_the_same_in_python() -> None:
+    graph, outputs = each_operation()
+    lines, results = statements(graph, outputs, {"a": "a", "b": "b"}, LANGUAGES["python"])
+    for a, b in PAIRS:
+        space = {"math": math, "a": float(a), "b": float(b)}
+        exec("\n".join(lines), space)
+        found = [eval(one, space) for one in results]
+        want = graph.evaluate(outputs, {"a": np.float64(a), "b": np.float64(b)})
+        np.testing.assert_allclose(found, np.array(want, float), rtol=1e-14, atol=1e-16)
+
+
+@needs_compiler
+def test_each_operation_is_the_same_in_c(tmp_path) -> None:
+    graph, outputs = each_operation()
+    lines, results = statements(graph, outputs, {"a": "a", "b": "b"}, LANGUAGES["c"])
+    source = C_PROGRAM.replace("{lines}", "\n".join(lines)).replace("{count}", str(len(results)))
+    source = source.replace("{{ {results} }}", f"{{ {', '.join(results)} }}")
+    found = run_c(source, PAIRS, tmp_path).reshape(len(PAIRS), -1)
+    want = graph.evaluate(outputs, {"a": PAIRS[:, 0], "b": PAIRS[:, 1]})
+    np.testing.assert_allclose(found, np.array(want, float).T, rtol=1e-14, atol=1e-16)
