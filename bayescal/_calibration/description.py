@@ -109,11 +109,18 @@ def _resized(model: Model) -> dict[str, float]:
 
     def resized(e: Effect) -> bool:
         known = own.get(e.name)
-        if known is None or e.coefficients == known.coefficients:
+        same = known and e.coefficients in (known.coefficients, _as_before(known).coefficients)
+        if known is None or same:
             return e.name.endswith(FREED)
         return replace(e, coefficients=known.coefficients, shapes=known.shapes) == known
 
     return {e.name: e.coefficients[0].size for e in model.effects if resized(e)}
+
+
+def _as_before(effect: Effect) -> Effect:
+    """An effect as it was when states in which runs begin had a size and no learned spread: saved ones may have it."""
+    own = (replace(c, group_sd=None) if c.part == "start" else c for c in effect.coefficients)
+    return replace(effect, coefficients=tuple(own))
 
 
 def _catalogue(instrument: Instrument) -> dict[str, Effect]:
@@ -244,6 +251,8 @@ def model_from(path: Path, described, readings: Measurements, effects, instrumen
             "that defines it: --effects my_effects.py (in Python: load(path, effects=[…]))"
         )
     chosen = tuple(catalogue[n].ranging(ranges.get(n, {})) for n in described["effects"])
+    then = described["unknowns"]
+    chosen = tuple(b if stated(b := _as_before(e)) == then.get(e.name) else e for e in chosen)
     averaged = described.get("averaged", [])
     chosen = tuple(e.averaged if e.name in averaged else e for e in chosen)
     model = Model(instrument, chosen, noise_from(path, described["noise"]), ())

@@ -308,3 +308,15 @@ def test_a_file_with_the_names_of_0_2_is_read(tmp_path) -> None:
     name = "bias.run.group_sd"
     np.testing.assert_array_equal(loaded.samples(name), fitted.samples(name))
     assert name in loaded.posterior.data_vars
+
+
+def test_a_lag_saved_before_its_starts_had_a_learned_spread_is_read_as_it_was(
+    tmp_path,
+) -> None:
+    lag = INSTRUMENT.known["bias.thermal_lag"]
+    slope, begun = lag.coefficients
+    before = replace(lag, coefficients=(slope, replace(begun, group_sd=None)))
+    readings = simulate({"bias.thermal_lag": 0.05}, seed=1)
+    model = INSTRUMENT.baseline() + before
+    saved = bc.fit(model, readings, bc.LeastSquares(draws=50)).save(tmp_path / "saved.nc")
+    assert bc.load(saved).model.effect("bias.thermal_lag").coefficients == before.coefficients
