@@ -3,7 +3,7 @@
 A log is cut into blocks of a quarter of a second. The quietest blocks say how much an output scatters at rest; a block
 is still where none of its outputs scatters by six times as much or stands that far from the block before. Samples
 that follow each other are correlated (filters, vibration), so that the uncertainty of a mean is that of the means of
-its blocks, pooled over all poses: often 3 to 4 times that of independent samples.
+its blocks but for the outermost two, pooled over all poses: often 3 to 4 times that of independent samples.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ SHORTEST_SECONDS = 2.0  # of a pose: eight blocks, whose means say how well thei
 # s, of a pose held by hand: taken where more than a share of all still stretches lie between this and the other.
 BRIEF_SECONDS = 1.0
 BRIEF_SHARE = 0.25  # of them: a unit that is mostly held for longer pauses briefly now and then
+INNER_BLOCKS = 2  # fewest between the outer ones, from which on their means say how blocks scatter
 BLOCK_SAMPLES = 4  # fewest in a block, from which on their scatter says something
 
 
@@ -91,7 +92,7 @@ def still_stretches(
     if shortest is None:
         brief = np.mean(lengths[lengths >= BRIEF_SECONDS] < SHORTEST_SECONDS) > BRIEF_SHARE
         shortest = BRIEF_SECONDS if brief else SHORTEST_SECONDS
-    kept = [ends for length, *ends in found if length >= shortest]
+    kept = [where for length, *where in found if length >= shortest]
     shorter = tuple(map(float, lengths[(lengths >= BRIEF_SECONDS) & (lengths < shortest)]))
     if not kept:
         raise InputError(
@@ -99,15 +100,18 @@ def still_stretches(
             "shorter time" + (f": {said_of(shorter)}" if shorter else "")
         )
     first, last = zip(*kept, strict=True)
-    own = [mean[a:b] for a, b in zip(first, last, strict=True)]
+    ends = list(zip(first, last, strict=True))
+    # Beside much noise a move begins unseen, in the outer blocks: their means tell of it rather than of the noise.
+    inner = [(a + 1, b - 1) for a, b in ends if b - a >= INNER_BLOCKS + 2] or ends
+    own = [mean[a:b] for a, b in inner]
     spent = sum(len(o) - 1 for o in own) * mean.shape[1]
     between = sum(float(np.sum((o - o.mean(axis=0)) ** 2)) for o in own) / spent
-    within = float(np.mean([np.mean(scatter[a:b] ** 2) for a, b in zip(first, last, strict=True)]))
+    within = float(np.mean([np.mean(scatter[a:b] ** 2) for a, b in inner]))
     return StillStretches(
         first=np.array(first) * size,
         last=np.array(last) * size,
-        mean=np.stack([o.mean(axis=0) for o in own]),
-        uncertainty=np.sqrt(between / np.array([len(o) for o in own])),
+        mean=np.stack([mean[a:b].mean(axis=0) for a, b in ends]),
+        uncertainty=np.sqrt(between / np.array([b - a for a, b in ends])),
         of_second=float(np.sqrt(between * size * step)),
         ratio=float(np.sqrt(between * size / within)) if within > 0 else 1.0,
         shortest=shortest,

@@ -16,6 +16,8 @@ from bayescal._data.still_stretches import still_stretches
 from bayescal._model.vector import excess, inverted
 from bayescal_models import accelerometer_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE
+from bayescal_models.gyro_triad.campaign import MovesByHand
+from bayescal_models.gyro_triad.log_simulator import simulate_log
 from tests.support.compilations import compiled
 from tests.support.coverage import assert_intervals_cover
 from tests.support.export_check import check_vector_exports
@@ -476,6 +478,19 @@ def test_still_stretches_and_the_uncertainty_of_their_means() -> None:
         still_stretches(time, y, shortest=10.0)
     with pytest.raises(bc.InputError, match="each row is a pose already"):
         still_stretches(time[::50], y[::50])
+
+
+def test_moves_that_begin_unseen_do_not_widen_the_uncertainty_of_means() -> None:
+    """Beside noise of 4 mg the ends of moves are taken for rest, and their blocks stand off those at rest."""
+    noise, rate = 4e-4, 100.0  # g/√Hz, 1/s
+    for still in (1.9, 4.0):
+        plan = MovesByHand(still=still, rate=rate, force_noise=noise, substeps=1)
+        log = simulate_log(seed=601, campaign=plan)
+        outputs = np.stack([log[f"accel_{a}"] for a in "xyz"], axis=1)
+        found = still_stretches(log["time"], outputs)
+        known = noise * rate / np.sqrt(rate * (found.last - found.first))
+        assert np.max((found.last - found.first) / rate) > still + 0.25  # s
+        assert np.allclose(found.uncertainty, known, rtol=0.12)
 
 
 def test_the_length_of_a_pose_is_chosen_from_the_log() -> None:
