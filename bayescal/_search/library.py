@@ -15,7 +15,7 @@ from scipy.special import ndtri
 from bayescal._model.composition import by_member
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.instrument import factor_of
-from bayescal._model.terms import ColumnsOf
+from bayescal._model.terms import ColumnsOf, Correction
 from bayescal._search.structures import SIZE_FACTORS, Structures
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
@@ -100,16 +100,23 @@ class Library:
             yield block
 
     def columns(
-        self, slopes: Mapping[str, np.ndarray], points: Iterable[GridPoint]
+        self,
+        slopes: Mapping[str, np.ndarray],
+        points: Iterable[GridPoint],
+        acting: Mapping[Correction, tuple[float, ...]],
     ) -> Float[np.ndarray, "n k"]:
-        """∂μ/∂θ at some points, output unit per reported unit, where the output has these slopes by the slots."""
+        """∂μ/∂θ at some points, output unit per reported unit, where the output has these slopes by the slots.
+
+        What depends on a column that is corrected is of the corrected one: beside a body a quadratic is of its
+        temperature.
+        """
         record, instrument = self.structures.record, self.structures.base.instrument
         counts = dict(self.structures.layout.counts)
         points, end = list(points), 0
         width = sum(p.at.stop - p.at.start for p in points)
         made = np.empty((record.size, width), order="F")
         for name, own in itertools.groupby(points, lambda p: p.effect):
-            effect, bases = self.structures.candidates[name], self._along(name, list(own))
+            effect, bases = self.structures.candidates[name], self._along(name, list(own), acting)
             widths = [_members(c, counts) for c in effect.coefficients]
             begin, end = end, end + len(bases) * sum(widths)
             # A view: (n, points, columns of each).
@@ -126,19 +133,27 @@ class Library:
                 at += size
         return made
 
-    def _along(self, name: str, points: list[GridPoint]) -> Float[np.ndarray, "points n k"]:
-        """A candidate's basis at some of its points: of a short record that at all of them is kept."""
-        if name not in self._bases:
-            record, of = self.structures.record, ColumnsOf.of(self.structures.candidates[name])
-            kept = self.width * record.size <= HELD_NUMBERS
-            wanted = self.points[name] if kept else points
-            values = np.transpose([[*p.shapes.values()] for p in wanted])
-            made = record.columns_of_draws(of, [*values], {})
-            made = made[None] if made.ndim == 2 else made
-            if not kept:
-                return made
-            self._bases[name] = made
-        return self._bases[name][[p.index for p in points]]
+    def _along(
+        self,
+        name: str,
+        points: list[GridPoint],
+        acting: Mapping[Correction, tuple[float, ...]],
+    ) -> Float[np.ndarray, "points n k"]:
+        """A candidate's basis at some of its points: of a short record that at all of them is kept, as measured."""
+        effect, record = self.structures.candidates[name], self.structures.record
+        needed = [c for c in acting if c.column in effect.columns]
+        if not needed and name in self._bases:
+            return self._bases[name][[p.index for p in points]]
+        kept = not needed and self.width * record.size <= HELD_NUMBERS
+        wanted = self.points[name] if kept else points
+        values = [*np.transpose([[*p.shapes.values()] for p in wanted])]
+        values += [value for c in needed for value in acting[c]]
+        made = record.columns_of_draws(ColumnsOf.of(effect).on(needed), values, {})
+        made = made[None] if made.ndim == 2 else made
+        if not kept:
+            return made
+        self._bases[name] = made
+        return made[[p.index for p in points]]
 
 
 def _members(coefficient: Coefficient, counts: Mapping[str, int]) -> int:

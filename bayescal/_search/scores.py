@@ -89,7 +89,7 @@ class View:
     @on_one_thread
     def __init__(self, library: Library, at: Weighed):
         line = library.structures.line(at)
-        self.library, self.at, self.line = library, at, line
+        self.library, self.at, self.line, self.acting = library, at, line, at.acting
         nuisance = line.white_nuisance
         # With whitened nuisances A, residual r and a column c all scores follow from AᵀA, Aᵀc, cᵀc and cᵀr.
         self.inner = nuisance.T @ nuisance
@@ -110,7 +110,7 @@ class View:
 
     def white(self, points: Sequence[GridPoint]) -> Float[np.ndarray, "n k"]:
         """Columns of candidates at some points, whitened."""
-        return self.line.whiten(self.library.columns(self.line.slopes, points))
+        return self.line.whiten(self.library.columns(self.line.slopes, points, self.acting))
 
     def without(self, *names: str) -> WithoutNuisances:
         """What is left where some of its effects are dropped; φ held."""

@@ -27,6 +27,7 @@ from bayescal._model.effect import Effect, with_forms
 from bayescal._model.model import Model
 from bayescal._model.noise_law import Noise
 from bayescal._model.parameters import Layout
+from bayescal._model.terms import Correction
 from bayescal._search.noise_laws import NO_FIT, OnResiduals, log_prior, on_residuals
 
 # Share of the prior weight of what is missing, for what no named effect describes: a formula that is known beforehand
@@ -92,6 +93,13 @@ class Weighed:
     def phi(self) -> dict[str, float]:
         """Shapes, noise parameters and spreads at the mode, by name."""
         return {name: float(value) for name, value in self.problem.hyper(self.mode.v).items()}
+
+    @property
+    def acting(self) -> dict[Correction, tuple[float, ...]]:
+        """What columns of the readings are corrected by, as by the temperature of a body; its shapes at the mode."""
+        phi = self.phi
+        corrections = (c for t in self.problem.terms for c in t.known.columns.corrections)
+        return {c: tuple(phi[n] for n in c.shape_names) for c in corrections}
 
     @property
     def sized_model(self) -> Model:

@@ -73,9 +73,9 @@ def walk(
                 # Effect by effect, as the walk would: from the root at once its shapes may end at a lower maximum.
                 path(library, later)
             # A structure that overtakes the others joins the beam when its turn comes: `_next` sorts anew each time.
-            # Finer laws come last: on what a missing effect leaves, each would be fitted for nothing.
+            # Finer forms and laws come last: on what a missing effect leaves, each would be fitted for nothing.
             while (fresh := _next(structures, looked[among], among)) or (
-                among is every and _refine(structures, end)
+                among is every and (_refine_forms(structures, end) or _refine(structures, end))
             ):
                 if end.over:
                     return ended_early(end, begun)
@@ -219,7 +219,11 @@ def _look_around(
 
 
 def _weigh_forms(
-    structures: Structures, at: Weighed, end: Deadline, but: Collection[str] = ()
+    structures: Structures,
+    at: Weighed,
+    end: Deadline,
+    but: Collection[str] = (),
+    finer: bool = False,
 ) -> set[str]:
     """Weigh a structure with the forms of its effects that no score tells of, each in place of the one that it has.
 
@@ -230,6 +234,7 @@ def _weigh_forms(
         at: which.
         end: of the search.
         but: forms to leave alone.
+        finer: whether forms of several shapes are asked for, which take ten times as long, or those of one.
 
     Returns:
         The forms that make it so improbable: not to be tried beside one effect more or less.
@@ -241,6 +246,8 @@ def _weigh_forms(
         for to in structures.other_forms(at.structure, name):
             (other,) = to.effects - at.structure.effects
             if end.over or other in but or not structures.moves_a_column(other):
+                continue
+            if finer is not (len(structures.candidates[other].column_shapes) > 1):
                 continue
             found = structures.weigh(to, at, [_in_other_form(structures, at, name, other)])
             if not found.total > at.total - OTHER_LAW_NATS:
@@ -260,6 +267,13 @@ def _in_other_form(structures: Structures, at: Weighed, name: str, other: str) -
 def correlated_laws(structures: Structures) -> list[str]:
     """Names of the further laws under which readings are correlated: nothing but a refit tells of these."""
     return [n for n, law in structures.laws.items() if not law.independent and not law.refines]
+
+
+def _refine_forms(structures: Structures, end: Deadline) -> bool:
+    """Weigh forms of several shapes in the best structure's effects; whether any was left to weigh."""
+    before = len(structures.visited)
+    _weigh_forms(structures, structures.best, end, finer=True)
+    return len(structures.visited) > before
 
 
 def _refine(structures: Structures, end: Deadline) -> bool:

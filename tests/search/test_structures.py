@@ -136,7 +136,7 @@ def test_columns_of_the_library_are_slopes_of_the_model_with_the_effect() -> Non
     base = made.weigh(Structure())
     library = Library(made)
     every = [point for own in library.points.values() for point in own]
-    columns = library.columns(View(library, base).line.slopes, every)
+    columns = library.columns(View(library, base).line.slopes, every, {})
     for name, effect in made.candidates.items():
         if effect.column_shapes or effect.is_placeholder:
             continue
