@@ -66,7 +66,8 @@ BODIES: Mapping[str, Body] = MappingProxyType(
     {
         "body": Body(_first_order, "T → T̃(τ)"),
         # One body behind another: what the outer one of τ₁ has is the inner one's outside, of r·τ₁.
-        "two_stages": Body(
+        "two_stages": Body(partial(_two_stages, 0.5), "T → 2·T̃(τ₁) − T̃(τ₁/2),  τ₁ = τ/1.5"),
+        "stages": Body(
             _two_stages,
             "T → (T̃(τ₁) − r·T̃(r·τ₁))/(1 − r),  τ₁ = τ/(1 + r)",
             (Shape("ratio", "1", *RATIOS, scale="bounded"),),
@@ -141,7 +142,7 @@ def thermal_lag(
 
     In the first form something of its own lags, such as electronics beside a sensor that does not. In the others the
     sensor is itself at T̃, so that its line, its curve and its scale factor follow that in place of T: the body is of
-    first order, of two stages, or heat diffuses into it. Where the body was not at T when a run began, exp(−t/τ)
+    first order, of two stages, the second twice as fast or of any ratio, or heat diffuses into it. Where the body was not at T when a run began, exp(−t/τ)
     remains: one coefficient a run, of size `start`.
 
     Args:
@@ -149,7 +150,7 @@ def thermal_lag(
         low, high: plausible range of τ, s.
         start: prior standard deviation of the initial state's effect, in `start_unit`.
         name: of the effect, after the slot; another for a second lag.
-        bodies: forms in which all that depends on T lags, by name; all three if not given, empty where it does not.
+        bodies: forms in which all that depends on T lags, by name; all if not given, empty where it does not.
         short: the form that it takes where τ is too short to be seen: a rate.
     """
     return replace(

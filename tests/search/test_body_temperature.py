@@ -135,7 +135,7 @@ def test_two_stages_are_one_body_behind_another() -> None:
     )
     frame = frame_of(readings)
     tau = 300.0
-    modes = BODIES["two_stages"].modes(0.5)
+    modes = BODIES["two_stages"].modes()
     found = sum(w * frame.behind(jnp.asarray(m * tau)) for m, w in modes) + air
     fine, steps = 0.02, int(10 / 0.02)
     first = second = air[0]
