@@ -142,8 +142,9 @@ def thermal_lag(
 
     In the first form something of its own lags, such as electronics beside a sensor that does not. In the others the
     sensor is itself at T̃, so that its line, its curve and its scale factor follow that in place of T: the body is of
-    first order, of two stages, the second twice as fast or of any ratio, or heat diffuses into it. Where the body was not at T when a run began, exp(−t/τ)
-    remains: one coefficient a run, of size `start`.
+    first order, of two stages (the second twice as fast, or of any ratio), or heat diffuses into it. Where the body was
+    not at T when a run began, exp(−t/τ) remains: one coefficient a run, whose standard deviation is learned and has the
+    plausible size `start`.
 
     Args:
         size: prior standard deviation of c, in `unit`.
