@@ -296,11 +296,13 @@ def testable(effect: Effect, readings: Measurements) -> str | None:
         values = readings[column]
         if (values == values[0]).all():
             return f"needs {column} to vary; it is {values[0]:g} throughout"
+    # One member tells no spread; of an effect that is more than deviations it is one coefficient with a size.
+    deviations = all(c.group_sd is not None for c in effect.coefficients)
     for coefficient in effect.coefficients:
         own = coefficient.per not in (None, "reading", *GROUPS)
         if own and not readings.has(str(coefficient.per)):
             return f"needs the column {coefficient.per}"
-        if coefficient.group_sd is not None and coefficient.per is not None:
+        if deviations and coefficient.per is not None:
             _, codes = readings.groups(coefficient.per)
             if len(set(codes[codes >= 0].tolist())) < 2:
                 return f"needs more than one {coefficient.per}"

@@ -16,6 +16,7 @@ from bayescal import effects
 from bayescal._inference.problem import Point, Problem
 from bayescal._inference.record import record_of
 from bayescal._model import forward
+from bayescal._model.model import testable
 from bayescal._model.parameters import bind
 from bayescal._search.discover import structures_over
 from bayescal._search.structures import Structure
@@ -204,3 +205,12 @@ def test_a_form_is_as_large_as_the_search_found_it() -> None:
     assert trail.search is not None and trail.final.calibration.log_evidence is not None
     likeliest = trail.search.structures[0].log_evidence
     assert trail.final.calibration.log_evidence[0] == pytest.approx(likeliest, abs=5.0)
+
+
+def test_a_lag_can_be_tested_in_one_run() -> None:
+    """What its state adds when a run begins has a learned spread, of which one run tells nothing: the lag is seen."""
+    readings, *_ = campaign(1)
+    one = readings.select(readings.groups("run")[1] == 0)
+    lag = GYRO.known["bias.thermal_lag"]
+    assert all(testable(e, one) is None for e in (lag, *lag.forms))
+    assert testable(GYRO.known["bias.run"], one) == "needs more than one run"
