@@ -102,6 +102,7 @@ def test_every_unknown_stands_in_exactly_one_place() -> None:
     assert [h.name for h in layout.hypers] == [
         "noise.white",
         "bias.run.group_sd",
+        "bias.thermal_lag[start].group_sd",
         "bias.thermal_lag.tau",
         "bias.temperature",
     ]

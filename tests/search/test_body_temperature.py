@@ -16,7 +16,7 @@ from bayescal import effects
 from bayescal._inference.problem import Point, Problem
 from bayescal._inference.record import record_of
 from bayescal._model import forward
-from bayescal._model.model import testable
+from bayescal._model.model import testable as why_not_tested
 from bayescal._model.parameters import bind
 from bayescal._search.discover import structures_over
 from bayescal._search.structures import Structure
@@ -212,5 +212,5 @@ def test_a_lag_can_be_tested_in_one_run() -> None:
     readings, *_ = campaign(1)
     one = readings.select(readings.groups("run")[1] == 0)
     lag = GYRO.known["bias.thermal_lag"]
-    assert all(testable(e, one) is None for e in (lag, *lag.forms))
-    assert testable(GYRO.known["bias.run"], one) == "needs more than one run"
+    assert all(why_not_tested(e, one) is None for e in (lag, *lag.forms))
+    assert why_not_tested(GYRO.known["bias.run"], one) == "needs more than one run"

@@ -93,7 +93,7 @@ def test_a_file_without_the_column_of_an_improbable_effect_is_predicted(average)
     columns = set(average.readings.columns) - {"board_temperature"}
     left = with_columns(average, columns)
     assert "bias.reference_voltage" not in left.model.names
-    assert inclusion(left)["bias.run"] > 0.5
+    assert inclusion(left)["bias.hysteresis"] > 0.5
 
 
 def test_coefficients_are_printed_as_they_leave(trail, average) -> None:
