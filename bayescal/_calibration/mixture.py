@@ -37,6 +37,14 @@ def inclusion(calibration: Fitted) -> dict[str, float]:
     }
 
 
+def likeliest(calibration: Fitted) -> set[str]:
+    """The effects of the most probable structure: those that most draws have together."""
+    names = [e.name for e in calibration.model.effects]
+    held = np.column_stack([has_effect(calibration, name) for name in names])
+    each, counts = np.unique(held, axis=0, return_counts=True)
+    return {n for n, there in zip(names, each[counts.argmax()], strict=True) if there}
+
+
 def with_columns(calibration: F, columns: Iterable[str]) -> F:
     """The average over those structures that need no other columns, where that leaves enough of them.
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.confounding import Confounder
-from bayescal._calibration.mixture import inclusion, without
+from bayescal._calibration.mixture import likeliest, without
 from bayescal._calibration.prior_influence import (
     not_measured,
     variance_by_origin,
@@ -324,7 +324,7 @@ def _by_source(
     chosen: Compensator, point: Mapping[str, float], gradient: np.ndarray, variance: float
 ) -> tuple[SourceShare, ...]:
     """The split by what the calibration knew: noise, each prior, each deviation that is new in use."""
-    unlikely = [name for name, share in inclusion(chosen._calibration).items() if share <= 0.5]
+    unlikely = {e.name for e in chosen._calibration.model.effects} - likeliest(chosen._calibration)
     parts, total = dict[tuple[str, str], float](), variance
     if unlikely:
         members = dict(chosen._equation.members)

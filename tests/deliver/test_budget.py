@@ -135,7 +135,7 @@ def test_noise_that_follows_a_column_is_averaged_over_the_readings_of_the_calibr
 
 @pytest.mark.slow
 def test_not_to_know_the_structure_is_a_source() -> None:
-    """The average's variance is what the compensator states; what structures add is most of it, and is named."""
+    """The average's variance is what the compensator states; what structures add is half of it, and is named."""
     average = split_search.trail().calibration
     found, compensate = bc.budget(average, {"temperature": 70.0}), bc.compensator(average)
     given: dict[str, Any] = {n: v for n, v in found.at.items() if n != "rate_input"}
@@ -143,4 +143,5 @@ def test_not_to_know_the_structure_is_a_source() -> None:
     np.testing.assert_allclose(found.uncertainty, value.uncertainty[0], rtol=1e-9)
     assert sum(s.share for s in found.sources) == pytest.approx(1)
     largest = max(found.sources, key=lambda s: s.share)
-    assert largest.name.startswith("which effects there are") and largest.share > 0.5
+    assert largest.name.startswith("which effects there are") and largest.share > 0.3
+    assert min(s.share for s in found.sources) > -0.05  # also where no effect is in more than half of the draws
