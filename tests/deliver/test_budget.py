@@ -144,4 +144,5 @@ def test_not_to_know_the_structure_is_a_source() -> None:
     assert sum(s.share for s in found.sources) == pytest.approx(1)
     largest = max(found.sources, key=lambda s: s.share)
     assert largest.name.startswith("which effects there are") and largest.share > 0.3
-    assert min(s.share for s in found.sources) > -0.05  # also where no effect is in more than half of the draws
+    # Also where no effect is in more than half of the draws.
+    assert min(s.share for s in found.sources) > -0.05
