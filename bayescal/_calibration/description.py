@@ -109,8 +109,10 @@ def _resized(model: Model) -> dict[str, float]:
 
     def resized(e: Effect) -> bool:
         known = own.get(e.name)
-        same = known and e.coefficients in (known.coefficients, _as_before(known).coefficients)
-        if known is None or same:
+        if known is None or e.coefficients in (
+            known.coefficients,
+            _as_before(known).coefficients,
+        ):
             return e.name.endswith(FREED)
         return replace(e, coefficients=known.coefficients, shapes=known.shapes) == known
 

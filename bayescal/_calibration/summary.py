@@ -45,7 +45,6 @@ def unknowns_parts(
     Args:
         calibration: a fit, or an average over structures.
         effects: whose unknowns are shown, beside those of the noise; all if not given.
-
     """
     rows = unknown_rows(calibration, effects)
     head = [

@@ -356,10 +356,8 @@ def export(
     from bayescal._use.autopilot import AUTOPILOTS
     from bayescal._use.vector_parameters import READ_BY_OTHERS, left_out
 
-    known, paths = (
-        ", ".join((*files.OF_ONE_OUTPUT, *READ_BY_OTHERS, *AUTOPILOTS, DCC)),
-        calibrations or [],
-    )
+    known = ", ".join((*files.OF_ONE_OUTPUT, *READ_BY_OTHERS, *AUTOPILOTS, DCC))
+    paths = calibrations or []
     if format_ is None and out is None:
         raise InputError(f"say which format: --format {known}")
     if format_ not in (None, *known.split(", ")):

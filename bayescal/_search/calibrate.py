@@ -182,8 +182,8 @@ class Loop:
         now = time.monotonic()
         most = max(self.max_effects, len(given))
         taken = {"begun": now, "step_takes": now - before, "given": tuple(given)}
-        taken |= {"reference": first.calibration.reference}
-        return replace(self, max_effects=most, **taken), first
+        reference = first.calibration.reference
+        return replace(self, max_effects=most, reference=reference, **taken), first
 
     def _weighed_anew(self, effect: Effect, model: Model) -> bool:
         instrument, readings = model.instrument, self.readings

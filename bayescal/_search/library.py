@@ -177,7 +177,7 @@ def _sizes(effect: Effect, at: np.ndarray) -> list[Size]:
             made.append(Size(plain * weights, hint, named, -len(scales) * math.log(LEVELS)))
         return made
     learned = [i for i, c in enumerate(effect.coefficients) if c.group_sd is not None]
-    of_spread = np.isin(np.searchsorted(at[1:], np.arange(at[-1]), side="right"), learned)
+    of_spread = np.repeat([c.group_sd is not None for c in effect.coefficients], np.diff(at))
     spreads = ndtri(0.5 + 0.5 * levels) if learned else np.ones(1)  # a half-normal's quantiles
     factors = {1.0: 1.0} if of_spread.all() else SIZE_FACTORS
     return [

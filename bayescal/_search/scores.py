@@ -89,7 +89,7 @@ class View:
     @on_one_thread
     def __init__(self, library: Library, at: Weighed):
         line = library.structures.line(at)
-        self.library, self.at, self.line, self.acting = library, at, line, at.acting
+        self.library, self.at, self.line = library, at, line
         nuisance = line.white_nuisance
         # With whitened nuisances A, residual r and a column c all scores follow from AᵀA, Aᵀc, cᵀc and cᵀr.
         self.inner = nuisance.T @ nuisance
@@ -98,9 +98,9 @@ class View:
         products: dict[str, list[np.ndarray]] = {name: [] for name in library.points}
         for points in library.blocks():
             white, begin = self.white(points), points[0].at.start
-            at = slice(begin, points[-1].at.stop)
-            self.cross[:, at] = nuisance.T @ white
-            self.u[at] = white.T @ line.white_residual
+            block = slice(begin, points[-1].at.stop)
+            self.cross[:, block] = nuisance.T @ white
+            self.u[block] = white.T @ line.white_residual
             for p in points:
                 own = white[:, p.at.start - begin : p.at.stop - begin]
                 products[p.effect].append(own.T @ own)
@@ -110,7 +110,7 @@ class View:
 
     def white(self, points: Sequence[GridPoint]) -> Float[np.ndarray, "n k"]:
         """Columns of candidates at some points, whitened."""
-        return self.line.whiten(self.library.columns(self.line.slopes, points, self.acting))
+        return self.line.whiten(self.library.columns(self.line.slopes, points, self.at.acting))
 
     def without(self, *names: str) -> WithoutNuisances:
         """What is left where some of its effects are dropped; φ held."""
@@ -164,14 +164,9 @@ class WithoutNuisances(NamedTuple):
             sizes, order = self.view.library.sizes[name], np.argsort(-totals, kind="stable")
             found[name] = [
                 ScoredPoint(
-                    p := points[i],
-                    float(totals[i]),
-                    sizes[best[i]],
-                    self.view,
-                    self.inside[:, p.at],
-                    self.u[p.at],
+                    p, float(total), sizes[b], self.view, self.inside[:, p.at], self.u[p.at]
                 )
-                for i in order
+                for p, total, b in ((points[i], totals[i], best[i]) for i in order)
             ]
         return found
 

@@ -94,7 +94,7 @@ class Weighed:
         """Shapes, noise parameters and spreads at the mode, by name."""
         return {name: float(value) for name, value in self.problem.hyper(self.mode.v).items()}
 
-    @property
+    @cached_property
     def acting(self) -> dict[Correction, tuple[float, ...]]:
         """What columns of the readings are corrected by, as by the temperature of a body; its shapes at the mode."""
         phi = self.phi

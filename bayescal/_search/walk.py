@@ -245,13 +245,12 @@ def _weigh_forms(
     for name in sorted(at.structure.effects):
         for to in structures.other_forms(at.structure, name):
             (other,) = to.effects - at.structure.effects
-            if end.over or other in but or not structures.moves_a_column(other):
-                continue
-            if finer is not (len(structures.candidates[other].column_shapes) > 1):
-                continue
-            found = structures.weigh(to, at, [_in_other_form(structures, at, name, other)])
-            if not found.total > at.total - OTHER_LAW_NATS:
-                lost.add(other)
+            several = len(structures.candidates[other].column_shapes) > 1
+            asked = structures.moves_a_column(other) and several == finer and other not in but
+            if asked and not end.over:
+                found = structures.weigh(to, at, [_in_other_form(structures, at, name, other)])
+                if not found.total > at.total - OTHER_LAW_NATS:
+                    lost.add(other)
     return lost
 
 

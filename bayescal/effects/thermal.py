@@ -149,7 +149,7 @@ def thermal_lag(
     Args:
         size: prior standard deviation of c, in `unit`.
         low, high: plausible range of τ, s.
-        start: prior standard deviation of the initial state's effect, in `start_unit`.
+        start: plausible standard deviation, between runs, of the initial state's effect, in `start_unit`.
         name: of the effect, after the slot; another for a second lag.
         bodies: forms in which all that depends on T lags, by name; all if not given, empty where it does not.
         short: the form that it takes where τ is too short to be seen: a rate.
@@ -206,7 +206,7 @@ def body(
 
     Args:
         slot: that the initial state adds to.
-        start: prior standard deviation of what it adds, in `start_unit`.
+        start: plausible standard deviation, between runs, of what it adds, in `start_unit`.
         low, high: plausible range of τ, s.
         behind: how it follows, of `BODIES`.
         name: of the effect, after the slot.
@@ -286,8 +286,9 @@ def _of_a_body(
 
 def _start(unit: str, size: float, slot: str | None = None) -> Coefficient:
     """What a state adds where it was when a run began: one a run, none where it always began at rest."""
-    spread = HalfNormal(size)
-    return Coefficient(unit, Normal(0.0, size), "start", slot, "run", spread)
+    return Coefficient(
+        unit, Normal(0.0, size), part="start", slot=slot, per="run", group_sd=HalfNormal(size)
+    )
 
 
 def _smoothed_rate(column: str, r: Frame, window: Any) -> Any:

@@ -20,7 +20,7 @@ import bayescal as bc
 from bayescal._search.structures import Structure
 from bayescal_models import accelerometer_dividing_head as head
 from bayescal_models.accelerometer_dividing_head.simulator import BASELINE
-from benchmarks.hidden_effects.resume import go_on
+from benchmarks.hidden_effects.resume import go_on_by_seed
 from benchmarks.hidden_effects.searched import Searched
 from benchmarks.hidden_effects.triads import counts
 from benchmarks.intervals import credible_interval, proportion
@@ -36,9 +36,7 @@ SIZES = {  # least and largest, in the unit of the coefficient
 
 def main() -> None:
     """Run what is missing of the campaigns, then write and print the counts."""
-    path = RESULTS / "dividing_head.jsonl"
-    done = {row["seed"] for row in read_lines(path)}
-    go_on(path, (seed for seed in range(CAMPAIGNS) if seed not in done), measure)
+    go_on_by_seed(RESULTS / "dividing_head.jsonl", range(CAMPAIGNS), measure)
     summarise()
 
 

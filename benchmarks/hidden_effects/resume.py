@@ -10,7 +10,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
-from benchmarks.record import add_line
+from benchmarks.record import add_line, read_lines
 
 SECONDS = 3300.0  # of one instrument's part, unless BAYESCAL_SECONDS says otherwise
 T = TypeVar("T")
@@ -43,6 +43,14 @@ def go_on(
         if time.perf_counter() - begun > seconds:
             print(f"{path.stem}: stopped after {seconds:.0f} s; run again to go on")
             return
+
+
+def go_on_by_seed(
+    path: Path, seeds: Iterable[int], measure: Callable[[int], tuple[dict[str, Any], str]]
+) -> None:
+    """The same of campaigns that a seed tells apart: those of them that have no line yet."""
+    done = {row["seed"] for row in read_lines(path)}
+    go_on(path, (seed for seed in seeds if seed not in done), measure)
 
 
 def _measured(

@@ -66,10 +66,8 @@ def measure(one: tuple[str, int]) -> tuple[dict[str, Any], str]:
     for calibration, truth in _calibrated(kind, seed):
         for name, true in _by_name(truth):
             if name in calibration.posterior:
-                draws, key = (
-                    calibration.samples(name),
-                    f"{calibration.model.instrument.name} {name}",
-                )
+                draws = calibration.samples(name)
+                key = f"{calibration.model.instrument.name} {name}"
                 low, high = credible_interval(draws)
                 covered[key] = low < true < high
                 off[key] = float((draws.mean() - true) / draws.std())

@@ -21,7 +21,7 @@ from bayescal_models.accelerometer_triad.campaign import Campaign as Poses
 from bayescal_models.gyro_triad.campaign import Campaign as Rates
 from benchmarks.hidden_effects.bank import instrument_named
 from benchmarks.hidden_effects.outcomes import CLEAR, said
-from benchmarks.hidden_effects.resume import go_on
+from benchmarks.hidden_effects.resume import go_on_by_seed
 from benchmarks.hidden_effects.searched import Searched
 from benchmarks.intervals import proportion
 from benchmarks.record import RESULTS, read_lines, write
@@ -50,9 +50,7 @@ SIZES: dict[str, dict[str, tuple[float, float]]] = {
 
 def main() -> None:
     """Run what is missing of the campaigns, then write and print the counts."""
-    path = RESULTS / "triads.jsonl"
-    done = {row["seed"] for row in read_lines(path)}
-    go_on(path, (seed for seed in range(CAMPAIGNS) if seed not in done), measure)
+    go_on_by_seed(RESULTS / "triads.jsonl", range(CAMPAIGNS), measure)
     summarise()
 
 

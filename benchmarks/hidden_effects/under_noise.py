@@ -23,7 +23,7 @@ from bayescal._search.structures import Structure
 from bayescal_models import mems_gyro
 from benchmarks.hidden_effects.bank import instrument_named
 from benchmarks.hidden_effects.outcomes import CLEAR, said
-from benchmarks.hidden_effects.resume import go_on
+from benchmarks.hidden_effects.resume import go_on_by_seed
 from benchmarks.hidden_effects.searched import Searched, noise_of
 from benchmarks.intervals import proportion
 from benchmarks.record import RESULTS, read_lines, write
@@ -43,9 +43,7 @@ SIZES = {  # least and largest, in the unit of each effect's coefficient
 
 def main() -> None:
     """Run what is missing of the campaigns, then write and print the counts."""
-    path = RESULTS / "under_noise.jsonl"
-    done = {row["seed"] for row in read_lines(path)}
-    go_on(path, (seed for seed in range(CAMPAIGNS) if seed not in done), measure)
+    go_on_by_seed(RESULTS / "under_noise.jsonl", range(CAMPAIGNS), measure)
     summarise()
 
 

@@ -22,7 +22,7 @@ from bayescal._search.discover import structures_over
 from bayescal._search.structures import Structure
 from bayescal._search.walk import correlated_laws
 from bayescal_models import still_sensor
-from benchmarks.hidden_effects.resume import go_on
+from benchmarks.hidden_effects.resume import go_on_by_seed
 from benchmarks.intervals import proportion
 from benchmarks.markdown import table
 from benchmarks.record import DOCS, RESULTS, read_lines
@@ -45,8 +45,7 @@ NOISES = ("white", "ornstein_uhlenbeck", "random_walk")
 
 def main() -> None:
     """Measure the units that are missing, and render the page."""
-    done = {row["seed"] for row in read_lines(PATH)}
-    go_on(PATH, (s for s in range(FIRST_SEED, FIRST_SEED + UNITS) if s not in done), measure)
+    go_on_by_seed(PATH, range(FIRST_SEED, FIRST_SEED + UNITS), measure)
     rows = read_lines(PATH)
     if rows:
         (DOCS / "units.md").write_text(page(rows), encoding="utf-8")

@@ -20,8 +20,8 @@ from bayescal._calibration.holdout_contradiction import HoldoutTest
 from bayescal._search.gate import gate
 from bayescal._search.search_path import Step
 from bayescal_models import mems_gyro
-from benchmarks.hidden_effects.resume import go_on
-from benchmarks.record import RESULTS, read_lines
+from benchmarks.hidden_effects.resume import go_on_by_seed
+from benchmarks.record import RESULTS
 from benchmarks.wrong_model import page
 from benchmarks.wrong_model.worlds import gyro
 
@@ -34,8 +34,7 @@ OWN = {"bias.constant", "bias.temperature"}
 
 def main() -> None:
     """Run what is missing, and render the page."""
-    done = {row["seed"] for row in read_lines(PATH)}
-    go_on(PATH, (seed for seed in range(COUNT) if seed not in done), campaign)
+    go_on_by_seed(PATH, range(COUNT), campaign)
     page.write()
 
 

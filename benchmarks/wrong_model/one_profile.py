@@ -12,8 +12,8 @@ from typing import Any
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from benchmarks.hidden_effects.resume import go_on
-from benchmarks.record import RESULTS, read_lines
+from benchmarks.hidden_effects.resume import go_on_by_seed
+from benchmarks.record import RESULTS
 from benchmarks.wrong_model import page
 from benchmarks.wrong_model.worlds import one_profile
 
@@ -24,8 +24,7 @@ HIDDEN = ("bias.run", "bias.thermal_lag", "bias.warm_up", "bias.temperature_quad
 
 def main() -> None:
     """Run what is missing, and render the page."""
-    done = {row["seed"] for row in read_lines(PATH)}
-    go_on(PATH, (seed for seed in range(COUNT) if seed not in done), campaign)
+    go_on_by_seed(PATH, range(COUNT), campaign)
     page.write()
 
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from benchmarks.hidden_effects.resume import go_on
-from benchmarks.record import RESULTS, read_lines
+from benchmarks.hidden_effects.resume import go_on_by_seed
+from benchmarks.record import RESULTS
 from benchmarks.wrong_model import page
 from benchmarks.wrong_model.coverage import WORLDS
 from benchmarks.wrong_model.worlds import HIDDEN_IN
@@ -30,8 +30,7 @@ PATH = RESULTS / "starts.jsonl"
 
 def main() -> None:
     """Run what is missing, and render the page."""
-    done = {row["seed"] for row in read_lines(PATH)}
-    go_on(PATH, (seed for seed in range(COUNT) if seed not in done), campaign)
+    go_on_by_seed(PATH, range(COUNT), campaign)
     page.write()
 
 
