@@ -10,16 +10,12 @@ and serves no page.
 
 from __future__ import annotations
 
-import functools
 import importlib.util
-import operator
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
-
-import jax
 
 from bayescal._core.errors import BayescalError, InputError
 from bayescal._core.folder_settings import obey_no_folder
@@ -110,7 +106,6 @@ T = TypeVar("T")
 RETRIES = 2  # of a task that failed; a worker that died does not count
 LOOK_SECONDS = 20.0  # seconds between looks at the workers
 PATIENCE = 200.0  # seconds without a worker, after which a run is given up
-ARITY = 16  # sums that are added up at once
 
 
 class TaskOutcome(NamedTuple):
@@ -187,17 +182,6 @@ class Engine:
             values[outcome.index] = outcome.value
         return [values[index] for index in range(len(tasks))]
 
-    def total(self, function: Callable[..., T], tasks: Sequence[tuple]) -> T:
-        """The sum of a function over several arguments (tuples of numbers and arrays), added up in their order.
-
-        Raises:
-            InputError: a part of it failed for good, or the scheduler is gone.
-        """
-        if self.client is None:
-            return _added_up([function(*task) for task in tasks], added)
-        add = functools.partial(self.client.submit, added, pure=False, retries=RETRIES)
-        return self._value(_added_up(self._futures(function, tasks), add))
-
     def _futures(self, function: Callable[..., Any], tasks: Sequence[tuple]) -> list[Any]:
         assert self.client is not None
         return self.client.map(function, *zip(*tasks, strict=True), pure=False, retries=RETRIES)
@@ -223,15 +207,3 @@ class Engine:
             if isinstance(error, KilledWorker):
                 why = "the workers that it ran on died one after the other: is there memory enough for a partition?"
             raise InputError(why) from None
-
-
-def _added_up(level: list[Any], add: Callable[..., Any]) -> Any:
-    """The sum of parts, or the future of it, as a tree in their order: no process holds more than a few of them."""
-    while len(level) > 1:
-        level = [add(*level[i : i + ARITY]) for i in range(0, len(level), ARITY)]
-    return level[0]
-
-
-def added(*parts: Any) -> Any:
-    """The sum of tuples of numbers and arrays, from the first to the last."""
-    return functools.reduce(lambda a, b: jax.tree.map(operator.add, a, b), parts)

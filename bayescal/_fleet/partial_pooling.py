@@ -1,7 +1,7 @@
 """A population put to the devices that it was learned from: each moves toward it by what its readings leave open.
 
-A fleet in partitions keeps what the readings alone say of its devices in a file of numbers for each; all that travels
-are sums over them, a few numbers for each draw of the standard deviations.
+Of a fleet in partitions a population is learned here, from a few numbers of each device; partitions are moved toward it
+where the others are fitted.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal._core.atomic_file import replacing_for_user
 from bayescal._fleet.batch_result import BatchPart, BatchResult, load_batch
 from bayescal._fleet.engine import Engine
 from bayescal._fleet.population import (
@@ -23,7 +22,6 @@ from bayescal._fleet.population import (
     Population,
     estimates,
     learn,
-    loaded,
 )
 
 
@@ -34,7 +32,7 @@ def pooled(result: BatchResult, named: Named, seed: int) -> BatchResult:
         ModelError: fewer than three of them.
     """
     own = _estimates_of(result, named)
-    return _under_population(result, own, named, learn([own], named, seed))
+    return _under_population(result, own, named, learn(own, named, seed))
 
 
 def learn_population(
@@ -47,7 +45,7 @@ def learn_population(
         folder: for those under the population.
         named: the population's coefficients.
         seed: of every random number.
-        engine: where the sums are made.
+        engine: where partitions are read and written.
 
     Raises:
         ModelError: fewer than three devices that are reliable.
@@ -56,26 +54,22 @@ def learn_population(
     # What stands there is of another population: derived, and quickly made anew.
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    places = [folder / f".{file.stem}.npy" for file in files]  # hidden: a dataset passes over it
-    pairs = list(zip(files, places, strict=True))
-    engine.every(write_estimates, [(*pair, named) for pair in pairs])
-    learned = learn(places, named, seed, engine)
-    tasks = [(file, place, folder / file.name, named, learned) for file, place in pairs]
-    engine.every(write_pooled, tasks)
-    for place in places:
-        place.unlink(missing_ok=True)
+    tasks = [(file, named) for file in files]
+    parts = engine.every(estimates_in, tasks)
+    learned = learn(DeviceEstimates(*map(np.concatenate, zip(*parts, strict=True))), named, seed)
+    engine.every(write_pooled, [(*task, folder / task[0].name, learned) for task in tasks])
     return learned.population
 
 
-def write_estimates(file: Path, place: Path, named: Named) -> None:
-    """Keep what a partition's readings alone say of its devices."""
-    with replacing_for_user(place) as partial:
-        _estimates_of(load_batch(file), named).save(partial)
+def estimates_in(file: Path, named: Named) -> DeviceEstimates:
+    """What a partition's readings alone say of its devices."""
+    return _estimates_of(load_batch(file), named)
 
 
-def write_pooled(file: Path, place: Path, to: Path, named: Named, learned: Learned) -> None:
+def write_pooled(file: Path, named: Named, to: Path, learned: Learned) -> None:
     """Write a partition's devices under the population."""
-    _under_population(load_batch(file), loaded(place), named, learned).save(to)
+    result = load_batch(file)
+    _under_population(result, _estimates_of(result, named), named, learned).save(to)
 
 
 def _estimates_of(result: BatchResult, named: Named) -> DeviceEstimates:

@@ -13,8 +13,8 @@ m is integrated out in closed form; τ is sampled by importance sampling from it
     A = Σ_d (Λ⁻¹ + T)⁻¹ + 1/s₀²,   a = Σ_d (1 + ΛT)⁻¹h + m₀/s₀²
 
 and each device's coefficients follow given τ and m, those that are not named by regression on them. So devices lend
-each other strength, a device with few readings most of all. The devices enter by sums over them alone, which parts of a
-fleet add up for themselves. A device is kept as its own estimate x̂ and e = h − Λx̂, which is small: it is what its own
+each other strength, a device with few readings most of all. The devices enter by sums over them alone, block by block.
+A device is kept as its own estimate x̂ and e = h − Λx̂, which is small: it is what its own
 prior pulled. With M = (1 + ΛT)⁻¹ the sums are
 
     Σ hᵀT·M·h + log|M|  =  Σ −xᵀM·Λx + 2eᵀ(1 − Mᵀ)x + eᵀT·M·e + log|M|  +  a constant,
@@ -32,10 +32,10 @@ Source: A. Gelman et al., Bayesian Data Analysis, 3rd ed. (2013), section 5.4, i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -44,11 +44,10 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
-from bayescal._core.errors import InputError, ModelError
+from bayescal._core.errors import ModelError
 from bayescal._core.importance_weights import smoothed
 from bayescal._core.jax_setup import configure_jax
 from bayescal._core.parallel import over
-from bayescal._fleet.engine import Engine
 from bayescal._inference import trust
 from bayescal._inference.laplace import climb, gaussian_fit
 from bayescal._inference.sampling import PriorShare, around_mode, propose
@@ -66,6 +65,9 @@ configure_jax()
 
 SPREADS_TOGETHER = 16  # standard deviations evaluated at once
 LEAST_DEVICES = 64  # devices in a program; beyond it powers of two, so that few are compiled
+BLOCK_DEVICES = (
+    16_384  # summed at once: what the standard deviations evaluated together take, bounded
+)
 
 
 class DeviceEstimates(NamedTuple):
@@ -80,30 +82,6 @@ class DeviceEstimates(NamedTuple):
     precision: np.ndarray
     estimate: np.ndarray
     rest: np.ndarray
-
-    def save(self, path: Path) -> None:
-        """Keep them as numbers (b, k, k + 2), which workers map into memory."""
-        columns = self.precision, self.estimate[:, :, None], self.rest[:, :, None]
-        with path.open("wb") as file:
-            np.save(file, np.concatenate(columns, axis=2))
-
-
-Part = DeviceEstimates | Path  # of a fleet: its devices, or the file that they were saved to
-
-
-def loaded(part: Part) -> DeviceEstimates:
-    """Estimates, from their file if they stand in one.
-
-    Raises:
-        InputError: it cannot be read.
-    """
-    if isinstance(part, DeviceEstimates):
-        return part
-    try:
-        held = np.load(part, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{part} cannot be read: {error}. Run the same command again") from None
-    return DeviceEstimates(held[:, :, :-2], held[:, :, -2], held[:, :, -1])
 
 
 class Sums(NamedTuple):
@@ -145,23 +123,29 @@ class PopulationDraws(NamedTuple):
     covariance: np.ndarray
 
 
-def number_and_sum(part: Part) -> tuple[int, np.ndarray]:
-    """How many devices, and the sum of their estimates, (k,)."""
-    own = loaded(part).estimate
-    return len(own), own.sum(axis=0)
-
-
-def sums(part: Part, centre: np.ndarray, scale: np.ndarray, v: np.ndarray) -> Sums:
+def sums(devices: DeviceEstimates, centre: np.ndarray, scale: np.ndarray, v: np.ndarray) -> Sums:
     """Sums over devices, counted from a centre, at the standard deviations τ = scale·exp(v), v (s, k)."""
-    return Sums(*map(np.asarray, _sums(_padded(loaded(part), centre), scale, v)))
+    return _total(_sums, devices, centre, scale, v)
 
 
 def sums_and_slopes(
-    part: Part, centre: np.ndarray, scale: np.ndarray, v: np.ndarray
+    devices: DeviceEstimates, centre: np.ndarray, scale: np.ndarray, v: np.ndarray
 ) -> tuple[Sums, Sums]:
     """The sums, and their derivatives along each of v, (s, k, …)."""
-    values, slopes = _sums_and_slopes(_padded(loaded(part), centre), scale, v)
-    return Sums(*map(np.asarray, values)), Sums(*map(np.asarray, slopes))
+    return _total(_sums_and_slopes, devices, centre, scale, v)
+
+
+def _total(
+    function: Callable[..., Any], devices: DeviceEstimates, centre: np.ndarray, *at: np.ndarray
+) -> Any:
+    """What a function gives of blocks of devices, added up from the first to the last."""
+    parts = (function(_padded(block, centre), *at) for block in _blocks(devices))
+    return jax.tree.map(np.asarray, reduce(partial(jax.tree.map, operator.add), parts))
+
+
+def _blocks(devices: DeviceEstimates) -> Iterator[DeviceEstimates]:
+    for begin in range(0, len(devices.estimate), BLOCK_DEVICES):
+        yield DeviceEstimates(*(a[begin : begin + BLOCK_DEVICES] for a in devices))
 
 
 def _padded(devices: DeviceEstimates, centre: np.ndarray) -> DeviceEstimates:
@@ -190,7 +174,7 @@ def _sums_at(devices: DeviceEstimates, scale: Array, v: Float[Array, "k"]):
     pulled, pulled_rest = _times(weighed, x), _times(inverse, rest)
     level = jnp.sum(rest * (t * pulled_rest + 2 * x) - x * (pulled + 2 * pulled_rest))
     level = level + jnp.sum(jnp.linalg.slogdet(inverse)[1])
-    return level, jnp.sum(pulled + pulled_rest, axis=0), jnp.sum(weighed, axis=0)
+    return Sums(level, jnp.sum(pulled + pulled_rest, axis=0), jnp.sum(weighed, axis=0))
 
 
 @jax.jit
@@ -357,27 +341,22 @@ def _prior(named: Named) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return size, weight, np.array([c.mean for c in parts]) / size
 
 
-def learn(
-    parts: Sequence[DeviceEstimates | Path], named: Named, seed: int, engine: Engine | None = None
-) -> Learned:
-    """Learn a population from sums over its devices.
+def learn(devices: DeviceEstimates, named: Named, seed: int) -> Learned:
+    """Learn a population from its devices.
 
     Args:
-        parts: the devices, in arrays or in files as `DeviceEstimates.save` writes them.
+        devices: what their readings alone say.
         named: the population's coefficients.
         seed: of every random number.
-        engine: where the sums are made; this process if None.
 
     Raises:
         ModelError: fewer than three devices that can be trusted.
     """
-    engine = engine or Engine()
-    count, total = engine.total(number_and_sum, [(part,) for part in parts])
-    if count < (fewest := FEWEST_DEVICES):
+    if (count := len(devices.estimate)) < (fewest := FEWEST_DEVICES):
         raise ModelError(
             f"a population is learned from at least {fewest} devices that converge; here {count} did"
         )
-    density = _Density(parts, engine, count, total / count, named)
+    density = _Density(devices, named)
     v, weights, k_hat, given = _draws(density, seed)
     mean, covariance = density.population_mean(given)
     size, between = density.size, density.scale * np.exp(v)
@@ -402,23 +381,12 @@ def learn(
 class _Density:
     """The density of v = log(τ/scale), and of m given it. Everything in units of the plausible sizes."""
 
-    def __init__(
-        self,
-        parts: Sequence[DeviceEstimates | Path],
-        engine: Engine,
-        count: int,
-        centre: np.ndarray,
-        named: Named,
-    ) -> None:
-        self.parts, self.engine, self.count, self.centre = parts, engine, count, centre
+    def __init__(self, devices: DeviceEstimates, named: Named) -> None:
+        self.devices, self.centre = devices, devices.estimate.mean(axis=0)
         self.priors = [prior for _, prior in named.values()]
         self.size, self.weight, own = _prior(named)
-        self.own = own - centre  # mean of the prior of m, counted from the centre
+        self.own = own - self.centre  # mean of the prior of m, counted from the centre
         self.scale = np.array([prior.scale for prior in self.priors]) / self.size
-
-    def _summed(self, function: Any, v: np.ndarray) -> Any:
-        tasks = [(part, self.centre, self.scale, v) for part in self.parts]
-        return self.engine.total(function, tasks)
 
     def population_mean(self, given: Sums) -> tuple[np.ndarray, np.ndarray]:
         """Mean and covariance of m given each τ: A⁻¹a and A⁻¹."""
@@ -428,7 +396,7 @@ class _Density:
 
     def log_density(self, v: np.ndarray) -> tuple[np.ndarray, Sums]:
         """At several v (s, k), and the sums that it was made of."""
-        given = self._summed(sums, v)
+        given = sums(self.devices, self.centre, self.scale, v)
         return self.log_prior(v) + self._of_sums(given), given
 
     def log_prior(self, v: np.ndarray) -> np.ndarray:
@@ -452,7 +420,7 @@ class _Density:
 
     def slope(self, v: np.ndarray) -> tuple[float, np.ndarray]:
         """Its logarithm at one v (k,), and the slopes."""
-        given, slopes = self._summed(sums_and_slopes, v[None])
+        given, slopes = sums_and_slopes(self.devices, self.centre, self.scale, v[None])
         (mean,), (covariance,) = self.population_mean(given)
         level, pull, precision = (leaf[0] for leaf in slopes)
         # ∂(aᵀA⁻¹a − log|A|), where A⁻¹a and A⁻¹ are mean and covariance of m
@@ -471,7 +439,7 @@ def _draws(density: Any, seed: int) -> tuple[np.ndarray, np.ndarray, float, Sums
     # To the last digits, so that the order of summing does not show in what is drawn.
     for _ in range(NEWTON_STEPS):
         best = best + covariance @ density.slope(best)[1]
-    count = int(np.clip(CELLS // max(1, density.count), 200, DRAWS))
+    count = int(np.clip(CELLS // len(density.devices.estimate), 200, DRAWS))
     improper = any(isinstance(s, Flat) for s in density.priors)
     prior = None if improper else PriorShare(density.prior_draws, density.log_prior)
     random = np.random.default_rng(seed)

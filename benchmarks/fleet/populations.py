@@ -55,7 +55,7 @@ def coverage() -> dict[str, Any]:
         own = 1 / (1 / sd**2 + 1 / size**2)
         covariance = own[:, :, None] * np.eye(len(size))
         alone = estimates(own * read / sd**2, covariance, named)
-        found = learn([alone], named, fleet).population.table
+        found = learn(alone, named, fleet).population.table
         held[fleet, 0] = np.abs(found["mean"] - mean) < WIDE * found["mean_sd"]
         # A spread is positive, and its logarithm nearly normal.
         width = np.log1p((found["group_sd_sd"] / found["group_sd"]) ** 2) ** 0.5

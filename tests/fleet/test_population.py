@@ -30,7 +30,7 @@ def test_a_population_is_the_joint_fit_of_one_table() -> None:
         _posterior(j, y, np.zeros(k), np.diag(size**2)) for j, y in zip(designs, ys, strict=True)
     ]
     own = estimates(np.stack([m for m, _ in alone]), np.stack([c for _, c in alone]), named)
-    learned = learn([own], named, 3)
+    learned = learn(own, named, 3)
     pooled = learned.moments(own)
     assert learned.population.ok
     # All devices in one vector (m, c₁ … c_n), one table.
