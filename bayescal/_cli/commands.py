@@ -267,11 +267,11 @@ def _several(
     """Channels of one unit."""
     found = bc.calibrate_channels(models, readings, holdout=kept or None, **how)
     from bayescal._cli.output import channels_in_short
-    from bayescal._report.save_search import channels_data, draw_channels, write_channels
+    from bayescal._report.save_search import channels_data, draw_search, searches_of, write_results
 
     def answer() -> Answer:
         if folder is not None:
-            write_channels(found, folder)
+            write_results(found, folder)
         before = request.flags_of(readings)
         fitted = {n: t.final.calibration.readings for n, t in found.trails.items()}
         print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
@@ -285,7 +285,7 @@ def _several(
         return answered
     return replace(
         answered,
-        pictures=lambda: drawn(draw_channels, found, folder),
+        pictures=lambda: drawn(draw_search, searches_of(found), folder),
         written=lambda: f"{folder}/channels.json, and a folder for each channel",
     )
 

@@ -8,9 +8,10 @@ from outside, each an equal-area map (Lambert's azimuthal), so that poses that a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from threading import RLock
 from typing import Any
 
 import numpy as np
@@ -41,11 +42,17 @@ from bayescal._search.discover import Discovery, is_quiet
 from bayescal._search.search_path import SearchPath
 
 LABEL_LETTERS = 32  # letters of a label; what is longer leaves no room for the picture
+DRAWING = RLock()  # held while something is drawn
 
 
-def own_style(**more: Any) -> AbstractContextManager[None]:
-    """What is drawn inside is drawn by Matplotlib's defaults and these, whatever settings a file of its has."""
-    return style.context(["default", more])
+@contextmanager
+def own_style(**more: Any) -> Iterator[None]:
+    """What is drawn inside is drawn by Matplotlib's defaults and these, whatever settings a file of its has.
+
+    Its settings are the whole process's: one thread draws at a time.
+    """
+    with DRAWING, style.context(["default", more]):
+        yield
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -35,34 +35,51 @@ from bayescal._search.search_path import SearchPath
 CHANNELS_SCHEMA = "bayescal.channels/1"
 
 
-def save_search(self: SearchPath, folder: Path) -> None:
-    """Write result.json, calibration.nc, loop.png and manifest.json to an existing folder.
+def save_search(self: SearchPath | Channels, folder: Path) -> None:
+    """Write result.json, calibration.nc, loop.png, manifest.json to an existing folder; of channels to a folder each.
 
     calibration.nc is of the last step; averaged.nc, where several structures share the probability, is what is to be
-    used: predictions, compensation, budgets and exports of the folder are made with it.
+    used: predictions, compensation, budgets and exports of the folder are made with it. Beside the folders of channels
+    stands channels.json; results of another unit's channels, of a run before, are removed, unless they were changed.
 
-    They take their place in one step; what else stands in the folder stays. The picture is drawn after that. Where a
-    time limit has come, or Ctrl-C, it is left out.
+    All take their place in one step; what else stands in the folder stays. Pictures are drawn after that. Where a time
+    limit has come, or Ctrl-C, they are left out.
 
     Raises:
         InputError: there is no such folder, or it cannot be written; what stood there is as it was.
-        NotDrawn: the picture could not be drawn; all else is written.
+        NotDrawn: a picture could not be drawn; all else is written.
     """
     write_results(self, folder)
-    draw_search({"": self}, folder)
+    draw_search(searches_of(self), folder)
 
 
-def write_results(trail: SearchPath, folder: Path) -> None:
-    """Write what `SearchPath.save` does but for the picture.
+def searches_of(found: SearchPath | Channels) -> dict[str, SearchPath]:
+    """Each search by the folder, in that of all results, that its own stand in; "" is that folder itself."""
+    if isinstance(found, SearchPath):
+        return {"": found}
+    return {inner: found.trails[name] for name, inner in folders_of(found.trails).items()}
+
+
+def write_results(found: SearchPath | Channels, folder: Path) -> None:
+    """Write what `save_search` does but for the pictures.
 
     Raises:
         InputError: as there.
     """
-    with whole_folder(Path(folder), without=UNDER_WAY) as hidden:
-        write_search(trail, hidden)
+    folder = Path(folder)
+    with whole_folder(folder, without=UNDER_WAY) as hidden:
+        for inner, trail in searches_of(found).items():
+            write_search(trail, hidden / inner)
+        if isinstance(found, SearchPath):
+            return
+        write_json(channels_data(found), hidden / CHANNELS)
+        with suppress(InputError):  # none were there, or none that can be read
+            for inner in channel_folders(folder):
+                if (folder / inner).is_dir() and not (folder / inner).is_symlink():
+                    (hidden / inner).mkdir(exist_ok=True)
 
 
-def draw_search(trails: Mapping[str, SearchPath], folder: Path) -> None:
+def draw_search(searches: Mapping[str, SearchPath], folder: Path) -> None:
     """Draw the picture of each search, by the folder in this one that its results stand in; unless time is up.
 
     Raises:
@@ -73,7 +90,7 @@ def draw_search(trails: Mapping[str, SearchPath], folder: Path) -> None:
     with drawing(PICTURE), whole_folder(Path(folder), more=True) as hidden:
         from bayescal._report.plots import loop, own_style, save
 
-        for place, trail in trails.items():
+        for place, trail in searches.items():
             with own_style():
                 save(loop(trail), hidden / place / PICTURE)
             list_files(hidden / place, None)
@@ -94,7 +111,7 @@ def write_search(trail: SearchPath, folder: Path) -> None:
     list_files(folder, identity(calibration))
 
 
-SearchPath.save = save_search
+SearchPath.save = Channels.save = save_search
 SearchPath.in_short = property(  # pyright: ignore[reportAttributeAccessIssue]
     lambda self: conclusion(of_trail(self))
 )
@@ -133,46 +150,3 @@ def channels_data(found: Channels) -> dict[str, Any]:
             "ok": found.ok,
         }
     )
-
-
-def save_channels(self: Channels, folder: Path) -> None:
-    """Write a folder for each channel (as `SearchPath.save` does) and channels.json to an existing folder.
-
-    All take their place in one step. Results of another unit's channels, of a run before, are removed, unless they were
-    changed since.
-
-    Raises:
-        InputError: there is no such folder, or it cannot be written.
-        NotDrawn: a picture could not be drawn; all else is written.
-    """
-    write_channels(self, folder)
-    draw_channels(self, folder)
-
-
-def write_channels(found: Channels, folder: Path) -> None:
-    """Write what `Channels.save` does but for the pictures.
-
-    Raises:
-        InputError: as there.
-    """
-    folder = Path(folder)
-    with whole_folder(folder, without=UNDER_WAY) as hidden:
-        for name, inner in folders_of(found.trails).items():
-            write_search(found.trails[name], hidden / inner)
-        write_json(channels_data(found), hidden / CHANNELS)
-        with suppress(InputError):  # none were there, or none that can be read
-            for inner in channel_folders(folder):
-                if (folder / inner).is_dir() and not (folder / inner).is_symlink():
-                    (hidden / inner).mkdir(exist_ok=True)
-
-
-def draw_channels(found: Channels, folder: Path) -> None:
-    """Draw the picture of each channel's search beside its results; unless time is up.
-
-    Raises:
-        NotDrawn: one could not be drawn.
-    """
-    draw_search({f: found.trails[n] for n, f in folders_of(found.trails).items()}, folder)
-
-
-Channels.save = save_channels

@@ -160,33 +160,20 @@ def _read_result(path: Path) -> dict[str, Any]:
 
 def _refuse_strangers(folder: Path, data: dict[str, Any], calibration: Calibration) -> None:
     """A result and a calibration of two different runs make no report."""
+    own = identity(calibration)
     try:
-        told = (
-            data["instrument"],
-            data["steps"][-1]["effects"],
-            data["seed"],
-            [data["readings"]["rows"], data["readings"]["sha256"]],
-            # An identity of 0.2.0 is of the names that were used then.
-            identity(calibration) if data["schema"] == FORMER else data["calibration"],
-        )
-    except (KeyError, IndexError, TypeError) as error:
+        # An identity of 0.2.0 is of the names that were used then: there the bytes of the readings tell.
+        if data["schema"] == FORMER:
+            same, told = data["readings"]["sha256"] == hashes(calibration.readings), "of 0.2.0"
+        else:
+            same, told = data["calibration"] == own, data["calibration"]
+    except (KeyError, TypeError) as error:
         raise InputError(f"{folder / RESULT} is incomplete ({error!r}): calibrate again") from None
-    c = calibration
-    own = (
-        c.model.instrument.name,
-        list(c.model.names),
-        c.seed,
-        [len(c.readings), hashes(c.readings)],
-        identity(c),
-    )
-    for what, theirs, ours in zip(
-        ("instrument", "effects", "seed", "readings", "identity"), told, own, strict=True
-    ):
-        if theirs != ours:
-            raise InputError(
-                f"{RESULT} and {CALIBRATION} in {folder} are of different fits: {what} {theirs} and {ours}. Calibrate "
-                f"again, or give {CALIBRATION} alone"
-            )
+    if not same:
+        raise InputError(
+            f"{RESULT} and {CALIBRATION} in {folder} are of different fits: identity {told} and {own}. Calibrate "
+            f"again, or give {CALIBRATION} alone"
+        )
 
 
 def trail_of(calibrations: list[Calibration], effects: tuple[Effect, ...] = ()) -> SearchPath:

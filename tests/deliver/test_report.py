@@ -214,7 +214,7 @@ def test_a_folder_of_two_different_fits_is_refused(folder: Path, tmp_path: Path)
     with pytest.raises(bc.InputError, match=r"has no calibration\.nc: give a folder"):
         of_folder(tmp_path, instruments=own)
     (tmp_path / "calibration.nc").write_bytes((folder / "baseline.nc").read_bytes())
-    with pytest.raises(bc.InputError, match="are of different fits: effects"):
+    with pytest.raises(bc.InputError, match="are of different fits: identity"):
         of_folder(tmp_path, instruments=own)
 
 
