@@ -33,6 +33,7 @@ from bayescal._data.header_rules import (
     plain,
     raw_unit,
     readings_of,
+    told_apart,
     unit_behind,
 )
 from bayescal._data.pose_rows import MAGNITUDE
@@ -62,6 +63,7 @@ from bayescal._tables.raw_table import (
 )
 
 MISSING_READINGS = ("refuse", "drop")
+_LACKS = "no such column"
 
 
 class InstrumentLike(Protocol):
@@ -434,6 +436,7 @@ class MatchedFile:
             if _needed(column) and name not in self.positions and name not in self.options.columns
         ]
         alike = {c.name: self.rule(c.name).resembled(free) for c in lacking}
+        alike = told_apart(alike)
         place = {h.raw: i for i, h in reversed([*enumerate(self.table.headers)])}
         single = [found[0].raw for found in alike.values() if len(found) == 1]
         for column in lacking:
@@ -479,8 +482,10 @@ class MatchedFile:
         given = chosen
         if not one:
             given = option("--columns", f"{column.name}=HEADER")
-            given += f" {option('--unit', 'HEADER=UNIT')}" * (column.unit is not None)
-        self.problem(column.name, "no such column", asked, cure, given, sentence=sentence)
+            own = [self.rule(column.name).fitting(h, {}) or h.unit for h in alike] or [None]
+            without = column.unit is not None and not all(own)
+            given += f" {option('--unit', 'HEADER=UNIT')}" * without
+        self.problem(column.name, _LACKS, asked, cure, given, sentence=sentence)
 
     def fix_units(self, offered: Mapping[str, tuple[int, Header]]) -> None:
         """Give columns a unit in place of "any": the fixed unit of what the file has, or of a header that is offered.
@@ -573,7 +578,24 @@ class MatchedFile:
                 "or give units=)"
             )
             flags.append(Flag(said, "column.ignored", *without_unit))
-        return kept, flags
+        return kept, [*flags, *self._unused(kept)]
+
+    def _unused(self, kept: Mapping[str, Column]) -> list[str]:
+        """Which columns that are kept for themselves may be one that the instrument could use, by their unit alone."""
+        said = []
+        for name, column in kept.items():
+            alike = [n for n, c in kept.items() if c.unit == column.unit]
+            meant = [
+                n for n, c in self.expected.items()
+                if n not in self.positions and not _needed(c) and c.unit == column.unit != "1"
+            ]  # fmt: skip
+            if meant and len(alike) == 1:
+                raw = self.header(name).raw
+                asked = " or ".join(option("--columns", f"{n}={raw}") for n in meant)
+                said.append(
+                    f"{self.table.file}: may {raw!r} be {' or '.join(meant)}? Say so: {asked}"
+                )
+        return said
 
     def _note_unclear(self, position: int, unit: str | None) -> None:
         """Note a column that would be left out and may be of use: how to keep it, and how to leave it out."""
@@ -581,11 +603,10 @@ class MatchedFile:
         meant = self.could_be(header)
         column = self.expected[meant] if meant else None
         kind = (column and column.unit) or ANY
-        known = _known(unit, kind)
+        known, lacking = _known(unit, kind), any(p.came == _LACKS for p in self.problems)
         came = f"ends in [{unit}], no unit known here" if unit else "has no unit"
         left = option("--ignore", header.raw)
-        shown = known or (column.example if column else "UNIT")
-        keep = option("--unit", f"{header.raw}={shown}")
+        keep = option("--unit", f"{header.raw}={known or 'UNIT'}")
         if column:
             wanted, dates = f"{column.name} [{column.example}]", False
             if column.name == "time":
@@ -593,7 +614,7 @@ class MatchedFile:
             keep = option("--columns", f"{column.name}={header.raw}") + f" {keep}" * (not dates)
             cure = f"It may be {column.name}: say so and in which unit, or leave the column out: {left}"
             self.problem(header.raw, came, wanted, cure, keep)
-        elif known:
+        elif known or lacking:  # what may be needed is not proposed to be left out
             cure = f"Say its unit, or leave the column out: {left}"
             self.problem(header.raw, came, "a unit known here", cure, keep)
         else:

@@ -23,7 +23,6 @@ from bayescal._data.unit_conversion import (
     SPELLINGS,
     WHERE_EXPECTED,
     alike,
-    pretty,
     same_dimension,
     unit_in,
 )
@@ -42,14 +41,16 @@ NAMES = {
     "run": "run_no run_nr run_number run_id test_run",
     "device": "device_id serial serial_no serial_number sn",
 }
-# Names under which labels are known where their values are labels too: text or whole numbers, each for a while.
+# Names under which labels are known where their values are labels too: text or whole numbers, each for a while; what
+# says that it is counted, such as "no." or "id", is left out of a name before.
 LABELS = {
-    "run": "cycle cycle_no cycle_nr cycle_number cycle_id zyklus zyklus_nr lauf lauf_nr laufnummer messung messung_nr "
-    "messreihe versuch versuch_nr versuchsnummer durchgang durchlauf essai essai_no passage sweep trial trial_no "
-    "test_no test_nr test_id test_number run_label repetition wiederholung",
-    "device": "dut dut_id dut_no device_no device_nr unit_id unit_no sensor_id sensor_no sensor_nr sensor_sn prufling "
-    "pruefling seriennummer serien_nr geraet gerat capteur numero_de_serie",
+    "run": "run run_label test_run cycle zyklus lauf laufnummer messung messreihe versuch versuchsnummer durchgang "
+    "durchlauf essai passage sweep trial test repetition wiederholung mounting montage aufspannung setup",
+    "device": "device dut unit sensor serial sensor_sn sn prufling pruefling seriennummer serien geraet gerat capteur "
+    "serie",
+    "axis": "axis achse axe",
 }
+COUNTED = frozenset(["no", "nr", "n", "number", "num", "nummer", "numero", "id", "de", "du"])
 # What stands in place of a unit where there is none.
 NO_UNIT = frozenset(
     ["", "1", "-", "#", "no", "no.", "nr", "nr.", "n", "№", "id", "text", "label", "index", "none"]
@@ -163,9 +164,9 @@ def by_name(headers: Sequence[Header]) -> dict[str, list[int]]:
 
 def labels_in(header: Header) -> str | None:
     """Which of our columns of labels a header names by one of the names in `LABELS`; None for none."""
-    names = {plain(r.name) for r in readings_of(header) if (r.unit or "").lower() in NO_UNIT}
-    known = {ours: {ours, *NAMES[ours].split(), *more.split()} for ours, more in LABELS.items()}
-    return next((ours for ours, those in known.items() if names & those), None)
+    names = (plain(r.name) for r in readings_of(header) if (r.unit or "").lower() in NO_UNIT)
+    nouns = {"_".join(word for word in name.split("_") if word not in COUNTED) for name in names}
+    return next((ours for ours, those in LABELS.items() if nouns & {*those.split()}), None)
 
 
 def like_labels(texts: np.ndarray, in_turn: bool = False) -> bool:
@@ -269,9 +270,7 @@ class ColumnRule:
         found = {
             unit: replace(reading, unit=unit)
             for reading in readings_of(header)
-            if reading.unit
-            and (unit := unit_in(reading.unit, self.kinds))
-            and any(map(str.isalpha, pretty(unit)))
+            if reading.unit and (unit := unit_in(reading.unit, self.kinds)) and not unit.isdigit()
         }
         return found.popitem()[1] if len(found) == 1 and header.raw not in given else None
 
@@ -295,7 +294,9 @@ class ColumnRule:
         begun = [words for kind, words in BEGINNINGS.items() if unit == ANY or alike(kind, unit)]
         usual = [h for h in headers for words in begun if plain(h.name).startswith(words)]
         likely = [h for h in usual if h.raw in best] or usual or fitting
-        return likely or self.output * with_unit(_is_raw)
+        known = with_unit(lambda own: bool(unit_in(own, (ANY,))))
+        unknown = [h for h in headers if h not in known and like_a_unit(h)]
+        return likely or self.output * [*with_unit(_is_raw), *unknown]
 
     def could_be(self, header: Header) -> bool:
         """Whether a header names it in part; of a label or a known uncertainty none does."""
@@ -306,6 +307,30 @@ class ColumnRule:
         parts = set(plain(self.column.name).split("_"))
         words = (plain(reading.name) for reading in readings_of(header))
         return any(name in names or parts <= set(name.split("_")) for name in words)
+
+
+def told_apart(alike: Mapping[str, Sequence[Header]]) -> dict[str, list[Header]]:
+    """The headers that look like each missing column, by its name: those alone that share a word with it, where some
+    do and some do not ("Beschl. X" with `output_x`, "U_out" with `output`), and no other's only one."""
+    found = dict[str, list[Header]]()
+    for name, headers in alike.items():
+        near = [h for h in headers if _share_a_word(plain(h.name), name)]
+        found[name] = near or [*headers]
+    while True:
+        single = {h[0].raw: name for name, h in found.items() if len(h) == 1}
+        fewer = {
+            name: [h for h in headers if single.get(h.raw, name) == name] or headers
+            for name, headers in found.items()
+        }
+        if fewer == found:
+            return found
+        found = fewer
+
+
+def _share_a_word(theirs: str, ours: str) -> bool:
+    """Whether names share a word, or the beginning of one, of three letters or more; of one letter, such as an axis."""
+    words = [(a, b) for a in theirs.split("_") for b in ours.split("_") if a and b]
+    return any(a == b or (min(len(a), len(b)) > 2 and b.startswith(a)) for a, b in words)
 
 
 def channels_beside(output: str, columns: Mapping[str, str | None], unit: str | None) -> list[str]:

@@ -262,12 +262,15 @@ def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
     found, units = None, list[str]()
     texts = [text for _, text, _ in there]
     after = [i for i, text in enumerate(texts) if text.startswith(_LABVIEW)]
-    for i in range(after[-1] + 1 if after else 0, len(there)):
-        separator = _separator_of(texts[i])
+    begin = after[-1] + 1 if after else 0
+    tried = [(i, one) for i, text in enumerate(texts) if i >= begin for one in _separators_of(text)]
+    for i, separator in tried:
         rows = [_fields_of(text, separator) for text in texts]
         if found := header_rows(rows, i):
-            units = _labview_units(rows[:i])
+            units, scan.separator = _labview_units(rows[:i]), separator
             break
+    else:
+        scan.separator = _separators_of(texts[0])[0]
     row, text, end = there[found.first if found else 0]
     last, _, end = there[found.last] if found else (row, text, end)
     handle.seek(0)
@@ -296,14 +299,12 @@ def _labview_units(above: Sequence[Sequence[str]]) -> list[str]:
     return ["s" if "Time" in stated.get("X_Dimension", ()) else "", *stated["Y_Unit_Label"]]
 
 
-def _separator_of(line: str) -> str:
-    counts = {separator: line.count(separator) for separator in (";", "\t", "|", ",")}
-    most = max(counts, key=lambda separator: counts[separator])
-    return most if counts[most] else ","
+def _separators_of(line: str) -> list[str]:
+    """What may part the fields of a line, the most frequent first."""
+    return sorted(filter(line.count, (";", "\t", "|", ",")), key=line.count, reverse=True) or [","]
 
 
 def _split_header(scan: CsvScan, row: int, line: str) -> None:
-    scan.separator = _separator_of(line)
     refuse_many(scan.file, 1 + line.count(scan.separator))
     if not any(map(math.isnan, map(number_of, line.split(scan.separator)))):
         raise unusable(

@@ -15,12 +15,20 @@ import pytest
 
 import bayescal as bc
 from bayescal._data.unit_conversion import base_unit, convert
-from bayescal_models import accelerometer_triad, mems_gyro, still_sensor
+from bayescal_models import (
+    accelerometer_dividing_head,
+    accelerometer_triad,
+    inclinometer,
+    mems_gyro,
+    still_sensor,
+)
 from tests.support.command_line import options_of
 from tests.support.lab_headers import RATE, ROWS, RUN, TEMPERATURE, TIME, LabFile, lab_file
 
 SMALL_FAILS = Path(__file__).parents[3] / "shared" / "data" / "small_fails"
 STILL, GYRO = still_sensor.INSTRUMENT, mems_gyro.INSTRUMENT
+TRIAD, LEVEL = accelerometer_triad.INSTRUMENT, inclinometer.INSTRUMENT
+HEAD = accelerometer_dividing_head.INSTRUMENT
 STEPS = np.arange(60) * 10.0
 
 
@@ -149,12 +157,84 @@ def test_what_is_called_a_cycle_and_holds_no_labels_is_none(put) -> None:
         assert not found.has("run") and any("Cycle" in flag for flag in found.flags)
 
 
+@pytest.mark.parametrize(
+    ("head", "ours"),
+    [("Essai n°", "run"), ("N° de montage", "run"), ("Mounting", "run"), ("Zyklus-Nr.", "run")]
+    + [("Sensor ID", "device"), ("N° de série", "device"), ("Achse", "axis")],
+)
+def test_what_says_that_labels_are_counted_is_no_part_of_their_name(put, head, ours) -> None:
+    path = put(at_rest(**{"time [s]": STEPS, head: (STEPS // 200).astype(int)}))
+    assert bc.read(path, GYRO).groups(ours)[0] == ("0", "1", "2")
+
+
 @pytest.mark.parametrize("head", ["Charge [#]", "Block [xyz]"])
 def test_labels_of_an_unknown_name_are_asked_about_and_never_left_out(put, head) -> None:
     path = put(at_rest(**{"time [s]": STEPS, head: (STEPS // 200).astype(int)}))
     asked = options_said(path, STILL)
     assert "--ignore" not in asked
     assert bc.read(path, STILL, **options_of(asked)).groups("run")[0] == ("0", "1", "2")
+
+
+# --- options that are suggested ---------------------------------------------------------------------------------
+
+
+def numbers(rows: int = 24, columns: int = 3) -> list[list[float]]:
+    return np.random.default_rng(3).uniform(-0.9, 0.9, (rows, columns)).round(4).tolist()
+
+
+@pytest.mark.parametrize("head", ["Angle (°)", "Winkel/°", "Head angle (deg)", "theta_deg"])
+def test_degrees_of_a_column_that_the_user_names_are_known(put, head) -> None:
+    rows = numbers()
+    path = put("\n".join([f"temp_c,{head},acc [g]", *(",".join(map(str, r)) for r in rows)]))
+    found = bc.read(path, HEAD, **options_of(options_said(path, HEAD)))
+    assert np.allclose(found["position_angle"], np.deg2rad([row[1] for row in rows]))
+
+
+@pytest.mark.parametrize("heads", ["Beschl. X (g);Beschl. Y (g);Beschl. Z (g)", "z/g;y/g;x/g"])
+def test_axes_are_told_apart_by_the_letters_in_their_names(put, heads) -> None:
+    rows = numbers()
+    path = put("\n".join([heads, *(";".join(map(str, row)) for row in rows)]))
+    found = bc.read(path, TRIAD, **options_of(options_said(path, TRIAD)))
+    x = 0 if "X" in heads else 2
+    assert np.allclose(found["output_x"], [row[x] for row in rows])
+
+
+def test_a_column_that_is_another_s_only_one_is_not_proposed(put) -> None:
+    path = put(
+        "\n".join(["Angle (deg),Tilt (arcmin)", *(f"{i},{0.1 * i % 1:.2f}" for i in range(24))])
+    )
+    found = bc.read(path, LEVEL, **options_of(options_said(path, LEVEL)))
+    assert np.allclose(found["output"][:3], [0.0, 6.0, 12.0])
+
+
+@pytest.mark.parametrize("head", ["Drehrate (grad/s)", "Rate [quux]"])
+def test_what_may_be_needed_is_not_proposed_to_be_left_out(put, head) -> None:
+    columns = {"time [s]": STEPS, "temperature [degC]": 20 + STEPS / 20, "UB (V)": 5 + STEPS % 7}
+    asked = options_said(put(table(**columns, **{head: STEPS / 1e4})), GYRO)
+    assert "--ignore" not in asked and "UB (V)" not in asked and "UNIT" in asked
+
+
+def test_a_unit_that_nothing_shows_is_not_suggested(put) -> None:
+    columns = {"SampleTimeFine": STEPS * 1e4, "ax [g]": STEPS, "ay [g]": STEPS, "az [g]": STEPS}
+    with pytest.raises(bc.InputError, match="SampleTimeFine=UNIT"):
+        bc.read(put(table(**columns)), TRIAD)
+
+
+def test_no_unit_is_asked_of_headers_that_have_one(put) -> None:
+    columns = {"time [s]": STEPS, "Oven (°C)": 20 + STEPS / 20, "Flow (l/min)": STEPS}
+    assert options_said(put(table(**columns)), STILL) == "--columns output=HEADER"
+
+
+def test_a_column_that_may_be_one_of_the_instrument_s_is_said(put) -> None:
+    columns = {"time [s]": STEPS, "Room temp. (°C)": 20 + STEPS / 20, "output [g]": STEPS / 1e6}
+    flags = bc.read(put(table(**columns)), STILL).flags
+    assert any("--columns 'temperature=Room temp. (°C)'" in flag for flag in flags)
+
+
+def test_the_separator_is_what_parts_the_readings(put) -> None:
+    rows = [f"{10 * i}\t{20 + i / 20}\t{0.1 * (i % 5):.1f}" for i in range(30)]
+    found = bc.read(put("\n".join(["Time,s\tTemp,degC\toutput,deg/s", *rows])), GYRO)
+    assert np.allclose(found["output"][:3], [0.0, 0.1, 0.2])
 
 
 # --- units ------------------------------------------------------------------------------------------------------
@@ -299,10 +379,10 @@ def test_stamps_of_drivers_have_the_noise_of_the_sensor(name) -> None:
 def test_poses_that_are_held_briefly_are_all_found() -> None:
     columns = {f"output_{a}": f"a{a}" for a in "xyz"}
     path = small_input("short_holds_triad/shortposes.csv")
-    log = bc.read(path, accelerometer_triad.INSTRUMENT, columns=columns)
-    poses = bc.poses(log, accelerometer_triad.INSTRUMENT)
+    log = bc.read(path, TRIAD, columns=columns)
+    poses = bc.poses(log, TRIAD)
     assert len(poses) == 30
-    found = bc.fit(accelerometer_triad.INSTRUMENT.baseline(), poses, bc.LeastSquares())
+    found = bc.fit(TRIAD.baseline(), poses, bc.LeastSquares())
     true = {
         "bias.constant": (8.0, -4.0, 12.0),
         "scale.constant": (2000.0, 5000.0, 5500.0),
