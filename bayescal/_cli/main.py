@@ -58,7 +58,7 @@ def main() -> None:
     except (NotConverged, TimeIsUp, NotDrawn) as error:
         _fail(str(error), 1)
     except BayescalError as error:
-        _fail(str(error), 2, listed=len(getattr(error, "problems", ())) > 1)
+        _fail(str(error), 2, listed="\n- " in str(error))
     except typer.Abort:
         _fail("stopped: what was written before stays as it was", INTERRUPTED)
     except BrokenPipeError:  # the reader, such as `head`, has seen enough

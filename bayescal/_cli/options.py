@@ -31,14 +31,27 @@ def named_values(given: list[str] | None, option: str) -> dict[str, str]:
     """name=value options as a dictionary.
 
     Raises:
+        InputError: one is not of that form, or a name has two values.
+    """
+    for name, values in (found := said_values(given, option)).items():
+        if len(values) > 1:
+            raise InputError(f"{option} says {name} twice, {' and '.join(values)}: say it once")
+    return {name: values[0] for name, values in found.items()}
+
+
+def said_values(given: list[str] | None, option: str) -> dict[str, list[str]]:
+    """name=value options, every value of a name.
+
+    Raises:
         InputError: one is not of that form.
     """
-    values = {}
+    values = dict[str, list[str]]()
     for one in given or []:
-        name, equals, value = one.partition("=")
+        name, equals, value = (part.strip() for part in one.partition("="))
         if not (name and equals and value):
             raise InputError(f"{option} {one!r} is not of the form name=value")
-        values[name.strip()] = value.strip()
+        if value not in values.setdefault(name, []):
+            values[name].append(value)
     return values
 
 
@@ -150,7 +163,7 @@ HELP = {
     ),
     "channels": "Columns of the file that are outputs of one unit, searched together: gyro_x,gyro_y,gyro_z.",
     "check": "Try this instrument on itself: simulate its plausible sizes, fit them, say what came back.",
-    "columns": "output=gyro_x: our column = the file's; repeat for more.",
+    "columns": "output=gyro_x: our column = the file's; repeat for more, and where files call one differently.",
     "compare.structure": (
         "Structure to set beside the others, or with effects added, as line+bias.thermal_lag; repeat. All of the "
         "instrument's if none is given."
@@ -338,9 +351,13 @@ class ColumnOptions:
 
         saved = {} if self.mapping is None else load_mapping(self.mapping)
         given = {n: v for n, v in vars(self).items() if v is not None and "mapping" not in n}
-        for option, name in {"columns": "columns", "unit": "units", "unwrap": "unwrap"}.items():
-            own = named_values(given.pop(option, None), f"--{option}")
-            saved[name] = saved.get(name, {}) | own
+        columns = said_values(given.pop("columns", None), "--columns")
+        own: dict[str, dict[str, Any]] = {
+            "columns": {n: v[0] if len(v) == 1 else v for n, v in columns.items()},
+            "units": named_values(given.pop("unit", None), "--unit"),
+            "unwrap": named_values(given.pop("unwrap", None), "--unwrap"),
+        }
+        saved |= {name: saved.get(name, {}) | values for name, values in own.items()}
         usual = {"local_gravity": STANDARD_GRAVITY, "missing": "refuse", "decimal": ""}
         return {**usual, **saved, **given}
 

@@ -91,7 +91,8 @@ class ReadOptions:
     """What the user says beside the file.
 
     Attributes:
-        columns: our name → the file's.
+        columns: our name → the file's; of several, which name the same in different files, the first.
+        others_called: our name → those several.
         units: the file's name, or ours → unit.
         local_gravity: m/s².
         local_field: magnitude of the magnetic field, in the unit of the instrument's column `magnitude`; None where
@@ -108,6 +109,7 @@ class ReadOptions:
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
+    others_called: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     local_gravity: float = STANDARD_GRAVITY
     local_field: float | None = None
@@ -154,9 +156,38 @@ class ReadOptions:
                 instrument.
         """
         field = None if local_field is None else _field_in_words(instrument, local_field)
-        made = cls(**given, local_field=field, ignore=tuple(ignore))
+        said = {n: [v] if isinstance(v, str) else [*v] for n, v in given.pop("columns", {}).items()}
+        given |= {"columns": {name: names[0] for name, names in said.items()}}
+        several = {name: tuple(names) for name, names in said.items() if len(names) > 1}
+        made = cls(**given, others_called=several, local_field=field, ignore=tuple(ignore))
         scale = _scale_in_words(instrument, nominal_scale, nominal_zero, made.local_gravity)
         return replace(made, nominal_scale=scale)
+
+    @property
+    def headers(self) -> tuple[str, ...]:
+        """All headers that columns are said to have."""
+        return (
+            *self.columns.values(),
+            *(n for names in self.others_called.values() for n in names),
+        )
+
+    def of_file(self, table: Table, beside: Sequence[Table] = ()) -> ReadOptions:
+        """As they are of one file: of several headers of a column, the one that it has.
+
+        A header that it lacks and a file beside it has was said for that one: here nothing is said of its column.
+        """
+        columns = dict(self.columns)
+        for ours, first in self.columns.items():
+            names = self.others_called.get(ours, (first,))
+
+            def those_in(one: Table, names: Sequence[str] = names) -> list[str]:
+                return [n for n in names if called(one.headers, in_one_line(n)) is not None]
+
+            if there := those_in(table):
+                columns[ours] = there[0]
+            elif any(map(those_in, beside)):
+                del columns[ours]
+        return replace(self, columns=columns, others_called={})
 
     def leaves_out(self, header: Header) -> bool:
         """Whether a column is left out, as the user says, or as it is another channel's output."""
@@ -288,6 +319,7 @@ class MatchedFile:
     def __post_init__(self) -> None:
         """Read the headers."""
         self.expected = expected_columns(self.instrument)
+        self.options = self.options.of_file(self.table)
         headers, notes, positions = list(self.table.headers), list(self.table.notes), self.positions
 
         def take(position: int, reading: Header, say: str) -> None:
@@ -301,7 +333,9 @@ class MatchedFile:
             position = called(headers, asked)
             if position is None:
                 came = f"no such column, but columns={{{ours!r}: {theirs!r}}}"
-                self.problem(theirs, came, cure=_there(self.table, theirs))
+                like = self.rule(ours).resembled([h for h in headers if h.name])
+                asked = option("--columns", f"{ours}={like[0].raw}") if len(like) == 1 else ""
+                self.problem(theirs, came, cure=_there(self.table, theirs), option=asked)
             elif position in positions.values():
                 other = next(name for name, taken in positions.items() if taken == position)
                 came = f"both {other} and {ours} by columns= (--columns)"
@@ -659,7 +693,8 @@ def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Obje
         for h in t.headers
         for name in (h.raw, *(r.name for r in readings_of(h)))
     }
-    known |= {"time", *options.columns} if "time" in options.unwrap else set(options.columns)
+    known |= {*options.columns, *options.headers}
+    known |= {"time"} & options.unwrap.keys()
     said = {name: f"units={{{name!r}: {unit!r}}}" for name, unit in options.units.items()}
     said |= {name: f"ignore=[{name!r}]" for name in options.ignore}
     said |= {name: f"unwrap={{{name!r}: {text!r}}}" for name, text in options.unwrap.items()}

@@ -411,9 +411,10 @@ def measured(
     problems, parts = Objections(problems or ()), list[ConvertedColumns]()
     if not problems:
         unused_options(tables, options, problems)
-    for table in tables:
+    own = [options.of_file(table, tables) for table in tables]
+    for table, of_it in zip(tables, own, strict=True):
         with problems.collecting(table.file):
-            part = convert_columns(table, instrument, options, problems)
+            part = convert_columns(table, instrument, of_it, problems)
             parts.append(part)
             records_known = part.unread.isdisjoint(("run", "device", "axis"))
             if problems and records_known:  # said with the rest
@@ -421,8 +422,9 @@ def measured(
     problems.refuse()
     whole = joined(parts, labels)
     problems_of_whole(whole, instrument, one_temperature).refuse()
-    output = options.columns.get(output_name(instrument), "")
-    sources = tuple(Source(t.file, t.sha256, t.rows, output) for t in tables if t.sha256)
+    outputs = (of_it.columns.get(output_name(instrument), "") for of_it in own)
+    both = zip(tables, outputs, strict=True)
+    sources = tuple(Source(t.file, t.sha256, t.rows, output) for t, output in both if t.sha256)
     return assemble(whole, instrument, sources, options.nominal_scale)
 
 

@@ -44,7 +44,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
     instrument: InstrumentLike,
     *,
     outputs: Sequence[str] | None = None,
-    columns: Mapping[str, str] | None = None,
+    columns: Mapping[str, str | Sequence[str]] | None = None,
     units: Mapping[str, str] | None = None,
     local_gravity: float = STANDARD_GRAVITY,
     local_field: str | None = None,
@@ -71,7 +71,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         path_or_paths: the files.
         instrument: whose readings they are.
         outputs: the file's names of several channels of one unit: each is read as the output, the others left out.
-        columns: our name → the file's, where they differ: {"output": "gyro_x"}.
+        columns: our name → the file's, where they differ: {"output": "gyro_x"}; several, where files differ.
         units: the file's name (or ours) → unit, where the header has none or a wrong one.
         local_gravity: m/s², for columns in m/s²; internal accelerations are in local g.
         local_field: magnitude of the magnetic field that magnetometers are turned in, such as "48.2 uT".
@@ -116,8 +116,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         problems, tables = Objections(), list[Table]()
         for path, name in zip(paths, names, strict=True):
             with problems.collecting(name):
-                asked = tuple(options.columns.values())
-                tables.append(open_table(path, name, max_bytes, options.decimal, asked))
+                tables.append(open_table(path, name, max_bytes, options.decimal, options.headers))
         return measured(tables, instrument, options, allow_one_temperature, _runs(paths), problems)
 
     return one(options) if outputs is None else _each(outputs, options, instrument, one)

@@ -31,6 +31,7 @@ from bayescal._fleet.population import Population
 FORMAT = "bayescal.batch/1"
 AGAIN = "Take a copy, or run the batch again"
 SHOWN_DEVICES = 10  # devices, files that are named in print
+SHOWN_ALIKE = 3  # of those of which the same is said
 SCHEMA = pa.schema(
     [
         ("device", pa.string()),
@@ -47,9 +48,18 @@ COLUMNS = tuple(SCHEMA.names[:-1])  # of the table that a user sees
 
 
 def first_few(items: Mapping[str, str], total: int, head: str = "", more: str = "") -> list[str]:
-    """Names and what is said of them, a line each, the first ten; then how many more there are."""
-    lines = [f"  {head}{name}: {why}" for name, why in list(items.items())[:SHOWN_DEVICES]]
-    rest = total - len(lines)
+    """Names and what is said of them, the first ten; then how many more there are. What is the same of several is said
+    once, what is said of the most first."""
+    alike: dict[str, list[str]] = {}
+    for name, why in items.items():
+        key = why.replace(repr(name), "").replace(f"device {name}", "")
+        alike.setdefault(key, []).append(name)
+    shown = sorted(alike.values(), key=len, reverse=True)[:SHOWN_DEVICES]
+    lines = []
+    for names in shown:
+        others = f" and {len(names) - SHOWN_ALIKE} more" * (len(names) > SHOWN_ALIKE)
+        lines.append(f"  {head}{', '.join(names[:SHOWN_ALIKE])}{others}: {items[names[0]]}")
+    rest = total - sum(map(len, shown))
     return [*lines, f"  … and {rest} more{more}"] if rest > 0 else lines
 
 
@@ -273,9 +283,7 @@ class BatchResult:
     def __str__(self) -> str:
         bad = np.flatnonzero(~self.ok)
         lines = [f"{len(self)} devices, {len(self) - len(bad)} fitted ({self.about['method']})"]
-        lines += first_few(
-            {self.devices[i]: self.reasons[i] for i in bad[:SHOWN_DEVICES]}, len(bad)
-        )
+        lines += first_few({self.devices[i]: self.reasons[i] for i in bad}, len(bad))
         lines += [NOT_CHECKED, *odd_in_words(self.odd, len(self))]
         for part in self.parts:
             good = self.ok[part.devices]

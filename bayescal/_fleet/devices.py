@@ -285,8 +285,7 @@ def open_readings(path: Path, options: ReadOptions, max_bytes: int = MAX_BYTES) 
         raise InputError(
             f"{path.name!r} is larger than {max_bytes} bytes: split it, or raise max_bytes"
         )
-    asked = tuple(options.columns.values())
-    return open_table(path, path.name, max_bytes, options.decimal, asked)
+    return open_table(path, path.name, max_bytes, options.decimal, options.headers)
 
 
 def split_table(
@@ -301,7 +300,7 @@ def split_table(
     Raises:
         InputError: as `split_devices`.
     """
-    problems = Objections(table.problems)
+    problems, options = Objections(table.problems), options.of_file(table)
     unused_options([table], options, problems)
     problems.refuse()
     further = _further(table, instrument, options, needs)

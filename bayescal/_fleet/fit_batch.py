@@ -515,6 +515,7 @@ def _stretch_digest(piece: Piece) -> str:
     return digest.hexdigest()
 
 
+_NONE = "none of the devices can be used; "
 DOUBTED = 100  # devices whose result is not reliable, of which the whole says why
 
 
@@ -553,7 +554,7 @@ def fit_fleet(
     run.fit()
     done = run.in_order
     if not any(one.fitted for one in done):
-        raise InputError(f"none of the devices can be used; {run.first_reason}")
+        raise InputError(_NONE + run.reasons)
     learned = None
     files = [folder / ALONE / partitions[one.number].file for one in done]
     if named:
@@ -665,7 +666,7 @@ def _with_common(
                 return replace(request, model=outcome.value)
             reason = reason or outcome.error
     if reason and model.instrument.tailor is not None:
-        raise InputError(f"none of the devices can be used; {reason}")
+        raise InputError(_NONE + reason)
     return request
 
 
@@ -692,11 +693,11 @@ class _Run:
         return files | {self.partitions[n].name: why for n, why in sorted(self.failed.items())}
 
     @property
-    def first_reason(self) -> str:
-        """Why nothing can be used, of the first."""
-        reasons = [item for done in self.in_order for item in done.doubted.items()]
-        name, why = [*reasons, *self.missing.items(), ("", "there is none")][0]
-        return f"{name}: {why}"
+    def reasons(self) -> str:
+        """Why nothing can be used: what is said of the most first."""
+        doubted = {name: why for done in self.in_order for name, why in done.doubted.items()}
+        said = doubted | self.missing or {"": "there is none"}
+        return "\n".join(first_few(said, len(said))).strip()
 
     def fit(self) -> None:
         """Fit every partition that has no results, and refuse devices that stand in several.

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from bayescal._core.atomic_file import replacing_for_user
-from bayescal._core.json_shape import read_toml
+from bayescal._core.json_shape import OneOf, read_toml
 
 MAPPING = {  # its shape: how `read` is asked, as keywords
-    "columns?": {str: str},
+    "columns?": {str: OneOf(str, [str])},
     "units?": {str: str},
     "unwrap?": {str: str},
     "ignore?": [str],

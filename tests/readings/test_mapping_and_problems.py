@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import bayescal as bc
 from bayescal._tables.mapping_file import load_mapping, save_mapping
+from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, QUICK, needs_installation, options_of, run
 from tests.support.lab_files import HEAD, RATE, TEMPERATURE, TIME, text, with_cell
 
@@ -101,3 +102,27 @@ def test_a_still_sensor_needs_no_temperature(tmp_path: Path) -> None:
     constant = run("fit", path, "--instrument", "still_sensor", *QUICK)
     assert constant.out.splitlines()[2] == done.out.splitlines()[2]
     assert "column 'temperature' is constant (25)" in constant.err
+
+
+def test_files_that_call_a_column_differently_are_read_together(tmp_path: Path) -> None:
+    files = [tmp_path / "ours.csv", tmp_path / "theirs.csv"]
+    files[0].write_text(text(("time [s]", "Oven (C)", "gyro z (dps)"), (TIME, TEMPERATURE, NOISY)))
+    others = ("t / s", "Temp / °C", "Rate / (dps)")
+    files[1].write_text(text(others, (TIME, TEMPERATURE, NOISY)))
+    refused = run("fit", *files, *GYRO, *QUICK)
+    cures = refused.said[-1].partition(": ")[2]  # what stands there for each of them, together
+    assert refused.status == 2 and cures.count("--columns output=") + cures.count("'output=") == 2
+    kept = tmp_path / "lab.toml"
+    again = run("fit", *files, *GYRO, *QUICK, *shlex.split(cures), "--save-mapping", kept)
+    assert again.status in (0, 1), again.err
+    assert "'Temp / °C' as temperature" in again.err and "'Oven (C)' as temperature" in again.err
+    assert run("fit", *files, *GYRO, *QUICK, "--mapping", kept).out == again.out
+    columns = load_mapping(kept)["columns"]
+    found = bc.read(files, mems_gyro.INSTRUMENT, columns=columns)
+    assert np.allclose(found["output"][: len(TIME)], found["output"][len(TIME) :])
+
+
+def test_a_unit_is_said_once(tmp_path: Path) -> None:
+    (path := tmp_path / "lab.csv").write_text(UNNAMED)
+    said = run("fit", path, *GYRO, "--unit", "time=s", "--unit", "time=ms")
+    assert said.status == 2 and "--unit says time twice, s and ms: say it once" in said.err
