@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 from missing_effect import leaderboard, real, run
 from missing_effect.__main__ import main
-from missing_effect.entries import bic, bma, mbic
+from missing_effect.entries import bic, bma, exhaustive, mbic
 from missing_effect.generate import Case, generate, make, write
 from missing_effect.regression import Regression
 from missing_effect.run import InputError
@@ -188,7 +188,7 @@ def test_an_interval_holds_its_mean_and_bands_count_every_task() -> None:
     assert sum(row["count"] for row in calibration(scores)) == 100
 
 
-@pytest.mark.parametrize("entry", [bic, mbic, bma], ids=lambda e: e.__name__)
+@pytest.mark.parametrize("entry", [bic, mbic, bma, exhaustive], ids=lambda e: e.__name__)
 def test_an_entry_finds_what_the_readings_decide(entry, tmp_path: Path) -> None:
     """White noise, one effect, thirty nats and more: the true set has more probability than any other."""
     found = 0
@@ -215,6 +215,43 @@ def test_a_prediction_is_the_bases_and_what_candidates_add_beyond_it(tmp_path: P
     sd = np.sqrt(noise**2 * problem.of_base + problem.extra)
     assert problem.predict(())[1] == pytest.approx(sd, rel=1e-12)
     assert np.all(problem.of_base > 1)
+
+
+def test_the_evidence_of_a_set_is_that_of_the_whole_covariance() -> None:
+    """Base, coloured noise and two coefficients against none, at the noise's size that the set leaves."""
+    rng = np.random.default_rng(4)
+    lags = np.abs(np.subtract.outer(np.arange(50), np.arange(50)))
+    coloured, base, x = (
+        np.exp(-lags / 3),
+        rng.standard_normal((50, 4)),
+        rng.standard_normal((50, 2)),
+    )
+    y = rng.standard_normal(50) + x @ [1.0, -0.5]
+    term = exhaustive.Columns("a", x[None], x[None])
+    law = exhaustive.Law("coloured", covariance=coloured)
+    found = exhaustive.Products(law, y, (base, base), [term])
+    own, none = found.weigh((term,)), found.weigh(())
+    noise = float(own.noise[0])
+    left, before = noise * 50, float(none.noise[0]) * 50
+    gained = own.evidence[0] + np.log(exhaustive.SPREADS.size) - none.evidence[0, 0]
+    gained += 25 * np.log(left / before) + (before - left) / (2 * noise)
+
+    def density(covariance: np.ndarray) -> float:
+        return float(-np.linalg.slogdet(covariance)[1] - y @ np.linalg.solve(covariance, y)) / 2
+
+    without = noise * (coloured + base @ base.T)
+    for size, value in zip(exhaustive.SPREADS, gained, strict=True):
+        whole = density(without + size**2 * x @ x.T) - density(without)
+        assert value == pytest.approx(whole, rel=1e-6)
+
+
+def test_what_stands_outside_is_told_from_candidates(tmp_path: Path) -> None:
+    """Of three tasks with something that no candidate describes, none is taken for a candidate."""
+    for number in range(3):
+        write(make("task", Case("outside", number), edition=77), tmp_path)
+        said = exhaustive.solve(Task.read(tmp_path))
+        assert sum(p for s, p in said["sets"].items() if set(s) <= {"outside"}) > 0.5
+        assert np.all(said["sd"] > 0) and sum(said["sets"].values()) == pytest.approx(1.0)
 
 
 @pytest.mark.slow

@@ -1,0 +1,395 @@
+"""All sets of at most two candidates, counted out: sizes and shapes integrated on grids, under a grid of noise laws.
+
+Written from README and data sheet alone, as an outsider can. What the data sheet says is the prior: tracks in their
+stated shares, sizes between a third and three times the plausible one, at most two effects, five kinds of noise, or
+white noise and one thing outside that acts alone. A hypothesis is a noise law, a set, and a node of its shapes; given
+these everything is Gaussian. Base terms, with their stated sizes, are integrated out, and the noise's size (prior 1/σ);
+a candidate's coefficient by a mixture of normal distributions that tiles ± its range, several coefficients by zero-mean
+ones of several sizes. Student-t noise is Gaussian given the weights of its readings, which are those at the best fit of
+everything. Predictions are averaged over all hypotheses.
+
+Sources: linear model with normal priors, D. Lindley & A. Smith, J. R. Stat. Soc. B 34 (1972) 1; weights of Student-t
+noise, K. Lange et al., JASA 84 (1989) 881.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import cholesky, solve_triangular
+from scipy.stats import t as student
+
+from missing_effect.regression import grid
+from missing_effect.task import OUTSIDE, Task, Term
+
+Array = np.ndarray
+NODES = 13  # of a shape
+FINE = 4  # frequencies tried for each that the readings tell from others
+NEAR = 12.0  # nats behind the best noise law, up to which one's pairs are weighed
+SHOWN = 1e-4  # probability of a hypothesis that counts in the prediction
+DEGREES = 4.0  # of Student-t noise, by the data sheet
+ALIKE = 0.9  # correlation of two laboratory quantities in the track "confounded", at least
+# Tasks of the data sheet's 600, by kind of noise and number of effects.
+SHARES = {"white": (90, 84, 36), "coloured": (90, 63, 27), "outside": (0, 60)}
+FLEETS = {"white": (20, 42, 18)}
+MIDDLES = np.array([0.39, 0.60, 0.93, 1.43, 2.21])  # of normal distributions that tile 1/3 to 3
+WIDTH = 0.27  # of each, in its middle
+SPREADS = np.array([0.4, 0.7, 1.2, 2.1])  # of several coefficients together
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Of one candidate: at each node of its shape, (nodes, n, k) and (nodes, m, k), for coefficients in its size."""
+
+    name: str
+    train: Array
+    later: Array
+
+    @property
+    def mixture(self) -> tuple[Array, Array]:
+        """Means and variances of its coefficients' prior, (j, k) each; components weigh alike."""
+        k = self.train.shape[2]
+        if k > 1:
+            return np.zeros((SPREADS.size, k)), np.repeat(SPREADS[:, None] ** 2, k, axis=1)
+        middles = np.concatenate([MIDDLES, -MIDDLES])[:, None]
+        return middles, (WIDTH * middles) ** 2
+
+
+@dataclass(frozen=True)
+class Law:
+    """A kind of noise: covariance of the training readings (None: white), variance of later ones, both for σ = 1.
+
+    `beside` are columns on both parts that act with standard normal coefficients, and `named` what they stand for.
+    """
+
+    kind: str
+    weight: float = 1.0
+    covariance: Array | None = None
+    later: float | Array = 1.0
+    beside: tuple[Array, Array] | None = None
+    named: tuple[str, ...] = ()
+    gained: float = 0.0  # nats of its true density against the Gaussian one with this covariance
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A hypothesis without its prior: nodes by components of the mixture."""
+
+    law: Products
+    chosen: tuple[Columns, ...]
+    evidence: Array  # (nodes, components)
+    mean: Array  # of coefficients, (nodes, components, k)
+    precision: Array  # of coefficients, (nodes, components, k, k)
+    noise: Array  # variance of the noise, (nodes,)
+
+
+class Products:
+    """Inner products of readings and columns under a noise law, base terms integrated out."""
+
+    def __init__(self, law: Law, y: Array, base: tuple[Array, Array], terms: Sequence[Columns]):
+        self.law, self.n = law, y.size
+        self._base = (
+            [np.hstack(pair) for pair in zip(base, law.beside, strict=True)] if law.beside else base
+        )
+        flat = [c.train.transpose(1, 0, 2).reshape(self.n, -1) for c in terms]
+        ends = np.cumsum([1, *(f.shape[1] for f in flat)])
+        self._begin = dict(zip(terms, ends, strict=False))
+        all_ = np.column_stack([y, *flat, self._base[0]])
+        self.half_log = 0.0  # of the determinant
+        if law.covariance is not None:
+            root = cholesky(law.covariance, lower=True)
+            all_ = solve_triangular(root, all_, lower=True)
+            self.half_log = float(np.sum(np.log(np.diag(root))))
+        own, x = all_[:, : ends[-1]], all_[:, ends[-1] :]
+        self._root = cholesky(np.eye(x.shape[1]) + x.T @ x, lower=True)
+        self.half_log += float(np.sum(np.log(np.diag(self._root))))
+        self._inner = solve_triangular(self._root, x.T @ own, lower=True)
+        self._own = own
+        self.squares = float(own[:, 0] @ own[:, 0] - self._inner[:, 0] @ self._inner[:, 0])
+
+    def _columns(self, chosen: Sequence[Columns]) -> Array:
+        """Positions of a set's columns at all nodes together, (nodes, k)."""
+        found = np.zeros((1, 0), int)
+        for c in chosen:
+            nodes, _, k = c.train.shape
+            own = self._begin[c] + np.arange(nodes * k).reshape(nodes, k)
+            found = np.hstack([np.repeat(found, nodes, axis=0), np.tile(own, (len(found), 1))])
+        return found
+
+    def weigh(self, chosen: tuple[Columns, ...]) -> Weighed:
+        """Log evidence of a set; of none, that of the base alone."""
+        at = self._columns(chosen)
+        own, inner = self._own.T[at], self._inner.T[at]  # (nodes, k, n)
+        gram = own @ own.transpose(0, 2, 1) - inner @ inner.transpose(0, 2, 1)
+        right = own @ self._own[:, 0] - inner @ self._inner[:, 0]
+        k = at.shape[1]
+        gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(k)
+        fitted = np.sum(right * np.linalg.solve(gram, right[:, :, None])[:, :, 0], axis=1)
+        left = np.maximum(self.squares - fitted, 1e-9 * self.squares)
+        noise = left / self.n
+        mean, variance = _together([c.mixture for c in chosen])
+        precision = (gram / noise[:, None, None])[:, None] + np.eye(k) / variance[:, None, :]
+        pull = (right / noise[:, None])[:, None] + mean / variance
+        found = np.linalg.solve(precision, pull[..., None])[..., 0]
+        gain = (np.sum(pull * found, axis=2) - np.linalg.slogdet(precision)[1]) / 2
+        gain = gain - np.sum(np.log(variance) + mean**2 / variance, axis=1) / 2
+        evidence = gain - (fitted / noise)[:, None] / 2 - self.n / 2 * np.log(left)[:, None]
+        evidence = evidence - self.half_log + self.law.gained - np.log(evidence.size)
+        return Weighed(self, chosen, evidence, found, precision, noise)
+
+    def predict(self, w: Weighed, node: int, mean: Array, spread: Array) -> tuple[Array, Array]:
+        """Mean and variance of later readings, given the mean and covariance of a set's coefficients."""
+        at, later = self._columns(w.chosen)[node], self._base[1]
+        places = np.unravel_index(node, [c.train.shape[0] for c in w.chosen]) if w.chosen else ()
+        each = [c.later[i] for c, i in zip(w.chosen, places, strict=True)]
+        through = solve_triangular(self._root, later.T, lower=True).T
+        beyond = np.hstack([np.zeros((len(later), 0)), *each]) - through @ self._inner[:, at]
+        variance = w.noise[node] * self.law.later + np.sum(through**2, axis=1)
+        variance = variance + np.einsum("mi,ij,mj->m", beyond, spread, beyond)
+        return through @ self._inner[:, 0] + beyond @ mean, variance
+
+
+def solve(task: Task) -> dict[str, Any]:
+    output = task.train["output"].to_numpy(float)
+    scale, base, extra = _base(task, output)
+    y, fleet = output / scale, "device" in task.train
+    terms = [_term(t, task, scale) for t in task.candidates if not t.group]
+    groups = [_term(t, task, scale) for t in task.candidates if t.group]
+    white = Law("white")
+    laws = [Products(law, y, base, terms) for law in (white, *_group_laws(groups))]
+    if not fleet:
+        left = _residuals(y, base, terms)
+        laws += [Products(law, y, base, terms) for law in _coloured(task, left)]
+    shares = FLEETS if fleet else SHARES
+    pair = _alike(task)
+    found = list(_weighed(laws, terms, shares, pair))
+    if not fleet and not pair:
+        for some in _outside(task):
+            products = Products(white, y, base, some)
+            prior = shares["outside"][1] / (4 * len(some))
+            found += [(prior, products.weigh((c,))) for c in some]
+    return _answer(found, scale, extra)
+
+
+def _weighed(
+    laws: Sequence[Products], terms: Sequence[Columns], shares: Any, pair: tuple[str, ...]
+) -> Iterator[tuple[float, Weighed]]:
+    """Prior and evidence of noise laws with sets: pairs only under laws that are not far behind."""
+    count = len(terms) + any(p.law.named for p in laws)
+    weighed = []
+    for p in laws:  # the best candidate alone, and with each other
+        of_law = {(): p.weigh(()), **{(c,): p.weigh((c,)) for c in terms}}
+        (first,) = max(list(of_law)[1:], key=lambda s: of_law[s].evidence.max())
+        for c in combinations(terms, 2):
+            if first in c:
+                of_law[c] = p.weigh(c)
+        weighed.append((max(float(w.evidence.max()) for w in of_law.values()), p, of_law))
+    best = max(top for top, _, _ in weighed)
+    for top, p, of_law in weighed:
+        if p.law.kind == "white" or top > best - NEAR:
+            of_law |= {c: p.weigh(c) for c in combinations(terms, 2) if c not in of_law}
+        for w in of_law.values():
+            names = {*p.law.named, *(c.name for c in w.chosen)}
+            number = len(names)
+            if number < 3:
+                each = shares[p.law.kind][number] / (1, count, count * (count - 1) / 2)[number]
+                if pair:  # one of two is missing, under white noise
+                    one = p.law.kind == "white" and number == 1 and names <= {*pair}
+                    each = float(one) + 1e-4 * each
+                yield each * p.law.weight, w
+
+
+def _answer(found: Sequence[tuple[float, Weighed]], scale: float, extra: float) -> dict[str, Any]:
+    """Probabilities of sets, and the average over all hypotheses that have some."""
+    total = [np.log(max(prior, 1e-300)) + w.evidence for prior, w in found]
+    top = max(t.max() for t in total)
+    weights = [np.exp(t - top) for t in total]
+    mass = sum(w.sum() for w in weights)
+    sets: dict[tuple[str, ...], float] = {}
+    parts = []
+    for weight, (_, w) in zip(weights, found, strict=True):
+        key = tuple(sorted({*w.law.law.named, *(c.name for c in w.chosen)}))
+        sets[key] = sets.get(key, 0.0) + float(weight.sum() / mass)
+        for node in np.flatnonzero(weight.sum(axis=1) > SHOWN * mass):
+            share = weight[node] / weight[node].sum()
+            mean = share @ w.mean[node]
+            off = w.mean[node] - mean
+            spread = np.einsum("j,jab->ab", share, np.linalg.inv(w.precision[node]))
+            spread = spread + np.einsum("j,ja,jb->ab", share, off, off)
+            parts.append((weight[node].sum(), *w.law.predict(w, node, mean, spread)))
+    share = np.array([p for p, _, _ in parts]) / sum(p for p, _, _ in parts)
+    means, variances = np.array([m for _, m, _ in parts]), np.array([v for _, _, v in parts])
+    mean = share @ means
+    sd = np.sqrt(share @ (variances + (means - mean) ** 2) + extra)
+    return {"sets": sets, "mean": mean * scale, "sd": sd * scale}
+
+
+def _together(mixtures: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Means and variances of coefficients of several candidates: every combination of their components."""
+    mean, variance = np.zeros((1, 0)), np.zeros((1, 0))
+    for m, v in mixtures:
+        again = len(m)
+        mean, variance = (
+            np.hstack([np.repeat(a, again, axis=0), np.tile(b, (len(a), 1))])
+            for a, b in ((mean, m), (variance, v))
+        )
+    return mean, variance
+
+
+def _base(task: Task, output: Array) -> tuple[float, tuple[Array, Array], float]:
+    """About the noise's standard deviation; the base's columns in it, times their sizes; variance that is new later."""
+    train = np.hstack([t.size * t.columns(task.train) for t in task.base])
+    later = np.hstack([t.size * t.columns(task.holdout) for t in task.base])
+    middle = [t.size * t.columns(task.train) for t in task.candidates if not t.group]
+    scale = float(np.std(_without(np.hstack([train, *middle]), output)))
+    new = sum(t.size**2 for t in task.base if t.group and not t.columns(task.holdout).any())
+    return scale, (train / scale, later / scale), new / scale**2
+
+
+def _without(columns: Array, y: Array) -> Array:
+    """What least squares leaves of readings."""
+    x = columns / np.maximum(np.sqrt(np.sum(columns**2, axis=0)), 1e-300)
+    return y - x @ np.linalg.solve(x.T @ x + 1e-9 * np.eye(x.shape[1]), x.T @ y)
+
+
+def _residuals(y: Array, base: tuple[Array, Array], terms: Sequence[Columns]) -> Array:
+    """What base and all candidates leave, each at three nodes of its shape."""
+    some = [c.train[i] for c in terms for i in sorted({0, len(c.train) // 2, len(c.train) - 1})]
+    return _without(np.hstack([base[0], *some]), y)
+
+
+def _term(term: Term, task: Task, scale: float) -> Columns:
+    """A candidate's columns, for coefficients in its plausible size and readings in the noise's."""
+    train, later = (
+        np.array([t.columns(f, **s) for s in grid(t, NODES)]) * t.size / scale
+        for t, f in ((term, task.train), (term, task.holdout))
+    )
+    return Columns(term.name, train, later)
+
+
+def _group_laws(groups: Sequence[Columns]) -> Iterator[Law]:
+    """Of a candidate with one coefficient a device: columns beside the base, for some standard deviations of them."""
+    for c in groups:
+        for s in np.geomspace(1 / 3, 3, 7):
+            yield Law("white", 1 / 7, beside=(s * c.train[0], s * c.later[0]), named=(c.name,))
+
+
+def _coloured(task: Task, left: Array) -> Iterator[Law]:
+    """Kinds of noise, a fifth of the weight each, by their parameters and what base and candidates leave."""
+    (time, run), (later, _) = map(_times, (task.train, task.holdout))
+    lags, same, n = np.abs(time[:, None] - time), run[:, None] == run, time.size
+
+    def mixed(correlation: Array, part: float) -> Array:
+        return (1 - part) * np.eye(n) + part * correlation * same
+
+    parts, memories = (0.3, 0.6, 0.9, 1.0), (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+    for part in parts:
+        for memory in memories:
+            weight = 0.2 / len(parts) / len(memories)
+            yield Law("coloured", weight, mixed(np.exp(-lags / memory), part))
+    decades = np.mean([np.exp(-lags / m) for m in (0.5, 1.5, 4.5, 13.5, 40.0, 120.0)], axis=0)
+    for part in parts:
+        yield Law("coloured", 0.2 / len(parts), mixed(decades, part))
+    walk = np.minimum(time[:, None], time) * same
+    for step in (0.1, 0.2, 0.4, 0.8):  # between readings, against the white noise
+        yield Law("coloured", 0.2 / 4, np.eye(n) + step**2 * walk, 1 + step**2 * later)
+    yield _student(left)
+    waves = _waves(task)
+    first = _strongest(waves, left, 8)
+    second = _strongest(waves, _without(waves.train[first[0]], left), 8)
+    chance = FINE / len(waves.train)  # of a peak
+    for size in SPREADS:
+        for i in first:
+            yield _wave(waves, [i], 0.1 * chance / SPREADS.size, size)
+        for i in second:
+            yield _wave(waves, [first[0], i], 0.1 * 2 * chance**2 / SPREADS.size, size)
+
+
+def _times(data: pd.DataFrame) -> tuple[Array, Array]:
+    """Times from the begin of a run, in steps; and labels of runs."""
+    run = data["run"].to_numpy() if "run" in data else np.zeros(len(data))
+    time = data["time"].to_numpy(float) if "time" in data else np.arange(len(data), dtype=float)
+    since = np.concatenate([time[run == r] - time[run == r][0] for r in dict.fromkeys(run)])
+    return since / np.median(np.diff(since)), run
+
+
+def _student(left: Array) -> Law:
+    """Student-t noise, Gaussian by the weights of readings at the best fit of everything."""
+    scale = float(np.std(left)) / 2**0.5
+    for _ in range(30):
+        weights = (DEGREES + 1) / (DEGREES + (left / scale) ** 2)
+        scale = float(np.sqrt(np.mean(weights * left**2)))
+    true = float(np.sum(student.logpdf(left / scale, DEGREES) - np.log(scale)))
+    squares, n = float(weights @ left**2), left.size
+    as_gaussian = np.sum(np.log(weights)) / 2 - n / 2 * (np.log(2 * np.pi * squares / n) + 1)
+    later = DEGREES / (DEGREES - 2)
+    return Law("coloured", 0.2, np.diag(1 / weights), later, gained=true - float(as_gaussian))
+
+
+def _waves(task: Task) -> Columns:
+    """cos and sin of a reading's number, at all frequencies up to half a cycle a reading."""
+    n, m = len(task.train), len(task.holdout)
+    turn = np.pi * np.arange(FINE, FINE * n)[:, None] / (FINE * n)
+    at = np.arange(n + m)
+    both = np.stack([np.cos(turn * at), np.sin(turn * at)], axis=2) * 2**0.5
+    return Columns(OUTSIDE, both[:, :n], both[:, n:])
+
+
+def _strongest(waves: Columns, left: Array, count: int) -> list[int]:
+    """Highest peaks of residuals' power over frequency."""
+    power = np.sum((waves.train.transpose(0, 2, 1) @ left) ** 2, axis=1)
+    peaks = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] > power[2:])) + 1
+    return [int(i) for i in peaks[np.argsort(-power[peaks])][:count]]
+
+
+def _wave(waves: Columns, chosen: Sequence[int], weight: float, size: float) -> Law:
+    """White noise beside tones of these frequencies."""
+    beside = size * np.hstack(waves.train[chosen]), size * np.hstack(waves.later[chosen])
+    return Law("coloured", weight, beside=beside)
+
+
+def _outside(task: Task) -> Iterator[list[Columns]]:
+    """Kinds of what no candidate describes, at plausible places: each as strong as the noise, on average."""
+    yield [_waves(task)]
+    n = len(task.train)
+    after = np.arange(n + len(task.holdout)) - np.arange(2, n - 2, 2)[:, None]
+    for memories in ((math.inf,), (3.0, 8.0, 20.0)):  # a step, a shock
+        shapes = [np.where(after >= 0, np.exp(-np.maximum(after, 0) / m), 0.0) for m in memories]
+        yield [_even(s[:, :n], s[:, n:]) for s in shapes]
+    if "temperature" in task.train:
+        x, z = (f["temperature"].to_numpy(float) for f in (task.train, task.holdout))
+        centres = np.linspace(x.min(), x.max(), 40)[:, None]
+        yield [
+            _even(*(_resonance((t - centres) / width) for t in (x, z)))
+            for width in np.ptp(x) * np.array([0.01, 0.02, 0.04, 0.08])
+        ]
+
+
+def _resonance(x: Array) -> Array:
+    """In phase and out of phase, (nodes, n, 2)."""
+    return np.stack([1 / (1 + x**2), x / (1 + x**2)], axis=2)
+
+
+def _even(train: Array, later: Array) -> Columns:
+    """Columns with a mean square of one on the training readings."""
+    train, later = (a.reshape(*a.shape[:2], -1).astype(float) for a in (train, later))
+    size = np.sqrt(np.mean(train**2, axis=1, keepdims=True)) + 1e-6
+    return Columns(OUTSIDE, train / size, later / size)
+
+
+def _alike(task: Task) -> tuple[str, ...]:
+    """Two candidates that are linear in columns whose courses correlate; none where there are not exactly two."""
+    linear = [t for t in task.candidates if t.formula == "power" and t.arguments["order"] == 1]
+    pairs = [
+        (a.name, b.name)
+        for a, b in combinations(linear, 2)
+        if a.arguments["column"] != b.arguments["column"]
+        and abs(np.corrcoef(*(task.train[t.arguments["column"]] for t in (a, b)))[0, 1]) > ALIKE
+    ]
+    return pairs[0] if len(pairs) == 1 else ()
