@@ -12,15 +12,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from missing_effect import leaderboard, real, run
+from missing_effect import leaderboard, run
 from missing_effect.__main__ import main
+from missing_effect.draws import Draws
 from missing_effect.entries import bic, bma, exhaustive, mbic
-from missing_effect.generate import Case, generate, make, write
 from missing_effect.regression import Regression
 from missing_effect.run import InputError
 from missing_effect.score import FLOOR, ORACLE, Score, calibration, score, scored, summary
-from missing_effect.simulate.draws import Draws
 from missing_effect.task import Task
+from missing_effect_maker import real
+from missing_effect_maker.generate import Case, generate, make, write
 from scipy.integrate import quad
 from scipy.special import ndtr
 
@@ -40,7 +41,7 @@ CHEATS = {
     "truth by another name": ("import os; os.symlink(TRUTH, 'a'); open('a').read()", "truth.json"),
     "program": ("import subprocess; subprocess.run(['true'])", "another process"),
     "fork": ("import os; os.fork() or os._exit(0)", "another process"),
-    "maker": ("import missing_effect.generate", "makes tasks"),
+    "maker": ("import missing_effect_maker.generate", "makes tasks"),
     "runs on": ("\n    while True: pass", "of processor"),
 }
 
@@ -125,6 +126,16 @@ def test_the_time_counts_also_where_it_ends_nothing(tasks: Path) -> None:
     entry: dict[str, Any] = {}
     exec(HONEST, entry)
     assert "more than 0" in run.here(entry["solve"], tasks / "task_000", 0.0)["failed"]
+
+
+def test_the_time_of_a_start_counts_for_every_entry_alike(tasks: Path, tmp_path: Path) -> None:
+    """Of a second's work where an entry is loaded, all is in each task's seconds, isolated or not."""
+    entry = tmp_path / "entry.py"
+    busy = "import time\nwhile time.process_time() < 1.0: pass\n"
+    entry.write_text(busy + HONEST, "utf-8")
+    assert run.solve(entry, tasks / "task_000", tasks)["seconds"] >= 1.0
+    found = dict(run.run(entry, tasks, tmp_path / "results", 2, trusted=True))
+    assert len(found) == 2 and min(a["seconds"] for a in found.values()) >= 1.0
 
 
 TRUTH: dict[str, Any] = {
@@ -315,6 +326,7 @@ def test_the_commands_of_the_readme(tmp_path: Path, monkeypatch, capsys) -> None
     ("asked", "said"),
     [
         (["run", "soup"], "no entry 'soup'"),
+        (["generate", "--size", "200"], "edition 1 has sizes 10, 100, 600, not 200"),
         (["run", "bic", "--tasks", "nowhere"], "python -m missing_effect generate"),
         (["describe", "nowhere"], "is no task"),
         (["leaderboard", "--results", "nowhere"], "has 0 tasks"),

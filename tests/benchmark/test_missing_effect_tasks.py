@@ -10,16 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from missing_effect import generate
+from missing_effect import edition
+from missing_effect.draws import Draws
+from missing_effect.edition import TRACKS, published
 from missing_effect.formulas import FORMULAS
-from missing_effect.generate import SIZES, TRACKS, contents, make, plan, published
 from missing_effect.regression import grid
-from missing_effect.simulate.disturbances import NOT_WHITE, white
-from missing_effect.simulate.draws import Draws, body
-from missing_effect.simulate.instruments import INSTRUMENTS
+from missing_effect_maker.generate import contents, make, plan, sizes
+from missing_effect_maker.simulate.bodies import body
+from missing_effect_maker.simulate.disturbances import NOT_WHITE, white
+from missing_effect_maker.simulate.instruments import INSTRUMENTS
 
 CASES = plan()
-PACKAGE = Path(generate.__file__).parents[1]
+PACKAGE = Path(edition.__file__).parents[1]
 
 
 def digest(place: int) -> str:
@@ -43,9 +45,9 @@ def test_another_edition_has_other_tasks_of_the_same_kind() -> None:
     assert contents(ours)["train.csv"] != contents(other)["train.csv"]
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_a_size_holds_its_share_of_each_track(size: int) -> None:
-    counts = Counter(case.track for case in CASES[:size])
+@pytest.mark.parametrize(("edition", "size"), [(e, s) for e in (1, 2) for s in sizes(e)])
+def test_a_size_holds_its_share_of_each_track(edition: int, size: int) -> None:
+    counts = Counter(case.track for case in plan(edition)[:size])
     for track, count in TRACKS.items():
         assert abs(counts[track] - size * count / 600) < 1.01
     assert TRACKS["empty"] * 3 == sum(TRACKS.values())
@@ -118,10 +120,11 @@ def test_the_lag_of_a_step_is_exponential() -> None:
     assert lag[1] == pytest.approx(follows[10] - 1, abs=0.01)
 
 
-def test_the_package_needs_nothing_of_the_framework() -> None:
+def test_the_package_needs_nothing_of_the_framework_and_not_what_makes_tasks() -> None:
     code = (
-        "import sys, missing_effect.__main__, missing_effect.child\n"
-        "print([m for m in sys.modules if m.split('.')[0] in ('bayescal', 'jax', 'sklearn')])"
+        "import sys, missing_effect.__main__, missing_effect.child, missing_effect.entries.exhaustive\n"
+        "foreign = ('bayescal', 'jax', 'sklearn', 'missing_effect_maker')\n"
+        "print([m for m in sys.modules if m.split('.')[0] in foreign])"
     )
     found = subprocess.run(
         [sys.executable, "-c", code], cwd=PACKAGE, capture_output=True, text=True, check=True

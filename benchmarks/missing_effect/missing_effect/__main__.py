@@ -7,8 +7,9 @@ import json
 import sys
 from pathlib import Path
 
-from missing_effect import generate, leaderboard, real
+from missing_effect import leaderboard
 from missing_effect.describe import in_words, picture
+from missing_effect.edition import EDITION, published
 from missing_effect.run import LIMIT, InputError, entry_file, run
 from missing_effect.score import ORACLE, alien, entries_in, scored
 from missing_effect.task import Task
@@ -25,10 +26,22 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _generate(asked: argparse.Namespace) -> int:
+    try:
+        from missing_effect_maker import generate, real
+    except ImportError:
+        raise InputError(
+            "tasks are made by a package of its own, which is not installed: "
+            "`pip install ./benchmarks/missing_effect/maker` in a checkout of the repository"
+        ) from None
+    sizes = generate.sizes(asked.edition)
+    if asked.size not in (0, *sizes):
+        raise InputError(
+            f"edition {asked.edition} has sizes {', '.join(map(str, sizes))}, not {asked.size}"
+        )
     hashes = dict(generate.generate(asked.tasks, asked.size, asked.edition))
     print(f"{len(hashes)} tasks of edition {asked.edition} in {asked.tasks}")
-    if hashes and asked.edition == generate.EDITION:
-        known = generate.published()
+    if hashes and asked.edition == EDITION:
+        known = published()
         other = [name for name, digest in hashes.items() if known.get(name) != digest]
         if other:
             print(f"not as published: {', '.join(other)}", file=sys.stderr)
@@ -112,10 +125,8 @@ def _parser() -> argparse.ArgumentParser:
 
     own = command("generate", _generate, "make the tasks")
     own.add_argument("tasks", type=Path, nargs="?", default=Path("tasks"))
-    own.add_argument("--size", type=int, default=10, choices=(0, *generate.SIZES))
-    own.add_argument(
-        "--edition", type=int, default=generate.EDITION, help="another number: new tasks"
-    )
+    own.add_argument("--size", type=int, default=10, help="10, 100, 200 or 600")
+    own.add_argument("--edition", type=int, default=EDITION, help="another number: new tasks")
     own.add_argument(
         "--data", type=Path, help="folder with public records: the real tasks too (DATASHEET.md)"
     )

@@ -1,7 +1,9 @@
 """The process in which an entry solves one task: `python -m missing_effect.child ENTRY FOLDER ANSWER LIMIT`.
 
+With an entry alone it loads that and ends: what a start costs.
+
 It refuses, from before the entry is loaded: sockets, other processes, files called truth.json (to open, to link, to
-rename), the module that makes tasks. That is an audit hook, which Python code cannot take off; machine code that an
+rename), the package that makes tasks. That is an audit hook, which Python code cannot take off; machine code that an
 entry brings along could pass it.
 """
 
@@ -29,7 +31,7 @@ PROGRAMS = (
     "os.spawn",
     "os.startfile",
 )
-SEALED = ("missing_effect.generate", "missing_effect.simulate")
+MAKER = "missing_effect_maker"
 
 
 def watch(event: str, arguments: tuple[Any, ...]) -> None:
@@ -40,8 +42,8 @@ def watch(event: str, arguments: tuple[Any, ...]) -> None:
         refuse(f"another process ({event})")
     if any(map(_sealed, arguments)):
         refuse(f"a sealed truth.json ({event})")
-    if event == "import" and arguments[0] in SEALED:
-        refuse(f"the module that makes tasks ({arguments[0]})")
+    if event == "import" and arguments[0].split(".")[0] == MAKER:
+        refuse(f"the package that makes tasks ({arguments[0]})")
 
 
 def _sealed(argument: Any) -> bool:
@@ -57,8 +59,11 @@ def refuse(what: str) -> None:
     os._exit(3)
 
 
-def main(entry: str, folder: str, answer: str, limit: str) -> int:
-    """Solve within so many seconds of processor, and write the answer as JSON."""
+def main(entry: str, folder: str = "", answer: str = "", limit: str = "") -> int:
+    """Solve within so many seconds of processor, and write the answer as JSON; without a folder load the entry only."""
+    if not folder:
+        runpy.run_path(entry)
+        return 0
     resource.setrlimit(resource.RLIMIT_CPU, (int(limit), int(limit) + 1))
     task = Task.read(Path(folder))
     os.chdir(folder)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from missing_effect.generate import TRACKS
+from missing_effect.edition import TRACKS
 from missing_effect.score import CLEAR, Score, Summary, by_track, calibration, summary
 
 HEADS = {

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from missing_effect.child import as_json
-from missing_effect.generate import FILES
+from missing_effect.edition import FILES
 from missing_effect.task import OUTSIDE, Task
 
 LIMIT = 60.0  # s of processor a task
@@ -90,18 +90,22 @@ def run(
         size: how many tasks, the first ones; None for all.
         limit: s of processor time a task.
         trusted: all in this process, without isolation: quick, and for entries of one's own. What takes too long is
-            not ended, and counts as not answered nevertheless.
+            not ended, and counts as not answered nevertheless. The processor time of a start is measured once, and
+            counts for each task, as it would in a process of its own.
 
     Raises:
         InputError: there are no such tasks.
     """
     solves = runpy.run_path(str(entry))["solve"] if trusted else None
+    begin = started(entry) if trusted else 0.0
     for folder in task_folders(tasks, size):
         place = results / entry.stem / f"{folder.name}.json"
         if place.is_file():
             continue
         answer = (
-            solve(entry, folder, tasks, limit) if solves is None else here(solves, folder, limit)
+            solve(entry, folder, tasks, limit)
+            if solves is None
+            else here(solves, folder, limit, begin)
         )
         place.parent.mkdir(parents=True, exist_ok=True)
         place.write_text(json.dumps(answer), "utf-8")
@@ -137,15 +141,23 @@ def solve(entry: Path, folder: Path, tasks: Path, limit: float = LIMIT) -> dict[
     return {**told, "seconds": round(seconds, 2), "isolation": isolation}
 
 
-def here(solves: Callable[[Task], dict[str, Any]], folder: Path, limit: float) -> dict[str, Any]:
-    """The same in this process: no start, no import, no isolation."""
+def started(entry: Path) -> float:
+    """Seconds of processor that a process takes to start and to load an entry, without a task."""
+    command = [sys.executable, "-m", "missing_effect.child", str(entry)]
+    return _ended(command, LIMIT)[0]
+
+
+def here(
+    solves: Callable[[Task], dict[str, Any]], folder: Path, limit: float, begin: float = 0.0
+) -> dict[str, Any]:
+    """The same in this process, without isolation: `begin` seconds of processor are counted for a start."""
     begun = time.process_time()
     try:
         found = as_json(solves(Task.read(folder)))
         failed = wrong(found, folder)
     except Exception as error:  # whatever an entry raises is its answer
         found, failed = {}, f"{type(error).__name__}: {error}"
-    seconds = time.process_time() - begun
+    seconds = begin + time.process_time() - begun
     if seconds > limit:
         failed = f"took {seconds:.0f} s of processor, more than {limit:g}"
     told = {"failed": failed} if failed else found

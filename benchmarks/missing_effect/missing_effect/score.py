@@ -20,9 +20,9 @@ import pandas as pd
 from scipy.special import ndtr
 from scipy.stats import binomtest
 
-from missing_effect.generate import FILES, published
+from missing_effect.draws import Draws
+from missing_effect.edition import FILES, published
 from missing_effect.run import InputError, task_folders
-from missing_effect.simulate.draws import Draws
 from missing_effect.task import OUTSIDE
 
 FLOOR = 1e-3  # a probability below it counts as it: one blunder costs ln 1000 = 6.9, not everything

@@ -16,9 +16,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-
-from missing_effect.simulate.draws import Array, Draws, body
+from missing_effect.draws import Array, Draws
 from missing_effect.task import Term
+
+from missing_effect_maker.simulate.bodies import body
 
 FINE = 10  # moments of the world in each reading
 VAST = 1e3  # plausible size of what is not known beforehand, in standard deviations of a reading's noise

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import TypeVar
 
 import numpy as np
-from scipy.signal import lfilter
 from scipy.special import ndtri
 
 Array = np.ndarray
@@ -62,14 +61,3 @@ class Draws:
             for k, p, s in zip(orders, phases, sizes, strict=True)
         )
         return (course - np.mean(course)) / np.std(course)
-
-
-def body(driven_by: Array, step: float, tau: float) -> Array:
-    """Temperature of a body that follows another with time constant tau, along the last axis; at rest at first.
-
-    Args:
-        step: between values, in the unit of tau.
-    """
-    left = np.exp(-step / tau)
-    first = driven_by[..., :1]
-    return first + lfilter([0.0, 1.0 - left], [1.0, -left], driven_by - first, axis=-1)

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from missing_effect.draws import Array, Draws
 from scipy.signal import lfilter
-
-from missing_effect.simulate.draws import Array, Draws
 
 
 class Noise(NamedTuple):

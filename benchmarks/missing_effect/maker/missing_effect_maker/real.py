@@ -15,11 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-
-from missing_effect.generate import Made, write
+from missing_effect.draws import Draws
 from missing_effect.run import InputError
-from missing_effect.simulate.draws import Draws, body
 from missing_effect.task import Task, Term
+
+from missing_effect_maker.generate import Made, write
+from missing_effect_maker.simulate.bodies import body
 
 Array = np.ndarray
 HELD = 5  # every so many

@@ -6,22 +6,20 @@ import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from missing_effect.draws import Array, Draws
+from missing_effect.edition import EDITION, TRACKS
+from missing_effect.task import Task
 from scipy.linalg import cho_factor, cho_solve
 
-from missing_effect.simulate.disturbances import NOT_WHITE, OUTSIDE, Noise, white
-from missing_effect.simulate.draws import Array, Draws
-from missing_effect.simulate.instruments import HELD, INSTRUMENTS, READINGS, World, fleet
-from missing_effect.task import Task
+from missing_effect_maker.simulate.disturbances import NOT_WHITE, OUTSIDE, Noise, white
+from missing_effect_maker.simulate.instruments import HELD, INSTRUMENTS, READINGS, World, fleet
 
-TRACKS = {"empty": 200, "linear": 120, "noise": 90, "confounded": 70, "outside": 60, "fleet": 60}
-SIZES = (10, 100, 600)  # each begins with the one before
-EDITION = 1  # the published one; another number is a fresh set of tasks
 SPREAD = 3.0  # a hidden effect has between a third of its plausible size and three times that
 ALIKE = (
     0.9,
@@ -31,7 +29,6 @@ FREE = 0.3  # correlation of the same two quantities in the other tracks
 GROUPED = (
     3.0  # nats: a rival within it is not told apart (Kass & Raftery 1995: "positive" begins there)
 )
-FILES = ("train.csv", "holdout.csv", "task.json")
 
 
 class Case(NamedTuple):
@@ -55,9 +52,17 @@ def plan(edition: int = EDITION) -> list[Case]:
     every = [((n + 0.5) / count, t, n) for t, count in TRACKS.items() for n in range(count)]
     mixed = [Case(track, number) for _, track, number in sorted(every)]
     draws, found = Draws(edition, 999), []
-    for begin, end in zip((0, *SIZES), SIZES, strict=False):
+    for begin, end in pairwise((0, *sizes(edition))):
         found += draws.shuffled(mixed[begin:end])
     return found
+
+
+def sizes(edition: int = EDITION) -> tuple[int, ...]:
+    """How many tasks an edition may be asked for: each size begins with the one before, and holds each track's share.
+
+    The published edition was fixed before there was the third, of which 20 are fleets.
+    """
+    return (10, 100, 600) if edition == EDITION else (10, 100, 200, 600)
 
 
 def generate(folder: Path, size: int, edition: int = EDITION) -> Iterator[tuple[str, str]]:
@@ -65,11 +70,6 @@ def generate(folder: Path, size: int, edition: int = EDITION) -> Iterator[tuple[
     for place, case in enumerate(plan(edition)[:size]):
         made = make(f"task_{place:03d}", case, edition)
         yield made.task.name, write(made, folder / made.task.name)
-
-
-def published() -> dict[str, str]:
-    """Hash of each task of the published edition, by name."""
-    return json.loads((files("missing_effect") / "hashes.json").read_text("utf-8"))
 
 
 def make(name: str, case: Case, edition: int = EDITION) -> Made:

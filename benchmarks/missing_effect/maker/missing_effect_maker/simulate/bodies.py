@@ -1,0 +1,18 @@
+"""Bodies that take heat from another."""
+
+from __future__ import annotations
+
+import numpy as np
+from missing_effect.draws import Array
+from scipy.signal import lfilter
+
+
+def body(driven_by: Array, step: float, tau: float) -> Array:
+    """Temperature of a body that follows another with time constant tau, along the last axis; at rest at first.
+
+    Args:
+        step: between values, in the unit of tau.
+    """
+    left = np.exp(-step / tau)
+    first = driven_by[..., :1]
+    return first + lfilter([0.0, 1.0 - left], [1.0, -left], driven_by - first, axis=-1)
