@@ -81,7 +81,10 @@ def description(c: Fitted) -> dict[str, Any]:
         "verdict": {
             k: v for k, v in asdict(c.verdict).items() if k not in ("against", "checked") or v
         },
-        "sources": [asdict(s) for s in c.readings.sources],
+        "sources": [
+            {k: v for k, v in asdict(s).items() if k not in ("columns", "units") or v}
+            for s in c.readings.sources
+        ],
         "flags": list(c.readings.flags),
         **({"flag_codes": codes} if (codes := _codes(c.readings.flags)) else {}),
         **({"nominal_scale": asdict(scale)} if (scale := c.readings.scale) else {}),

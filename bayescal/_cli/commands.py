@@ -521,8 +521,8 @@ def predict(
 ) -> Answer:
     """Predict readings with a calibration, and compare."""
     loaded = saved.load_saved(calibration, own)
-    how = {"nominal_scale": loaded.readings.scale, **columns.for_read()}
-    readings = bc.read(list(files), loaded.model.instrument, **how)
+    how = columns.for_read()
+    readings = bc.read(list(files), loaded.model.instrument, like=loaded.readings, **how)
     columns.keep()
     readings = request.averaged(readings, average)
     print_notes(readings.flags)

@@ -126,7 +126,7 @@ def xml_text(text: Any) -> str:
 
 
 _FORMULA = re.compile(r"[=+\-@\t\r]")
-_A_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)")
+_A_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)")
 
 
 def csv_cell(text: Any) -> str:

@@ -132,12 +132,16 @@ class Source:
         sha256: of its bytes, hexadecimal.
         rows: readings in it.
         output: its column that was read as the output, where the user chose one; else empty.
+        columns: our name → its header, of the columns that the user named.
+        units: its header → unit, of those whose unit the user said.
     """
 
     file: str
     sha256: str
     rows: int
     output: str = ""
+    columns: dict[str, str] = field(default_factory=dict, hash=False)
+    units: dict[str, str] = field(default_factory=dict, hash=False)
 
 
 @dataclass

@@ -18,7 +18,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._core.flag import Flag
-from bayescal._data.column import TAKEN, UNCERTAINTY, Column, NominalScale
+from bayescal._data.column import TAKEN, UNCERTAINTY, Column, NominalScale, Source
 from bayescal._data.header_rules import (
     DAYS,
     NO_UNIT,
@@ -106,6 +106,7 @@ class ReadOptions:
         only: whether all columns beside the instrument's are.
         others: columns of the file that are outputs of other channels, and left out.
         unwrap: the file's name, or ours → what a counter held when it began anew, as "2^32us".
+        remembered: files of which it was said before how they are read: a header that stands there means the same.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -121,6 +122,7 @@ class ReadOptions:
     only: bool = False
     others: frozenset[str] = frozenset()
     unwrap: Mapping[str, str] = field(default_factory=dict)
+    remembered: tuple[Source, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what is no option.
@@ -176,18 +178,24 @@ class ReadOptions:
 
         A header that it lacks and a file beside it has was said for that one: here nothing is said of its column.
         """
-        columns = dict(self.columns)
+        columns, units = dict(self.columns), dict(self.units)
+
+        def there(names: Sequence[str], one: Table = table) -> list[str]:
+            return [n for n in names if called(one.headers, in_one_line(n)) is not None]
+
+        for before in self.remembered:
+            for ours, theirs in before.columns.items():
+                if ours not in columns and theirs not in columns.values() and there([theirs]):
+                    columns[ours] = theirs
+            raw = {header.raw for header in table.headers}
+            units = {h: unit for h, unit in before.units.items() if h in raw} | units
         for ours, first in self.columns.items():
             names = self.others_called.get(ours, (first,))
-
-            def those_in(one: Table, names: Sequence[str] = names) -> list[str]:
-                return [n for n in names if called(one.headers, in_one_line(n)) is not None]
-
-            if there := those_in(table):
-                columns[ours] = there[0]
-            elif any(map(those_in, beside)):
+            if found := there(names):
+                columns[ours] = found[0]
+            elif any(there(names, one) for one in beside):
                 del columns[ours]
-        return replace(self, columns=columns, others_called={})
+        return replace(self, columns=columns, units=units, others_called={}, remembered=())
 
     def leaves_out(self, header: Header) -> bool:
         """Whether a column is left out, as the user says, or as it is another channel's output."""

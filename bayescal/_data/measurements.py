@@ -420,11 +420,13 @@ def measured(
             if problems and records_known:  # said with the rest
                 problems += problems_of_whole(part, instrument, True)
     problems.refuse()
-    whole = joined(parts, labels)
+    whole, output = joined(parts, labels), output_name(instrument)
     problems_of_whole(whole, instrument, one_temperature).refuse()
-    outputs = (of_it.columns.get(output_name(instrument), "") for of_it in own)
-    both = zip(tables, outputs, strict=True)
-    sources = tuple(Source(t.file, t.sha256, t.rows, output) for t, output in both if t.sha256)
+    sources = tuple(
+        Source(t.file, t.sha256, t.rows, o.columns.get(output, ""), dict(o.columns), dict(o.units))
+        for t, o in zip(tables, own, strict=True)
+        if t.sha256
+    )
     return assemble(whole, instrument, sources, options.nominal_scale)
 
 

@@ -56,6 +56,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
     date_order: str = "",
     ignore: Sequence[str] = (),
     unwrap: Mapping[str, str] | None = None,
+    like: Measurements | None = None,
     max_bytes: int = MAX_BYTES,
 ) -> Measurements | dict[str, Measurements]:
     """Read readings of an instrument from one file or several: CSV, Parquet, NetCDF, Excel, MATLAB, or logs.
@@ -84,6 +85,8 @@ def read(  # pyright: ignore[reportInconsistentOverload]
             12 shows it.
         ignore: columns of the file that are left out.
         unwrap: the file's name (or ours) → what a counter held when it began anew: {"time": "2^32us"}.
+        like: readings, as of a calibration, whose headers mean the same in these files, where nothing is said of them
+            here; and their nominal scale holds.
         max_bytes: most that all files together may hold.
 
     Returns:
@@ -103,7 +106,8 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         units=units or {},
         local_gravity=local_gravity,
         local_field=local_field,
-        nominal_scale=nominal_scale,
+        nominal_scale=nominal_scale or (like.scale if like else None),
+        remembered=like.sources if like else (),
         nominal_zero=nominal_zero,
         missing=missing,
         decimal=decimal,

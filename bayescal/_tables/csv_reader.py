@@ -96,6 +96,7 @@ class CsvLines:
         table: their readings; None for the header.
         separator: between fields.
         decimal: between the whole and its parts.
+        encoding: of the lines, "utf-8" or "windows-1252".
         before: of the header: the lines above it.
         behind: of the header: the row of units below it, and such.
     """
@@ -104,6 +105,7 @@ class CsvLines:
     table: Table | None
     separator: str
     decimal: str = "."
+    encoding: str = "utf-8"
     before: list[bytes] = field(default_factory=list)
     behind: list[bytes] = field(default_factory=list)
 
@@ -125,7 +127,8 @@ def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[C
             above.append(handle.readline())
         named = scan.named - 1
         before, header, behind = above[:named], above[named], above[named + 1 :]
-        yield CsvLines([header], None, scan.separator, before=before, behind=behind)
+        written = scan.written_in
+        yield CsvLines([header], None, scan.separator, ".", written, before, behind)
         while lines := list(islice(handle, rows)):
             while not any(line.strip() for line in lines) and (more := handle.readline()):
                 lines.append(more)  # a stretch of blank lines is no table
@@ -133,7 +136,7 @@ def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[C
             if count:
                 load, place = partial(scan.cells, lines), after(done, scan.place)
                 table = Table(file, scan.headers, count, load, scan.sha256, place)
-                yield CsvLines(lines, table, scan.separator, scan.decimal or ".")
+                yield CsvLines(lines, table, scan.separator, scan.decimal or ".", written)
             done += count
 
 
@@ -161,9 +164,14 @@ class CsvScan:
         """What a line may hold and count as blank."""
         return b" \r\n" if self.separator == "\t" else b" \t\r\n"
 
+    @property
+    def written_in(self) -> str:
+        """The encoding of its lines as `opened` gives them."""
+        return _LEGACY if self.encoding == _LEGACY else "utf-8"
+
     def text(self, line: bytes) -> str:
         """A line that was looked through."""
-        return line.decode(_LEGACY if self.encoding == _LEGACY else "utf-8")
+        return line.decode(self.written_in)
 
     @property
     def headers(self) -> tuple[Header, ...]:
@@ -247,11 +255,10 @@ def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
     It is the first line that is neither blank nor a '#' comment, unless that tells of the test, and names of columns
     stand further down.
     """
-    encoding = _LEGACY if scan.encoding == _LEGACY else "utf-8"
     there, row = list[tuple[int, str, int]](), 0  # a line's row, its text, and the byte behind it
     while len(there) < LOOKED_AT and (line := handle.readline(_BLOCK)):
         row += 1
-        text = line.removeprefix(_MARK if row == 1 else b"").decode(encoding, "replace")
+        text = line.removeprefix(_MARK if row == 1 else b"").decode(scan.written_in, "replace")
         if text.strip() and not text.startswith("#"):
             there.append((row, text.rstrip("\r\n"), handle.tell()))
     if not there:

@@ -28,7 +28,7 @@ from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import problems_of_whole
 from bayescal._data.header_matching import ExpectedColumns, MatchedFile, ReadOptions
 from bayescal._data.measurements import Measurements, assemble
-from bayescal._tables.csv_reader import csv_parts
+from bayescal._tables.csv_reader import CsvLines, csv_parts
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.parquet_netcdf import parquet_parts
 from bayescal._tables.raw_table import Objections, Table, bytes_text, load_whole
@@ -162,13 +162,15 @@ def compensate_file(
     ):  # nothing is left out of the file, and nothing calibrated
         how.pop(name, None)
     given = {name: value for name, value in how.items() if value is not None}
+    if compensator.calibration is not None:
+        given["remembered"] = compensator.calibration.readings.sources
     options = ReadOptions.of(
         expected, local_gravity=local_gravity, missing=missing, only=True, **given
     )
     with replacing_for_user(out) as partial:
-        asked = tuple(options.columns.values())
         limit = 1 << 62 if suffix == ".parquet" else MAX_BYTES  # that is read a stretch at a time
-        table = open_table(path, path.name, limit, options.decimal, asked)
+        table = open_table(path, path.name, limit, options.decimal, options.headers)
+        options = options.of_file(table)
         raw, names = _names(table, expected, options)
         done = CompensationSummary(out, names)
         job = _FileCompensation(compensator, options, method, noise, expected, done)
@@ -196,13 +198,9 @@ def _names(
     """The output's header in the file, and the names of the columns to add."""
     problems = Objections(table.problems)
     file = MatchedFile(table, expected, options, problems)
-    table, places = file.table, file.positions
+    file.note_missing()
     problems.refuse()
-    if "output" not in places:
-        raise InputError(
-            f"{table.file!r} has no column 'output' (it has: {', '.join(h.name for h in table.headers)}). If it is "
-            "called otherwise, say so: columns={'output': …} (--columns output=…)"
-        )
+    table, places = file.table, file.positions
     header = table.headers[places["output"]]
     names = f"{header.name}_compensated", f"{header.name}_uncertainty"
     for name in names:
@@ -221,8 +219,8 @@ def _csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: s
             if part.table is None:  # comments and the header
                 added = [f"{name} [{unit}]" for name in job.done.columns]
                 target.writelines(part.before)
-                target.write(_longer(part.lines[0], added, part.separator))
-                target.writelines(_longer(line, ["", ""], part.separator) for line in part.behind)
+                target.write(_longer(part.lines[0], added, part))
+                target.writelines(_longer(line, ["", ""], part) for line in part.behind)
                 continue
             rows = iter(np.column_stack(job.rows(part.table)).tolist())
             for line in part.lines:
@@ -230,7 +228,7 @@ def _csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: s
                     target.write(line)
                     continue
                 fields = [_number(v, part.decimal) for v in next(rows)]
-                target.write(_longer(line, fields, part.separator))
+                target.write(_longer(line, fields, part))
 
 
 def _number(value: float, decimal: str = ".") -> str:
@@ -238,10 +236,12 @@ def _number(value: float, decimal: str = ".") -> str:
     return "" if value != value else repr(value).replace(".", decimal)
 
 
-def _longer(line: bytes, fields: list[str], separator: str) -> bytes:
+def _longer(line: bytes, fields: list[str], part: CsvLines) -> bytes:
+    """A line with fields more, in the encoding of its file."""
     body = line.rstrip(b"\r\n")
     end = line[len(body) :] or b"\n"
-    return body + (separator + csv_line(fields, separator)).encode("utf-8") + end
+    more = part.separator + csv_line(fields, part.separator)
+    return body + more.encode(part.encoding) + end
 
 
 def _parquet(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: str) -> None:
