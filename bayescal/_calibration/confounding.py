@@ -67,7 +67,7 @@ def confounders(
     main = np.repeat([_stands_alone(b, layout) for b in blocks], [b.size for b in blocks])
     if not main.any():
         return ()
-    x = linear.mode.point.x - linear.problem.mean_of_x
+    x = linear.mode.x - linear.problem.mean_of_x
     size = SIZE * float(np.std(line.jacobian[:, main] @ x[main]))
     root, found = linear.root[:p] * linear.sd[:p, None], list[Confounder]()
     known = np.linalg.norm(root, axis=1)

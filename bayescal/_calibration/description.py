@@ -16,7 +16,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.flag import Flag
 from bayescal._data.column import Source
 from bayescal._data.measurements import Measurements
-from bayescal._model.effect import Effect
+from bayescal._model.effect import READING, Effect
 from bayescal._model.formula import Formula, effect, line_of_today
 from bayescal._model.installed import installed_instrument, installed_names
 from bayescal._model.instrument import Instrument
@@ -38,7 +38,8 @@ def identity(c: Fitted) -> str:
     """
     digest = hashlib.sha256(json.dumps(description(c), sort_keys=True).encode())
     c.readings.add_to(digest)
-    for draws in (c.joint.x, c.joint.rows, c.joint.v):
+    # Between x and v stood unknowns of single readings once, as a rule none: identities stay what they were.
+    for draws in (c.joint.x, np.zeros((*c.joint.x.shape[:2], len(c.readings), 0)), c.joint.v):
         digest.update(f"{draws.shape}\n".encode())
         digest.update(np.ascontiguousarray(draws, dtype="<f8").tobytes())
     return digest.hexdigest()
@@ -70,7 +71,7 @@ def description(c: Fitted) -> dict[str, Any]:
         "fixed": dict(c.model.fixed),
         "noise": _noise_words(c.model.noise),
         "promoted": list(c.layout.promoted),
-        "counts": dict(c.layout.counts),
+        "counts": {**dict(c.layout.counts), READING: len(c.readings)},
         "levels": {k: list(v) for k, v in c.levels.items()},
         "reference": c.reference,
         "method": c.method,

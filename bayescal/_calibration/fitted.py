@@ -74,7 +74,7 @@ class Fitted:
         the model holds leave them; `joint` is of the model alone.
         """
         x = widened(self.joint.x, self.confounders, self.layout, self.seed)
-        return named(self.layout, self.levels, x, self.joint.rows, self.joint.v)
+        return named(self.layout, self.levels, x, self.joint.v)
 
     @cached_property
     def confounders(self) -> tuple[Confounder, ...]:
@@ -97,7 +97,7 @@ class Fitted:
 
     def problem_on(self, frame: Frame) -> Problem:
         """The fitted structure on other readings; columns are computed in the fit's own program where it fits."""
-        fitted, counts = self.problem.record, dict(self.layout.counts)
+        fitted = self.problem.record
         if frame is fitted.frame:
             return self.problem
         if all(frame.columns[n] is column for n, column in fitted.frame.columns.items()):
@@ -107,10 +107,9 @@ class Fitted:
             and set(frame.columns) == set(fitted.frame.columns)
             and set(frame.labels) == set(fitted.frame.labels)
         )
-        layout = replace(self.layout, counts=tuple({**counts, "reading": frame.size}.items()))
         library = fitted.library if alike else ()
         return Problem(
-            layout, Record(self.model.instrument, frame, np.asarray(frame["output"]), library)
+            self.layout, Record(self.model.instrument, frame, np.asarray(frame["output"]), library)
         )
 
     @cached_property
@@ -140,8 +139,8 @@ class Fitted:
         return build_frame(readings, self.reference, self.levels)
 
     def draws(self, limit: int | None = None) -> Vectors:
-        """Joint draws (x, rows, v) as flat arrays, x counted from its origin, evenly thinned to `limit`."""
-        every = [flat(a) for a in (self.joint.x, self.joint.rows, self.joint.v)]
+        """Joint draws (x, v) as flat arrays, x counted from its origin, evenly thinned to `limit`."""
+        every = [flat(a) for a in (self.joint.x, self.joint.v)]
         step = 1 if limit is None else max(1, -(-len(every[0]) // limit))
         return Vectors(*(a[::step] for a in every))
 
@@ -149,7 +148,7 @@ class Fitted:
         """Joint draws, each chain thinned so that draws times readings stay within a limit; and how many chains."""
         chains, count = self.joint.x.shape[:2]
         step = -(-count // max(1, min(count, limit // max(1, chains * len(self.readings)))))
-        kept = (flat(a[:, ::step]) for a in (self.joint.x, self.joint.rows, self.joint.v))
+        kept = (flat(a[:, ::step]) for a in (self.joint.x, self.joint.v))
         return Vectors(*kept), chains
 
     def samples(self, name: str) -> np.ndarray:
@@ -168,9 +167,6 @@ class Fitted:
     def log_likelihood(self, limit: int = PREDICTIVE_CELLS) -> xr.Dataset:
         """Pointwise log likelihood, draws thinned so that at most `limit` numbers come back.
 
-        Coefficients that belong to one reading (a thermometer's error) are averaged over their prior: another
-        reading would have another one.
-
         Under correlated noise it is that of each reading given those before it in its run.
         """
         vectors, chains = self.thinned(limit)
@@ -178,22 +174,16 @@ class Fitted:
         return xr.Dataset({"output": (("chain", "draw", "reading"), shaped)})
 
 
-def named(
-    layout: Layout, levels: Levels, x: np.ndarray, rows: np.ndarray, v: np.ndarray
-) -> xr.Dataset:
+def named(layout: Layout, levels: Levels, x: np.ndarray, v: np.ndarray) -> xr.Dataset:
     """Draws (chains, draws, …) as one variable per unknown, in its reported unit."""
-    x, rows, v = (np.asarray(a) for a in (x, rows, v))
+    x, v = np.asarray(x), np.asarray(v)
     hyper = {name: np.broadcast_to(value, v.shape[:-1]) for name, value in layout.model.fixed}
     hyper |= {h.name: np.asarray(h.prior.value(v[..., i])) for i, h in enumerate(layout.hypers)}
-    row = 0
     found: dict[str, tuple] = {}
     coordinates: dict[str, pd.Index] = {}
-    for b in (b for b in layout.blocks if b.place != "fixed"):
+    for b in (b for b in layout.blocks if b.place in ("x", "phi")):
         c, dims = b.coefficient, ("chain", "draw")
-        if b.place == "row":
-            value = rows[..., row]
-            row += 1
-        elif b.place == "x":
+        if b.place == "x":
             value = b.origin + x[..., b.start : b.start + b.size]
         else:
             value = b.origin + np.stack([hyper[name] for name in b.member_names()], axis=-1)
@@ -203,9 +193,8 @@ def named(
             value = value[..., 0]
         else:
             dims = (*dims, c.per)
-            if c.per != "reading":
-                # xarray would load Dask to look at a list
-                coordinates[c.per] = pd.Index(list(levels[c.per]))
+            # xarray would load Dask to look at a list
+            coordinates[c.per] = pd.Index(list(levels[c.per]))
         found[b.name] = (dims, value, {"units": c.unit, "effect": b.effect.name})
     for h in layout.hypers:
         if h.kind != "promoted":

@@ -123,8 +123,8 @@ def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[
     )
     there = calibration.mode
     starts = [there.v, np.zeros_like(there.v)]
-    mode = find_mode(problem, starts, there.covariance, there.point, still=0.01)
-    _, found = Density(problem, mode.point, mode.flat, mode.v).at(mode.v)
+    mode = find_mode(problem, starts, there.covariance, there.x, still=0.01)
+    _, found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
     if found is None:
         return []
     mean, sd = found.mean, np.sqrt(np.diag(found.covariance))
@@ -156,11 +156,11 @@ def doubts_of_the_mode(calibration: Fitted) -> list[Claim]:
     def far(v: np.ndarray) -> np.ndarray:
         return np.abs(v - mode.v)[shapes] > MODES_APART_SD * sd[shapes]
 
-    density = Density(problem, mode.point, mode.flat, mode.v)
+    density = Density(problem, mode.x, mode.flat, mode.v)
     tried = np.concatenate([prior_draws(problem), *across(problem, mode.v)])
     starts = [v for v in tried if far(v).any()] if shapes else []
     for start in np.array(starts)[np.argsort(-density.values(np.array(starts)))[:STARTS_TRIED]]:
-        other = find_mode(problem, [start], None, mode.point, still=0.01)
+        other = find_mode(problem, [start], None, mode.x, still=0.01)
         behind = mode.log_evidence - other.log_evidence
         if far(other.v).any() and behind < MODES_NEARLY_NATS:
             apart = (problem.hypers[i] for i in np.array(shapes)[far(other.v)])
@@ -182,7 +182,7 @@ def _against_priors(
     for b in calibration.layout.blocks:
         c = b.coefficient
         plain = b.place in ("x", "phi") and b.effect.weights is None
-        if not plain or c.flat or c.group_sd is not None or c.per == "reading":
+        if not plain or c.flat or c.group_sd is not None:
             continue
         if b.index in b.effect.held:
             continue

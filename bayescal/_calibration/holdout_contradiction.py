@@ -123,8 +123,7 @@ class HoldoutTest:
         calibration = with_columns(self.calibration, self.readings.columns)
         problem = calibration.problem_on(calibration.frame_of(self.readings))
         mode = calibration.mode
-        rows = np.zeros((len(self.readings), mode.point.rows.shape[1]))
-        slopes = problem.slopes(mode.point._replace(rows=rows), problem.hyper(mode.v))
+        slopes = problem.slopes(mode.x, problem.hyper(mode.v))
         for effect, size in self.unseen:
             c = effect.coefficients[0]
             column = problem.record.columns(ColumnsOf.of(effect), ())[:, 0]
@@ -140,11 +139,10 @@ class HoldoutTest:
         """Of each coefficient its name, its group, and its column over the noise, at the mean of the draws."""
         calibration, readings = with_columns(self.calibration, self.readings.columns), self.readings
         problem = calibration.problem_on(calibration.frame_of(readings))
-        x, rows, v = calibration.draws()
-        none = np.zeros((1, len(readings), rows.shape[2]))
+        x, v = calibration.draws()
         terms = [t for t in problem.terms if t.place == "x"]
         hyper = problem.hyper(v.mean(axis=0))
-        slopes = problem.expected_with_slopes(x.mean(axis=0)[None], none, hyper, terms)[1]
+        slopes = problem.expected_with_slopes(x.mean(axis=0)[None], hyper, terms)[1]
         each = (np.broadcast_to(slope, (1, len(readings)))[0] / self._noise for slope in slopes)
         names = (t.known.effect.coefficient_name(t.index) for t in terms)
         return [(n, t.known.per, c) for n, t, c in zip(names, terms, each, strict=True)]

@@ -20,7 +20,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import Gram, Prior, condition
 from bayescal._inference.laplace import Mode, climb
-from bayescal._inference.problem import Point, Problem
+from bayescal._inference.problem import Problem
 
 # Readings, below which a group's error is a matter of chance: it is three times too large once in 10⁷ groups of 5.
 FEW_IN_GROUP = 5
@@ -87,7 +87,7 @@ def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
     kind, members, codes = groups_of(calibration.readings)
     mode, whole = calibration.mode, calibration.problem
     # Products of all readings, once: a part's are these less the others'.
-    _ = Density(whole, mode.point, mode.flat, mode.v).products
+    _ = Density(whole, mode.x, mode.flat, mode.v).products
     scores, surprise, by_chance = np.full((3, len(members)), np.nan)
     residual = np.full(len(codes), np.nan)
     for i in range(len(members)):
@@ -138,7 +138,7 @@ def _fold(whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fol
     of_all = _given(fitted, predicted, np.where(between, np.maximum(v, mode.v), v))
     if given is None or of_all is None:
         return None
-    size = len(mode.point.x)
+    size = len(mode.x)
     unit = Prior(np.zeros(size), np.ones(size), np.ones(size))
     joint = condition(given[1], len(out), unit, np.zeros(size))
     # I + A·C·Aᵀ, A the whitened columns and C = L·Lᵀ the covariance of x: of its n eigenvalues those of Lᵀ·Aᵀ·A·L are
@@ -165,4 +165,4 @@ def _given(fitted: Density, predicted: Density, v: np.ndarray) -> tuple[np.ndarr
 def _density(whole: Problem, mode: Mode, rows: np.ndarray) -> Density:
     """Of some readings, linearised where all of them were."""
     part = Problem(whole.layout, Part(whole.record, rows), whole.size_factors)
-    return Density(part, Point(mode.point.x, mode.point.rows[rows]), mode.flat, mode.v)
+    return Density(part, mode.x, mode.flat, mode.v)

@@ -14,7 +14,6 @@ from jaxtyping import Bool
 
 from bayescal._calibration.fitted import Fitted
 from bayescal._inference.method import CHAINS, Draws
-from bayescal._inference.problem import Point
 from bayescal._inference.trust import CHAIN_DRAWS
 from bayescal._model.frame import GROUPS
 
@@ -23,7 +22,7 @@ F = TypeVar("F", bound=Fitted)
 
 def has_effect(calibration: Fitted, name: str) -> Bool[np.ndarray, "draws"]:
     """Which draws are of a structure that has an effect."""
-    x, _, _ = calibration.draws()
+    x, _ = calibration.draws()
     own = [b for b in calibration.layout.x_blocks if b.effect.name == name]
     if not own:  # held, or sampled with φ: not averaged over
         return np.ones(len(x), dtype=bool)
@@ -66,7 +65,7 @@ def usual_columns(calibration: Fitted) -> set[str]:
 
 def without(calibration: F, names: Collection[str]) -> F:
     """The average over the structures that have none of these effects; the same where these have nearly all of it."""
-    x, rows, v = calibration.draws()
+    x, v = calibration.draws()
     kept = ~np.any([has_effect(calibration, name) for name in names], axis=0)
     if kept.sum() < CHAIN_DRAWS:
         return calibration
@@ -77,12 +76,11 @@ def without(calibration: F, names: Collection[str]) -> F:
     of_x = [np.full(b.size, b.name in left) for b in old.x_blocks]
     in_x = np.flatnonzero(np.concatenate([np.zeros(0, bool), *of_x]))
     in_v = np.flatnonzero([h.name in left for h in old.hypers])
-    in_rows = np.flatnonzero([b.name in left for b in old.row_blocks])
     pick = np.flatnonzero(kept)[:count]
     mode = calibration.mode
-    joint = Draws.of(x[pick][:, in_x], rows[pick][:, :, in_rows], v[pick][:, in_v])
+    joint = Draws.of(x[pick][:, in_x], v[pick][:, in_v])
     middle = mode._replace(
-        point=Point(x[pick][:, in_x].mean(axis=0), mode.point.rows[:, in_rows]),
+        x=x[pick][:, in_x].mean(axis=0),
         v=mode.v[in_v],
         covariance=mode.covariance[np.ix_(in_v, in_v)],
         flat=mode.flat[in_x],

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from bayescal._core.parallel import on_one_thread
-from bayescal._inference.gaussian import LOG_2PI
 from bayescal._inference.noise_on_record import Each, log_densities, samples, variances
 from bayescal._inference.problem import Problem
 from bayescal._model.effect import Coefficient
@@ -21,20 +20,15 @@ CELLS = 2_000_000  # draws × readings worked out together
 
 
 class Vectors(NamedTuple):
-    """Joint draws: coefficients, per-reading coefficients, coordinates of φ."""
+    """Joint draws: coefficients, coordinates of φ."""
 
     x: Float[np.ndarray, "b p"]
-    rows: Float[np.ndarray, "b n k"]
     v: Float[np.ndarray, "b d"]
-
-    def on(self, readings: int) -> Vectors:
-        """The same for so many other readings, whose own coefficients stand at zero."""
-        return self._replace(rows=np.zeros((len(self.x), readings, self.rows.shape[2])))
 
 
 class PredictiveMoments(NamedTuple):
     """Mean and variance of the expected output over draws; mean variance of the noise, and of what is not known of a
-    reading's own: (n,) each."""
+    reading's inputs and groups: (n,) each."""
 
     mean: Float[np.ndarray, "n"]
     variance: Float[np.ndarray, "n"]
@@ -46,7 +40,7 @@ class PredictiveMoments(NamedTuple):
 def moments(
     problem: Problem, draws: Vectors, carried: Callable[[np.ndarray], np.ndarray] | None = None
 ) -> PredictiveMoments:
-    """Of readings, per-reading coefficients and members of groups that are not known (of code −1) beside the mean.
+    """Of readings, noise on inputs and members of groups that are not known (of code −1) beside the mean.
 
     Draws are taken a stretch at a time and never held together; sums are of differences from the first.
 
@@ -80,10 +74,7 @@ def moments(
 
 @on_one_thread
 def pointwise(problem: Problem, draws: Vectors) -> Float[np.ndarray, "b n"]:
-    """Log likelihood of each reading under each draw: under correlated noise, given those before it in its run.
-
-    Under Gaussian noise the per-reading coefficients are averaged over their prior, to first order in them.
-    """
+    """Log likelihood of each reading under each draw: under correlated noise, given those before it in its run."""
     found = np.empty((len(draws.x), problem.record.size))
     for part, own, some, hyper in _stretches(problem, draws):
         found[part] = _densities(own, some, hyper)
@@ -103,32 +94,31 @@ def replicate(
         problem: the model on the readings.
         draws: joint ones.
         random: of the noise.
-        members: by group, a code of each reading's member (n,): of those that the fit does not know, and of readings
-            with coefficients of their own, deviations are drawn from their prior. None where all are known.
+        members: by group, a code of each reading's member (n,): of those that the fit does not know deviations are
+            drawn from their prior. None where all are known.
     """
     found = np.empty((len(draws.x), problem.record.size))
     for part, own, some, hyper in _stretches(problem, draws):
-        if members is None:
-            mean = own.expected(some.x, some.rows, hyper)
-        else:
-            mean = _with_new_members(own, some, hyper, random, members)
+        mean = _drawn_mean(own, some, hyper, random, members or {})
         seed = int(random.integers(2**31))
         found[part] = samples(problem.noise, problem.record, mean, hyper, seed)
     return found
 
 
-def _with_new_members(
+def _drawn_mean(
     problem: Problem,
     draws: Vectors,
     hyper: Each,
     random: np.random.Generator,
     members: Mapping[str, np.ndarray],
 ) -> Float[np.ndarray, "b n"]:
-    """Expected outputs, each unknown member's deviation drawn once for each draw."""
-    own = _of_their_own(problem)
-    mean, slopes = problem.expected_with_slopes(draws.x, draws.rows, hyper, own)
+    """Expected outputs, noise on inputs and each unknown member's deviation drawn once for each draw."""
+    own = [t for t in _of_their_own(problem) if t.place == "input" or t.known.per in members]
+    if not own:
+        return problem.expected(draws.x, hyper)
+    mean, slopes = problem.expected_with_slopes(draws.x, hyper, own)
     for t, slope in zip(own, slopes, strict=True):
-        codes = np.arange(mean.shape[1]) if t.place == "row" else members[str(t.known.per)]
+        codes = np.arange(mean.shape[1]) if t.place == "input" else members[str(t.known.per)]
         normal = random.standard_normal((len(mean), int(codes.max()) + 2))[:, codes]  # −1: the last
         mean = mean + slope * normal * _own_sd(problem, draws, hyper, t)
     return mean
@@ -175,7 +165,7 @@ def _by_structure(
         )
         in_v = np.array([h.name in hypers for h in layout.hypers], dtype=bool)
         places = np.flatnonzero(which.reshape(-1) == k)
-        those = Vectors(draws.x[places][:, in_x], draws.rows[places], draws.v[places][:, in_v])
+        those = Vectors(draws.x[places][:, in_x], draws.v[places][:, in_v])
         yield places, Problem(own, problem.record), those
 
 
@@ -184,11 +174,11 @@ def _by_definition(c: Coefficient) -> Coefficient:
 
 
 def _with_beside(problem: Problem, draws: Vectors, hyper: Each) -> tuple[np.ndarray, Any]:
-    """Expected output, and its variance from per-reading coefficients and from members that are not known."""
+    """Expected output, and its variance from noise on inputs and from members that are not known."""
     own = _of_their_own(problem)
     if not own:
-        return problem.expected(draws.x, draws.rows, hyper), 0.0
-    mean, slopes = problem.expected_with_slopes(draws.x, draws.rows, hyper, own)
+        return problem.expected(draws.x, hyper), 0.0
+    mean, slopes = problem.expected_with_slopes(draws.x, hyper, own)
     beside = np.zeros_like(mean)
     for t, slope in zip(own, slopes, strict=True):
         beside += (slope * _own_sd(problem, draws, hyper, t)) ** 2
@@ -196,13 +186,13 @@ def _with_beside(problem: Problem, draws: Vectors, hyper: Each) -> tuple[np.ndar
 
 
 def _of_their_own(problem: Problem) -> list[Term]:
-    """Terms of single readings, and of members that are not known to some of them."""
-    return [t for t in problem.terms if t.place == "row" or _unseen(problem, t).any()]
+    """Terms of noise on inputs, and of members that are not known to some readings."""
+    return [t for t in problem.terms if t.place == "input" or _unseen(problem, t).any()]
 
 
 def _own_sd(problem: Problem, draws: Vectors, hyper: Each, term: Term) -> Any:
     """Standard deviation of such a term's coefficient: zero at readings whose member is known."""
-    if term.place == "row":
+    if term.place == "input":
         return term.prior_sd
     sd = term.prior_sd if term.group_sd_name is None else hyper[term.group_sd_name][:, None]
     return np.where(_unseen(problem, term), sd * _there(problem, draws, term)[:, None], 0.0)
@@ -218,16 +208,11 @@ def _there(problem: Problem, draws: Vectors, term: Term) -> Float[np.ndarray, "b
 
 def _unseen(problem: Problem, term: Term) -> np.ndarray:
     """Which readings belong to a member of the term's group that is not known."""
-    if term.known.per in (None, "reading") or term.place == "fixed":
+    if term.known.per is None or term.place == "fixed":
         return np.zeros(1, dtype=bool)
     return problem.record.codes[term.known.per] < 0
 
 
 def _densities(problem: Problem, draws: Vectors, hyper: Each) -> Float[np.ndarray, "b n"]:
-    noise, record = problem.noise, problem.record
-    if len(problem.row_sd) and noise.gaussian:
-        mean, beside = _with_beside(problem, draws._replace(rows=np.zeros_like(draws.rows)), hyper)
-        variance = variances(noise, hyper, record) + beside
-        return -0.5 * ((record.y - mean) ** 2 / variance + np.log(variance) + LOG_2PI)
-    mean = problem.expected(draws.x, draws.rows, hyper)
-    return log_densities(noise, record, record.y - mean, hyper)
+    record, (mean, extra) = problem.record, problem.expected_and_extra(draws.x, hyper)
+    return log_densities(problem.noise, record, record.y - mean, hyper, extra)

@@ -23,7 +23,7 @@ TINY = float(np.finfo(float).tiny)
 def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTree:
     """All groups of a calibration's tree, with so many replicated readings at most.
 
-    `draws` beside ArviZ's own groups holds the same joint draws as plain vectors x, rows and v, from which
+    `draws` beside ArviZ's own groups holds the same joint draws as plain vectors x and v, from which
     everything else can be computed again.
     """
     c, draws = calibration, calibration.joint
@@ -31,7 +31,6 @@ def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTre
     vectors = xr.Dataset(
         {
             "x": (("chain", "draw", "x_entry"), draws.x),
-            "rows": (("chain", "draw", "reading", "row_entry"), draws.rows),
             "v": (("chain", "draw", "v_entry"), draws.v),
         }
     )
@@ -41,7 +40,7 @@ def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTre
     made = made.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
     groups = {
         "posterior": c.posterior,
-        "log_prior": _log_prior(layout, named(layout, levels, draws.x, draws.rows, draws.v), draws),
+        "log_prior": _log_prior(layout, named(layout, levels, draws.x, draws.v), draws),
         "posterior_predictive": xr.Dataset({"output": (("chain", "draw", "reading"), made, units)}),
         "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
@@ -128,8 +127,8 @@ def _slope(prior: Any, v: np.ndarray) -> np.ndarray:
     return (8 * (value(v + h) - value(v - h)) - (value(v + 2 * h) - value(v - 2 * h))) / (12 * h)
 
 
-def _prior_draws(calibration: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Joint draws (x, rows, v) from the prior, as one chain; none where a prior is flat."""
+def _prior_draws(calibration: Fitted) -> tuple[np.ndarray, np.ndarray] | None:
+    """Joint draws (x, v) from the prior, as one chain; none where a prior is flat."""
     layout, problem = calibration.layout, calibration.problem
     if layout.improper:
         return None
@@ -142,5 +141,4 @@ def _prior_draws(calibration: Fitted) -> tuple[np.ndarray, np.ndarray, np.ndarra
             v[:, i] = np.log(np.abs(v[:, i]))
     sd = problem.prior(problem.hyper(v.T), np.ones(problem.size), (PRIOR_DRAWS,)).sd
     x = problem.mean_of_x + sd * random.standard_normal(sd.shape)
-    rows = random.standard_normal((PRIOR_DRAWS, problem.record.size, len(problem.row_sd)))
-    return x[None], (problem.row_sd * rows)[None], v[None]
+    return x[None], v[None]

@@ -90,7 +90,7 @@ def predict(
     on = None if known or same_record or not new_groups else _going_on(calibration, readings)
     if on is not None:
         return _continued(calibration, readings, on, draws)
-    return _predicted(calibration, readings, frame, known and not new_groups, same_record, draws)
+    return _predicted(calibration, readings, frame, same_record, draws)
 
 
 def replicates(
@@ -103,8 +103,7 @@ def replicates(
 
     def made(some: Measurements, frame: Frame) -> np.ndarray:
         members = {per: some.groups(per)[1] for per in frame.codes}
-        vectors = calibration.draws(draws).on(len(some))
-        found = replicate(calibration.problem_on(frame), vectors, random, members)
+        found = replicate(calibration.problem_on(frame), calibration.draws(draws), random, members)
         return found + (some["output"] - frame["output"])
 
     on = _going_on(calibration, readings)
@@ -152,15 +151,11 @@ def _predicted(
     calibration: Calibration,
     readings: Measurements,
     frame: Frame,
-    as_fitted: bool,
     same_record: bool,
     draws: int,
 ) -> Prediction:
-    """`predict` of a frame whose groups are known, or are not; `as_fitted`: with per-reading coefficients too."""
-    vectors = calibration.draws(draws)
-    if not as_fitted or vectors.rows.shape[1] != len(readings):
-        vectors = vectors.on(len(readings))
-    found = moments(calibration.problem_on(frame), vectors)
+    """`predict` of a frame whose groups are known, or are not."""
+    found = moments(calibration.problem_on(frame), calibration.draws(draws))
     model_variance = found.variance + found.beside
     total = np.sqrt(model_variance + found.noise)
     residual = np.asarray(frame["output"]) - found.mean
@@ -179,13 +174,12 @@ def _continued(
 ) -> Prediction:
     """Readings of which some go on with the fitted record: these behind it, with its past, the others alone."""
     past, rows, others, later, whole = on
-    vectors = calibration.draws(draws).on(len(whole))
     frame, noise = calibration.frame_of(whole), None
     tail, spread = slice(len(past), None), 0.0
     if not calibration.model.noise.independent:
         noise = _CarriedOn.of(calibration, past, later, beyond=True)
         spread = noise.variance
-    found = moments(calibration.problem_on(frame), vectors, noise)
+    found = moments(calibration.problem_on(frame), calibration.draws(draws), noise)
     model = found.variance[tail] + found.beside[tail]
     made = {
         "mean": (whole["output"] - frame["output"] + found.mean)[tail],

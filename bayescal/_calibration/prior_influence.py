@@ -282,7 +282,7 @@ def _with_stated_priors(calibration: Calibration) -> Iterator[tuple[CoefficientB
             c.prior, Known
         )  # a body's temperature has the coefficient of what depends on it
         learned = c.flat or c.group_sd is not None or b.effect.weights is not None
-        if not known and b.place in ("x", "phi") and not learned and c.per != "reading":
+        if not known and b.place in ("x", "phi") and not learned:
             yield b, b.slot in slots
 
 
@@ -303,10 +303,6 @@ def prior_sensitivity(calibration: Calibration) -> Any:
         raise InputError("every prior is flat: there is no prior to be sensitive to")
     likelihood = calibration.log_likelihood()
     step = -(-posterior.sizes["draw"] // likelihood.sizes["draw"])
-    priors, posterior = (
-        group.drop_vars([n for n in group.data_vars if "reading" in group[n].dims])
-        for group in (priors, posterior)
-    )
     spread, size = posterior.std(), abs(posterior.mean())
     moved = [n for n in posterior.data_vars if float(spread[n]) > 1e-12 * float(size[n])]
     posterior = posterior[moved]  # what is held at an estimate has nothing to move

@@ -42,8 +42,7 @@ from bayescal._data.column import NominalScale, Source
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
-from bayescal._inference.problem import Point
-from bayescal._model.effect import Effect
+from bayescal._model.effect import READING, Effect
 from bayescal._model.frame import origins, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
@@ -78,12 +77,21 @@ def save(calibration: Fitted, tree: xr.DataTree, path: Path) -> Path:
 
 
 def _mode_dataset(mode: Mode) -> xr.Dataset:
-    parts = mode.point._asdict() | {k: getattr(mode, k) for k in _MODE_FIELDS}
+    parts = {name: getattr(mode, name) for name in _MODE_FIELDS}
     sizes = {n: [f"{n}_{i}" for i in range(np.ndim(value))] for n, value in parts.items()}
     return xr.Dataset({n: (sizes[n], np.asarray(value, float)) for n, value in parts.items()})
 
 
-_MODE_FIELDS = ("v", "covariance", "log_density", "log_evidence", "change", "flat", "indefinite")
+_MODE_FIELDS = (
+    "x",
+    "v",
+    "covariance",
+    "log_density",
+    "log_evidence",
+    "change",
+    "flat",
+    "indefinite",
+)
 
 
 def _saved_in(folder: Path) -> str:
@@ -107,9 +115,12 @@ def load_calibration(
         with h5py.File(content) as hdf5:
             refuse_hdf5(hdf5, path.name, content.getbuffer().nbytes)
             tree = netcdf_tree(hdf5)
+        former: list[Any] = []
         if "posterior" in tree.children:
             posterior = renamed(tree["posterior"].to_dataset(), name_of_today)
-            tree["posterior"] = xr.DataTree(posterior)
+            # Noise on an input was once an unknown of each reading: such draws stood among the others.
+            former = [name for name, own in posterior.data_vars.items() if "reading" in own.dims]
+            tree["posterior"] = xr.DataTree(posterior.drop_vars(former))
         described = of_today(written := _parsed(tree.attrs.pop("bayescal", None)))
         if described.get("schema") != SCHEMA:
             raise InputError(
@@ -121,7 +132,8 @@ def load_calibration(
         readings = _readings_from(tree, described)
         model = model_from(path, described, readings, effects, instruments)
         found = _fields(tree, described, model, readings)
-        if tree.attrs.pop(IDENTITY, None) != identity(Fitted(**found)) and described == written:
+        same = tree.attrs.pop(IDENTITY, None) == identity(Fitted(**found))
+        if not same and described == written and not former:
             raise ValueError("its identity is not that of what it holds")
     del tree["mode"]
     return found, tree
@@ -157,7 +169,7 @@ def _fields(
     """The fields of a calibration, each of the size that its model and readings ask for."""
     model.require(readings)
     bound, levels = bind(model, readings, reference=described["reference"])
-    _same("group sizes", described["counts"], dict(bound.counts))
+    _same("group sizes", described["counts"], {**dict(bound.counts), READING: len(readings)})
     _same("group members", described["levels"], {k: list(v) for k, v in levels.items()})
     constants = sorted(described["reference"].keys() - origins(described["reference"]))
     _same("constants", constants, sorted(reference_of(readings)))
@@ -165,11 +177,11 @@ def _fields(
     if unknown := set(layout.promoted) - {b.name for b in layout.blocks}:
         raise ValueError(f"{', '.join(sorted(unknown))} is no coefficient of its model")
     verdict = Verdict.read(described["verdict"])
-    joint = _draws_from(tree, layout, len(readings), finite=verdict.ok)
-    mode = _mode_from(tree, layout, len(readings), finite=verdict.ok)
+    joint = _draws_from(tree, layout, finite=verdict.ok)
+    mode = _mode_from(tree, layout, finite=verdict.ok)
     confounded = tuple(Confounder(**one) for one in described.get("confounded", ()))
     x = widened(joint.x, confounded, layout, described["seed"])
-    _refuse_other_posterior(tree, named(layout, levels, x, joint.rows, joint.v))
+    _refuse_other_posterior(tree, named(layout, levels, x, joint.v))
     _arrays(tree, "posterior_predictive", {"output": (joint.x.shape[0], None, len(readings))})
     evidence = described["log_evidence"]
     return {
@@ -207,17 +219,13 @@ def _arrays(
     return found
 
 
-def _draws_from(tree: xr.DataTree, layout: Layout, readings: int, finite: bool) -> Draws:
+def _draws_from(tree: xr.DataTree, layout: Layout, finite: bool) -> Draws:
     (x,) = _arrays(tree, "draws", {"x": (None, None, layout.size)}, finite).values()
     both = x.shape[:2]
     if 0 in both:
         raise ValueError("it holds no draws")
-    shapes = {
-        "rows": (*both, readings, len(layout.row_blocks)),
-        "v": (*both, len(layout.hypers)),
-    }
-    rows, v = _arrays(tree, "draws", shapes, finite).values()
-    return Draws(x, rows, v)
+    (v,) = _arrays(tree, "draws", {"v": (*both, len(layout.hypers))}, finite).values()
+    return Draws(x, v)
 
 
 def _refuse_other_posterior(tree: xr.DataTree, expected: xr.Dataset) -> None:
@@ -242,15 +250,15 @@ def _parsed(text: object) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _mode_from(tree: xr.DataTree, layout: Layout, readings: int, finite: bool) -> Mode:
-    p, d, shape = layout.size, len(layout.hypers), (readings, len(layout.row_blocks))
-    shapes = {"x": (p,), "rows": shape, "v": (d,), "covariance": (d, d), "flat": (p,)}
+def _mode_from(tree: xr.DataTree, layout: Layout, finite: bool) -> Mode:
+    p, d = layout.size, len(layout.hypers)
+    shapes = {"x": (p,), "v": (d,), "covariance": (d, d), "flat": (p,)}
     found = _arrays(tree, "mode", shapes, finite)
     scalars = {name: () for name in _MODE_FIELDS if name not in shapes}
     found |= _arrays(tree, "mode", scalars, finite=False)
     rest = {name: np.asarray(found[name]) for name in _MODE_FIELDS}
     rest["indefinite"] = rest["indefinite"] > 0
-    return Mode(Point(found["x"], found["rows"]), **rest)
+    return Mode(**rest)
 
 
 def _readings_from(tree: xr.DataTree, described: dict[str, Any]) -> Measurements:

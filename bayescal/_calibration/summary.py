@@ -152,7 +152,7 @@ def large_groups(calibration: Fitted) -> dict[str, list[str]]:
     named = {
         b.name: b.member_names(calibration.levels)
         for b in calibration.layout.blocks
-        if b.place != "fixed" and b.coefficient.per not in (None, "reading")
+        if b.place in ("x", "phi") and b.coefficient.per
     }
     return {name: members for name, members in named.items() if len(members) > MOST_MEMBERS}
 
@@ -177,7 +177,7 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
     coefficients, hyperparameters = [], []
     for b in layout.blocks:
         c = b.coefficient
-        if b.place == "fixed" or c.per == "reading" or b.index in b.effect.held:
+        if b.place not in ("x", "phi") or b.index in b.effect.held:
             continue
         learned = c.group_sd is not None or b.effect.weights is not None
         prior = None if c.flat or learned else c.size

@@ -86,7 +86,7 @@ def has_closed_form(layout: Layout, frame: Frame) -> bool:
         noise.first
         and only_noise
         and layout.size > 0
-        and not layout.row_blocks
+        and not any(b.place == "input" for b in layout.blocks)
         and UNCERTAINTY not in frame.columns
         and not sampled_products.is_nonlinear(layout, frame)
     )
@@ -107,7 +107,7 @@ def _solve_one(
     places, f, p = np.argsort(~flat, kind="stable"), int(flat.sum()), layout.size
     centre = forward.prior_mean(layout)
     hyper = forward.hyper_values(layout, jnp.zeros(len(layout.hypers)))
-    line = forward.linearise(layout, frame, centre, jnp.zeros((frame.size, 0)), hyper)
+    line = forward.linearise(layout, frame, centre, hyper)
     norm = jnp.sqrt(jnp.sum((line.jacobian * real[:, None]) ** 2, axis=0))
     scale = forward.prior_sd(layout, hyper, 1 / jnp.where(norm > 0, norm, 1.0))
     table = jnp.column_stack([(line.jacobian * scale)[:, places], y - line.mean])
@@ -294,8 +294,8 @@ def _stacks_of_numbers(
     constants = {name: v for name, v in reference.items() if not isinstance(v, dict)}
     levels = {g: () if g == "cell" else ("1",) for g in GROUPS}
     for rung in np.unique(rungs).tolist():
-        counts = (*((group, len(names)) for group, names in levels.items()), ("reading", rung))
-        layout = Layout(model, counts)
+        counts = ((group, len(names)) for group, names in levels.items())
+        layout = Layout(model, tuple(counts))
         few = block.counts <= layout.size  # readings, perhaps not enough for the model
         for one in np.flatnonzero(few & (rungs == rung)).tolist():
             try:
@@ -643,7 +643,7 @@ class _Fits:
         self.notes |= dict.fromkeys(made.notes)
         self.reasons |= dict(zip(names, made.reasons, strict=True))
         alike: dict[tuple, list[int]] = {(): list(range(len(names)))}
-        if any(b.coefficient.per not in (None, "reading") for b in made.layout.blocks):
+        if any(b.coefficient.per for b in made.layout.blocks if b.place != "input"):
             alike = {}  # unknowns are called after the members of groups, each device's own
             for i, own in enumerate(levels):
                 alike.setdefault(tuple(own.items()), []).append(i)
@@ -667,10 +667,10 @@ class _Fits:
 
 
 def _unknowns(layout: Layout, levels: Levels) -> list[tuple[str, str]]:
-    """(name, unit) of every unknown but those of single readings, in the order of `_Solved.mean`."""
+    """(name, unit) of every unknown, in the order of `_Solved.mean`."""
     unknowns = []
     for b in layout.blocks:
-        if b.place not in ("fixed", "row"):
+        if b.place in ("x", "phi"):
             unknowns += [(name, b.coefficient.unit) for name in b.member_names(levels)]
     return unknowns + [(h.name, h.unit) for h in layout.hypers if h.kind != "promoted"]
 
@@ -706,7 +706,7 @@ def _by_least_squares(one: DeviceFrame, method: LeastSquares) -> _Solved:
     ends = [[float(priors[i].value(v[i] + d)) for d in (-NUDGE, NUDGE)] for i in places]
     slopes = np.append(np.ones(layout.size), [(b - a) / (2 * NUDGE) for a, b in ends])
     values = [float(prior.value(own)) for prior, own in zip(priors, v, strict=True)]
-    mean = np.append(solution.mode.point.x, values)
+    mean = np.append(solution.mode.x, values)
     covariance = slopes[:, None] * np.asarray(solution.covariance) * slopes
     free = [*range(layout.size), *(layout.size + i for i in places)]
     reason = "" if solution.converged else trust.NOT_CONVERGED

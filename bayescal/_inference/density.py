@@ -21,7 +21,7 @@ from bayescal._inference.noise_on_record import (
     sloped_log_densities,
     variance,
 )
-from bayescal._inference.problem import Point, Problem, Values
+from bayescal._inference.problem import SHIFT, Problem, Values, differences
 from bayescal._inference.products import DEGREES, Axes, Polynomials, Products, basis_of
 from bayescal._model.composition import Linearised
 
@@ -41,26 +41,28 @@ class Density:
 
     Attributes:
         problem: the structure on its record.
-        point: where.
+        x: where.
         flat: scales of the coefficients with flat priors.
         there: coordinates of φ at which a nonlinear structure is linearised in its shapes too; the middle of their
             priors if not given.
+        held: variance that noise on inputs adds to each reading; that at x, if not given.
     """
 
     problem: Problem
-    point: Point
+    x: Float[np.ndarray, "p"]
     flat: Float[np.ndarray, "p"]
     there: Float[np.ndarray, "d"] | None = None
+    held: Float[np.ndarray, "n"] | None = None
 
     def __post_init__(self) -> None:
         noise, record = self.problem.noise, self.problem.record
         # One variance for all readings: products over them do not depend on it.
-        self.even = noise.even(record.frame) and not len(self.problem.row_sd)
+        self.even = noise.even(record.frame) and not self.problem.noisy
         # Without a coefficient the density is the noise law's own.
         self.alone = not (self.even or self.problem.terms)
         self._lines: dict[tuple[float, ...], tuple[Linearised, Gram | None]] = {}
         self._kept: dict[bytes, tuple[float, Values, Prior, Conditional | None]] = {}
-        self._mode = self.point.x  # of x, where it was sought
+        self._mode = self.x  # of x, where it was sought
         self._last: tuple[Values, tuple[float, dict[str, float]]] | None = None
 
     @cached_property
@@ -72,7 +74,7 @@ class Density:
         if any(basis_of(t, problem) is None for t in problem.terms):
             return None
         there = np.zeros(len(problem.hypers)) if self.there is None else self.there
-        return Products(problem, self.point, np.clip(there, -4.0, 4.0))
+        return Products(problem, self.x, np.clip(there, -4.0, 4.0))
 
     # from the readings ------------------------------------------------------------------------------------------
 
@@ -81,7 +83,7 @@ class Density:
         key = tuple(float(v[i]) for i in self.problem.moving)
         found = self._lines.get(key)
         if found is None:
-            line = self.problem.linearise(self.point, hyper)
+            line = self.problem.linearise(self.x, hyper)
             gram = None
             if self.even:
                 beside = self._beside(line)
@@ -92,8 +94,8 @@ class Density:
         return found
 
     def residual(self, line: Linearised) -> Float[np.ndarray, "n"]:
-        """What the expected output leaves, with the per-reading coefficients at zero."""
-        return self.problem.record.y - line.mean + np.sum(line.rows * self.point.rows, axis=1)
+        """What the expected output leaves."""
+        return self.problem.record.y - line.mean
 
     def _beside(self, line: Linearised) -> np.ndarray:
         """J and r in one table."""
@@ -102,10 +104,8 @@ class Density:
         return table
 
     def extra(self, line: Linearised) -> Float[np.ndarray, "n"] | float:
-        """Variance that the per-reading coefficients add."""
-        if not len(self.problem.row_sd):
-            return 0.0
-        return np.sum((line.rows * self.problem.row_sd) ** 2, axis=1)
+        """Variance that noise on inputs adds to each reading."""
+        return self.problem.extra(line) if self.held is None else self.held
 
     def _white(self, line: Linearised, hyper: Values) -> Whitening:
         return Whitening(self.problem.noise, hyper, self.problem.record, self.extra(line))
@@ -116,7 +116,7 @@ class Density:
         """Residuals at φ and x, output unit; whitened Jacobian and these residuals beside each other; log|Σ|."""
         hyper = self.problem.hyper(v)
         line = self._line(v, hyper)[0]
-        residual = self.residual(line) - line.jacobian @ (x - self.point.x)
+        residual = self.residual(line) - line.jacobian @ (x - self.x)
         return residual, *self._white(line, hyper).both(np.column_stack([line.jacobian, residual]))
 
     def gram(self, v: np.ndarray, hyper: Values) -> Gram:
@@ -132,7 +132,7 @@ class Density:
             value = self._of_noise(hyper)[0]
             return Gram(np.zeros((0, 0)), np.zeros(0), -2 * value - len(line.mean) * LOG_2PI, 0.0)
         if not self.problem.noise.gaussian:
-            return self._about_the_mode(self._beside(line), hyper)
+            return self._about_the_mode(line, hyper)
         return Gram.of(*self._white(line, hyper).gram(self._beside(line)))
 
     def _of_noise(self, hyper: Values) -> tuple[float, dict[str, float]]:
@@ -143,7 +143,7 @@ class Density:
             self._last = hyper, (float(value[0]), {n: float(one[0]) for n, one in slopes.items()})
         return self._last[1]
 
-    def _about_the_mode(self, table: Float[np.ndarray, "n q"], hyper: Values) -> Gram:
+    def _about_the_mode(self, line: Linearised, hyper: Values) -> Gram:
         """The products that stand for a law that is not Gaussian: of the quadratic about the mode of x given φ.
 
         Newton's steps with the law's own curvature; where one leads down, the step of a Gaussian scale mixture, which
@@ -151,12 +151,12 @@ class Density:
         Source: L. Tierney and J. Kadane, JASA 81 (1986) 82 (Laplace).
         """
         noise, record = self.problem.noise, self.problem.record
-        prior, jacobian = self.problem.prior(hyper, self.flat), table[:, :-1]
-        residual = table[:, -1]
-        x, move = self.point.x, self._mode - self.point.x
+        prior, jacobian = self.problem.prior(hyper, self.flat), line.jacobian
+        residual, extra = self.residual(line), self.extra(line)
+        x, move = self.x, self._mode - self.x
 
         def look(move: np.ndarray) -> tuple[float, Terms]:
-            terms = density_terms(noise, hyper, record, residual - jacobian @ move)
+            terms = density_terms(noise, hyper, record, residual - jacobian @ move, extra)
             z = prior.weight * (x + move - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
             return terms.squares + float(z @ z), terms
 
@@ -194,8 +194,8 @@ class Density:
             return gram.rtr
         # For a law with outliers: −2·log of the density against that of no residual at all, zero at best as squares
         # are.
-        line = self.problem.linearise(self.point, hyper)
-        return density_terms(noise, hyper, record, self.residual(line)).squares
+        line = self.problem.linearise(self.x, hyper)
+        return density_terms(noise, hyper, record, self.residual(line), self.extra(line)).squares
 
     # the density ------------------------------------------------------------------------------------------------
 
@@ -211,7 +211,7 @@ class Density:
 
     def _found(self, v: np.ndarray) -> tuple[float, Values, Prior, Conditional | None]:
         hyper = self.problem.hyper(v)
-        prior, at = self.problem.prior(hyper, self.flat), self.point.x
+        prior, at = self.problem.prior(hyper, self.flat), self.x
         products = self.products
         if products is not None and products.reaches(v):
             prior, at = products.prior(prior), products.at
@@ -269,14 +269,15 @@ class Density:
     ) -> np.ndarray:
         """What moves the products moves the density by, x's posterior held (see `Products.slopes`)."""
         problem, made, p = self.problem, np.zeros(len(v)), len(found.z)
-        line, move = self._line(v, hyper)[0], found.mean - self.point.x
-        moved = [(i, problem.along(self.point, v, i)) for i in problem.moving]
+        line, move = self._line(v, hyper)[0], found.mean - self.x
+        extra = self.extra(line)
+        moved = [(i, problem.along(self.x, v, i)) for i in problem.moving]
         # Beside J and the residuals at the mean: the slopes of J, and of what it leaves, by each coordinate.
         table = self._beside(line)
         table[:, -1] -= line.jacobian @ move
         beside = [table]
         for _, m in moved:
-            output = m.mean + m.columns @ move[m.at] - np.sum(m.rows * self.point.rows, axis=1)
+            output = m.mean + m.columns @ move[m.at]
             beside += [m.columns, output[:, None]]
         # By log σ²: ½·(E[eᵀΣ⁻¹e] − n) over x's posterior. The expectation is the squares at the mean plus tr C·JᵀΣ⁻¹J
         # = p − tr W·var z, the degrees of freedom that x took.
@@ -298,10 +299,11 @@ class Density:
             by_j, output = white[:, end : end + len(m.at)], white[:, end + len(m.at)]
             made[i] += white[:, p] @ output - np.sum(across[:, m.at] * by_j)
             end += len(m.at) + 1
-            if np.any(m.rows):  # and the variance that coefficients of single readings add
-                further = 2 * (line.rows * m.rows) @ problem.row_sd**2
+            if np.any(m.inputs):  # and the variance that noise on inputs adds
+                ends = (line._replace(inputs=line.inputs + step * m.inputs) for step in (1, -1))
+                further = 0.5 * (problem.extra(next(ends)) - problem.extra(next(ends)))  # quadratic
                 squares = np.sum(across * white[:, :p], axis=1) + white[:, p] ** 2
-                own = variance(problem.noise, hyper, problem.record) + self.extra(line)
+                own = variance(problem.noise, hyper, problem.record) + extra
                 made[i] += 0.5 * np.sum((squares - 1) * further / own)
         return made
 
@@ -316,11 +318,11 @@ class Density:
         """
         problem, made = self.problem, np.zeros(len(v))
         noise, record = problem.noise, problem.record
-        table = self._beside(self._line(v, hyper)[0])
-        jacobian, move = table[:, :-1], found.mean - self.point.x
-        left = table[:, -1] - jacobian @ move
-        terms = density_terms(noise, hyper, record, left)
-        further = bends(noise, hyper, record, left)
+        line = self._line(v, hyper)[0]
+        jacobian, move, extra = line.jacobian, found.mean - self.x, self.extra(line)
+        left = self.residual(line) - jacobian @ move
+        terms = density_terms(noise, hyper, record, left, extra)
+        further = bends(noise, hyper, record, left, extra)
         # hᵢ = (J·C·Jᵀ)ᵢᵢ; q carries what the mode's own move does to the volume, by the implicit function theorem.
         across = jacobian @ found.covariance
         leverage = np.sum(across * jacobian, axis=1)
@@ -336,11 +338,18 @@ class Density:
         for i, log_sd in problem.log_sd_slopes(v, hyper):
             made[i] -= q @ (2 * prior.weight * tightness * log_sd)
         for i in problem.moving:
-            at, by_j, mean, _ = problem.along(self.point, v, i)
+            at, by_j, mean, _ = problem.along(self.x, v, i)
             output = mean + by_j @ move[at]
             weighted = terms.curvature * output
             made[i] += terms.slope @ output - np.sum(terms.curvature @ (across[:, at] * by_j))
             made[i] += along @ weighted - of_volume @ output - (by_j @ q[at]) @ terms.slope
+            if np.ndim(extra):  # the variance that noise on inputs adds moves too
+                one = differences(
+                    lambda at, i=i: self.at(np.concatenate([v[:i], at, v[i + 1 :]]))[0],
+                    v[[i]],
+                    SHIFT,
+                )
+                made[i] = float(one[0]) - problem.log_prior_slope(v)[i]
         return made
 
 
@@ -405,7 +414,7 @@ def about(
         return None
     # Judged by what they are for: the largest error of the log density, at draws that they were not fitted to.
     tried = draws[:DRAWS_TRIED]
-    products = Products(problem, density.point, v, axes)
+    products = Products(problem, density.x, v, axes)
     if not _pay(products, Polynomials(coordinates, DEGREES[dim][-2]), proposals):
         return None
     there = np.array([density.at(one)[0] for one in tried])
@@ -432,7 +441,7 @@ def _pay(products: Products, polynomials: Polynomials, proposals: float) -> bool
     # In numbers multiplied: to compute products at the points and use them, or to whiten and multiply each time.
     problem, n, width = products.problem, products.size, products.width
     # Each is then computed by itself, or the output linearised anew for it.
-    if problem.corrected or len(problem.row_sd) or not problem.affine:
+    if problem.corrected or problem.noisy or not problem.affine:
         return True
     points, terms = len(polynomials.points), polynomials.count
     fitting = points * (CALL_COST + PASS_COST * n * width)

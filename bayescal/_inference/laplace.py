@@ -18,10 +18,8 @@ from jaxtyping import Float
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import LOG_2PI, Conditional, column_scale, condition
-from bayescal._inference.noise_on_record import variance
-from bayescal._inference.problem import Point, Problem
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
-from bayescal._model.composition import Linearised
 from bayescal._model.terms import ColumnsOf
 
 STILL_SD = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
@@ -39,7 +37,7 @@ NOTHING_LEFT = 1e-8  # log density that a step would gain, below which φ̂ is f
 class Mode(NamedTuple):
     """φ̂ with x̂ at it, and the Gaussian fit of φ's coordinates there."""
 
-    point: Point
+    x: Any  # (p,)
     v: Any  # (d,)
     covariance: Any  # (d, d)
     log_density: Any  # log p(y, φ̂), x integrated out
@@ -54,7 +52,7 @@ def find_mode(
     problem: Problem,
     starts: Iterable[np.ndarray] | None = None,
     covariance: np.ndarray | None = None,
-    point: Point | None = None,
+    x: Float[np.ndarray, "p"] | None = None,
     still: float = STILL_SD,
     curved: bool = True,
     start: Mapping[str, float] = NOTHING_KNOWN,
@@ -65,15 +63,15 @@ def find_mode(
         problem: the structure on its record.
         starts: coordinates to begin at; prior draws if not given. The most probable is taken.
         covariance: what the Gaussian fit at the mode may look like; the climb is shorter for it.
-        point: where x̂ may be; its prior mean, or what directions of an ellipsoid give, if not given.
+        x: where x̂ may be; its prior mean, or what directions of an ellipsoid give, if not given.
         still: standard deviations that a round moves anything by, below which the mode is found. The log evidence is
             off by about half their square.
         curved: whether the Gaussian fit there is asked for too; without, its covariance is the climb's guess.
         start: φ by name where the mode may be, a start beside the prior draws; what it does not name is at its prior's
             middle.
     """
-    point, dim = _start(problem) if point is None else point, len(problem.hypers)
-    flat = flat_scales(problem, point, np.zeros(dim))
+    x, dim = _start(problem) if x is None else x, len(problem.hypers)
+    flat = flat_scales(problem, x, np.zeros(dim))
     wanted = prior_draws(problem) if starts is None else list(starts)
     if starts is None and problem.kinds == ["noise"]:  # one hill
         wanted = wanted[:5]
@@ -83,27 +81,27 @@ def find_mode(
             known[i] = h.prior.coordinate(start[h.name]) if h.name in start else 0.0
         wanted = [known, *wanted]
 
-    def climbed(starts: Sequence[np.ndarray], point: Point) -> _Summit:
-        return _climbed(problem, starts, covariance, point, flat, still)
+    def climbed(starts: Sequence[np.ndarray], x: np.ndarray) -> _Summit:
+        return _climbed(problem, starts, covariance, x, flat, still)
 
     highest = partial(max, key=attrgetter("value"))
-    top = climbed(wanted if dim else wanted[:1], point)
+    top = climbed(wanted if dim else wanted[:1], x)
     if starts is None:
         # A product a·b is that of −a and −b: its density has two hills, and which one the prior draws met was chance.
         promoted = np.array([h.kind == "promoted" for h in problem.hypers], dtype=bool)
         if promoted.any():  # of a product both factors may have the other sign
-            top = highest(top, climbed([np.where(promoted, -top.v, top.v)], point))
+            top = highest(top, climbed([np.where(promoted, -top.v, top.v)], x))
         for along in across(problem, top.v):  # and one of many maxima may be higher
-            top = highest(top, climbed([*along], top.point))
+            top = highest(top, climbed([*along], top.x))
     if not curved and top.value > NOWHERE:
-        return Mode(top.point, top.v, top.wide, top.value, top.value, top.change, flat, False)
+        return Mode(top.x, top.v, top.wide, top.value, top.value, top.change, flat, False)
     density = top.density
     if density is None:
-        density = Density(problem, top.point, flat, top.v)
-    return at_mode(density, top.v, top.change, top.point)
+        density = Density(problem, top.x, flat, top.v)
+    return at_mode(density, top.v, top.change, top.x)
 
 
-def _start(problem: Problem) -> Point:
+def _start(problem: Problem) -> Float[np.ndarray, "p"]:
     """Where x̂ may be, nothing known: at its prior mean, or of three axes as `Vector.with_directions` has it."""
     record, start = problem.record, problem.start
     vector = record.instrument.vector
@@ -112,17 +110,16 @@ def _start(problem: Problem) -> Point:
         return start
     there = Problem(problem.layout, Record(record.instrument, *known), problem.size_factors)
     middle = np.zeros(len(problem.hypers))
-    found = mode_of_x(there, start, middle, flat_scales(there, start, middle))
-    return start._replace(x=found.x)
+    return mode_of_x(there, start, middle, flat_scales(there, start, middle))
 
 
 def flat_scales(
-    problem: Problem, point: Point, v: Float[np.ndarray, "d"]
+    problem: Problem, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"]
 ) -> Float[np.ndarray, "p"]:
     """Scales of the coefficients with flat priors; one for others."""
     if problem.weight_of_x.all():
         return np.ones(problem.size)
-    return column_scale(problem.linearise(point, problem.hyper(v)).jacobian)
+    return column_scale(problem.linearise(x, problem.hyper(v)).jacobian)
 
 
 class _Summit(NamedTuple):
@@ -131,7 +128,7 @@ class _Summit(NamedTuple):
     value: float  # the log density there
     change: float  # in the last round
     v: np.ndarray
-    point: Point
+    x: np.ndarray
     wide: np.ndarray | None
     density: Density | None = None  # of φ there, where it is the one that was climbed
 
@@ -140,7 +137,7 @@ def _climbed(
     problem: Problem,
     starts: Sequence[np.ndarray],
     covariance: np.ndarray | None,
-    point: Point,
+    x: np.ndarray,
     flat: np.ndarray,
     still: float,
 ) -> _Summit:
@@ -151,25 +148,19 @@ def _climbed(
     """
     # A step of `still` standard deviations gains about still²/2 nats: a fiftieth of that is nothing.
     nothing = max(NOTHING_LEFT, 0.01 * still**2)
-    density = Density(problem, point, flat, starts[0])
+    density = Density(problem, x, flat, starts[0])
     # Where the output is affine the linearisation is exact wherever it is made: one climb, no alternation.
     if problem.affine:
         v, wide = climb(density, starts, covariance, nothing)
         value, found = density.at(v)
-        if found is None:
-            return _Summit(value, 0.0, v, point, wide, density)
-        point = _with_rows(problem, density, found, v)
-        if len(problem.row_sd):
-            density = Density(problem, point, flat, v)
-            value = max(value, density.at(v)[0])
-        return _Summit(value, 0.0, v, point, wide, density)
+        return _Summit(value, 0.0, v, x if found is None else found.mean, wide, density)
     v = starts[int(np.argmax(density.values(np.array(starts))))] if len(starts) > 1 else starts[0]
-    density, value = _about_x(problem, point, v, flat, still)
+    density, value = _about_x(problem, x, v, flat, still)
     change, wide = math.inf, covariance
     for _ in range(ROUNDS):
         goal, wide = climb(density, [v], wide, nothing)
         for _ in range(HALVINGS):
-            there, higher = _about_x(problem, density.point, goal, flat, still)
+            there, higher = _about_x(problem, density.x, goal, flat, still)
             if higher > value - nothing:
                 break
             goal = v + 0.3 * (goal - v)
@@ -179,14 +170,14 @@ def _climbed(
         v, density, value = goal, there, higher
         if change < still:
             break
-    return _Summit(value, change, v, density.point, wide)
+    return _Summit(value, change, v, density.x, wide)
 
 
 def _about_x(
-    problem: Problem, point: Point, v: np.ndarray, flat: np.ndarray, still: float
+    problem: Problem, x: np.ndarray, v: np.ndarray, flat: np.ndarray, still: float
 ) -> tuple[Density, float]:
     """The density of φ about x̂ given φ, and its value there."""
-    density = Density(problem, mode_of_x(problem, point, v, flat, still), flat, v)
+    density = Density(problem, mode_of_x(problem, x, v, flat, still), flat, v)
     return density, density.at(v)[0]
 
 
@@ -261,77 +252,61 @@ def prior_draws(problem: Problem) -> list[np.ndarray]:
 
 
 def mode_of_x(
-    problem: Problem, point: Point, v: np.ndarray, flat: np.ndarray, still: float = STILL_SD
-) -> Point:
-    """x̂ given φ: Gauss–Newton on the residuals and the prior's, each step halved until the sum falls."""
+    problem: Problem,
+    x: Float[np.ndarray, "p"],
+    v: np.ndarray,
+    flat: np.ndarray,
+    still: float = STILL_SD,
+) -> Float[np.ndarray, "p"]:
+    """x̂ given φ: Gauss–Newton on the residuals and the prior's, each step halved until the sum falls.
+
+    What noise on inputs adds to the variance is held on each step: were it to fall with the residuals, the largest
+    slopes would win (effective variance: J. Orear, Am. J. Phys. 50 (1982) 912).
+    """
     hyper = problem.hyper(v)
     prior = problem.prior(hyper, flat)
 
-    def look(at: Point) -> tuple[float, Conditional | None, Density]:
-        density = Density(problem, at, flat)
+    def look(at: np.ndarray, extra: Any = None) -> tuple[float, Conditional | None]:
+        density = Density(problem, at, flat, held=extra)
         gram = density.gram(v, hyper)
         if not math.isfinite(gram.rtr + gram.logdet):
-            return math.inf, None, density
+            return math.inf, None
         # Squares at the point itself, not at the linear model's minimum.
-        z = prior.weight * (at.x - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
-        found = condition(gram, problem.record.size, prior, at.x)
-        return density.squares(hyper, gram) + float(z @ z), found, density
+        z = prior.weight * (at - prior.mean) / np.where(prior.sd > 0, prior.sd, 1.0)
+        found = condition(gram, problem.record.size, prior, at)
+        return density.squares(hyper, gram) + float(z @ z), found
 
-    squares, found, _ = look(point)
+    squares, found = look(x)
     for _ in range(50):
         if found is None:
-            return point
+            return x
         goal, share = found.mean, 1.0
         # At rest where a whole Gauss–Newton step moves nothing by a tenth of `still` posterior standard deviations.
         width = np.sqrt(np.diag(found.covariance)) + 1e-300
-        if np.max(np.abs((goal - point.x) / width), initial=0.0) < 0.1 * still:
-            return point
+        if np.max(np.abs((goal - x) / width), initial=0.0) < 0.1 * still:
+            return x
+        extra = problem.extra(problem.linearise(x, hyper)) if problem.noisy else None
         for _ in range(HALVINGS):
-            trial = Point(point.x + share * (goal - point.x), point.rows)
-            there, found, density = look(trial)
+            trial = x + share * (goal - x)
+            there, found = look(trial, extra)
             if there <= squares or not math.isfinite(squares):
                 break
             share *= 0.5
         else:
-            return point
-        gain, squares = squares - there, there
-        point = _with_rows(problem, density, None, v, trial.x)
-        if len(problem.row_sd):
-            squares, found, _ = look(point)
+            return x
+        gain, squares, x = squares - there, there, trial
+        if problem.noisy:
+            squares, found = look(x)
         elif share == 1.0 and gain < still**2:
-            return point
-    return point
-
-
-def _with_rows(problem, density: Density, found, v, x=None) -> Point:
-    """A point with its per-reading coefficients at their conditional mean."""
-    x = found.mean if x is None else x
-    point = Point(x, density.point.rows)
-    if not len(problem.row_sd):
-        return point
-    hyper = problem.hyper(v)
-    line = problem.linearise(point, hyper)
-    left = problem.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
-    precision, pull = of_single_readings(problem, line, left, hyper)
-    return Point(x, np.linalg.solve(precision, pull[:, :, None])[:, :, 0])
-
-
-def of_single_readings(
-    problem: Problem, line: Linearised, left: Float[np.ndarray, "n"], hyper: Mapping[str, float]
-) -> tuple[Float[np.ndarray, "n k k"], Float[np.ndarray, "n k"]]:
-    """Precision of each reading's own coefficients, all else given, and the pull of what is `left` of it."""
-    # They are seen by this reading alone: (r·rᵀ/σ² + D⁻¹)·c = r·left/σ² with its slopes r and their prior variances
-    # D, a small system for each.
-    noise = variance(problem.noise, hyper, problem.record)
-    precision = line.rows[:, :, None] * line.rows[:, None, :] / noise[:, None, None]
-    return precision + np.diag(1 / problem.row_sd**2), line.rows * (left / noise)[:, None]
+            return x
+    return x
 
 
 def at_mode(
     density: Density,
     v: np.ndarray,
     change: float,
-    point: Point | None = None,
+    x: Float[np.ndarray, "p"] | None = None,
     quick: bool = False,
 ) -> Mode:
     """The Gaussian fit of φ at its mode, and the Laplace evidence.
@@ -340,15 +315,15 @@ def at_mode(
         density: of φ.
         v: its mode.
         change: of the last round, in standard deviations.
-        point: x̂ there; the density's own point if not given.
+        x: x̂ there; the density's own if not given.
         quick: whether curvatures by differences on one side will do, which are a thousandth off.
     """
     value, found = density.at(v)
-    point = density.point if point is None else point
+    x = density.x if x is None else x
     if found is None:
         nothing = np.full((len(v), len(v)), np.nan)
-        return Mode(point, v, nothing, NOWHERE, -math.inf, math.inf, density.flat, True)
-    mode = Mode(point, v, np.zeros((0, 0)), value, value, change, density.flat, False)
+        return Mode(x, v, nothing, NOWHERE, -math.inf, math.inf, density.flat, True)
+    mode = Mode(x, v, np.zeros((0, 0)), value, value, change, density.flat, False)
     if not len(v):
         return mode
     covariance, volume, indefinite = gaussian_fit(density, v, quick)

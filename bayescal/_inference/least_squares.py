@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -29,7 +28,7 @@ from bayescal._inference.gaussian import LOG_2PI, Prior
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
 from bayescal._inference.noise_on_record import Independent, Whitening, whitening
-from bayescal._inference.problem import ABSENT, LARGEST_COORDINATE, Point, Problem, differences
+from bayescal._inference.problem import ABSENT, LARGEST_COORDINATE, Problem, differences
 from bayescal._model import forward
 from bayescal._model.composition import Linearised
 from bayescal._model.noise_law import in_time
@@ -77,11 +76,6 @@ class LeastSquares(Method):
             f"Covariance is the {kind} Laplace approximation; noise and between-group standard deviations by "
             "restricted likelihood, held at their estimate (so intervals do not carry the uncertainty of the noise)."
         ]
-        if not layout.model.noise.gaussian and layout.row_blocks:
-            notes.append(
-                f"{layout.model.noise.law} noise was taken without the coefficients of single readings: "
-                "use Marginal() for its own likelihood."
-            )
         return Outcome(
             layout=layout,
             draws=gaussian_draws(layout, found, self.draws, seed),
@@ -108,7 +102,7 @@ def gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> Dr
     sd = np.where(sd > 0, sd, 1.0)  # scaled by it, so that a small variance beside a large counts
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / np.outer(sd, sd))
     root = sd[:, None] * vectors * np.sqrt(np.maximum(values, 0))
-    centre = np.concatenate([found.mode.point.x, found.mode.v[places]])
+    centre = np.concatenate([found.mode.x, found.mode.v[places]])
     count = CHAINS * max(1, count // CHAINS)
     normal = random.standard_normal((count, len(centre)))
     # So that means and covariances read from the draws are those of the fit, not of the draws' luck:
@@ -117,8 +111,7 @@ def gaussian_draws(layout: Layout, found: Solution, count: int, seed: int) -> Dr
     theta = centre + normal @ root.T
     v = np.tile(found.mode.v, (count, 1)).copy()  # of an empty v, tile gives a view
     v[:, places] = theta[:, layout.size :]
-    rows = np.broadcast_to(found.mode.point.rows, (count, *found.mode.point.rows.shape))
-    return Draws.of(theta[:, : layout.size], rows, v)
+    return Draws.of(theta[:, : layout.size], v)
 
 
 def _exact_moments(normal: np.ndarray) -> np.ndarray:
@@ -195,8 +188,8 @@ def refine(
     """
     fit = _Refinement(problem, mode)
     # Where JᵀJ has no Cholesky factor the mode is nowhere; from the prior's centre, QR may find it.
-    found = np.all(np.isfinite(mode.point.x)) and math.isfinite(mode.log_evidence)
-    x = mode.point.x if found else problem.start.x
+    found = np.all(np.isfinite(mode.x)) and math.isfinite(mode.log_evidence)
+    x = mode.x if found else problem.start.x
     v = np.where(np.isfinite(mode.v), mode.v, 0.0)
     theta, converged = np.concatenate([x, v[fit.places]]), False
     if by_optimistix and not (
@@ -222,8 +215,7 @@ def refine(
     converged = converged or bool(np.max(np.abs(given.theta - theta) / sd, initial=0.0) < STILL_SD)
     if (full_hessian or not fit.gaussian) and np.all(np.isfinite(covariance)):
         covariance = fit.curved(theta, v, given.root)
-    point = Point(theta[: problem.size], mode.point.rows)
-    return Solution(mode._replace(point=point, v=v), covariance, converged)
+    return Solution(mode._replace(x=theta[: problem.size], v=v), covariance, converged)
 
 
 class _Refinement:
@@ -231,7 +223,7 @@ class _Refinement:
 
     def __init__(self, problem: Problem, mode: Mode) -> None:
         self.problem, self.mode = problem, mode
-        self.density = Density(problem, mode.point, mode.flat)
+        self.density = Density(problem, mode.x, mode.flat)
         layout, self.gaussian = problem.layout, problem.noise.gaussian
         # Of a law that is not Gaussian they stay where the marginal likelihood of the mode has them.
         self.scales = layout.positions("noise", "group_sd") if self.gaussian else []
@@ -248,16 +240,17 @@ class _Refinement:
         )
 
     def table(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray | float]:
-        """Slopes by θ beside what the expected output leaves, and the variance that the rows add."""
+        """Slopes by θ beside what the expected output leaves, and the variance that noise on inputs adds."""
         size = self.problem.size
-        point = Point(theta[:size], self.mode.point.rows)
 
         def linearised(located: np.ndarray) -> Linearised:
-            return self.problem.linearise(point, self.problem.hyper(_put(located, self.places, v)))
+            return self.problem.linearise(
+                theta[:size], self.problem.hyper(_put(located, self.places, v))
+            )
 
         line = linearised(theta[size:])
         moved = differences(lambda w: linearised(w).mean, theta[size:], SHIFT)
-        rest = self.problem.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
+        rest = self.problem.record.y - line.mean
         return np.column_stack([line.jacobian, *moved, rest]), self.density.extra(line)
 
     def whiten(self, v: np.ndarray, extra: Any, left: np.ndarray) -> Whitening | Independent:
@@ -312,7 +305,7 @@ class _Refinement:
         unknown. Laws that are not Gaussian have no such residuals, and no derivative forward is known of what
         correlated noise whitens by.
         """
-        problem, mode = self.problem, self.mode
+        problem = self.problem
         layout, noise = problem.layout, problem.noise
         if not (noise.gaussian and noise.independent and begin.size):
             return begin
@@ -322,22 +315,19 @@ class _Refinement:
         record = problem.record
         extra = np.broadcast_to(self.table(begin, v)[1], record.y.shape)
         # Padded to one of a few lengths, for each of which it is compiled once.
-        counts = {**dict(layout.counts), "reading": record.padded_size}
-        padded = replace(layout, counts=tuple(counts.items()))
         there = np.arange(record.padded_size) < record.size
-        own = record.y, extra, mode.point.rows.T
-        y, extra, rows = (jnp.asarray(record.longer(np.asarray(a))) for a in own)
+        y, extra = (jnp.asarray(record.longer(a)) for a in (record.y, extra))
         frame = jax.tree.unflatten(record.padded.form, record.padded.arrays)
-        readings = y, extra, rows.T, jnp.asarray(there, float)
+        readings = y, extra, jnp.asarray(there, float)
         steps = _by_optimistix(
-            afar, padded, frame, readings, v, prior, begin, scale, tuple(self.places)
+            afar, layout, frame, readings, v, prior, begin, scale, tuple(self.places)
         )
         there = begin + scale * np.asarray(steps)
         return there if np.all(np.isfinite(there)) else begin
 
     def from_afar(self, v: np.ndarray) -> tuple[np.ndarray, bool]:
         """θ where Gauss–Newton ran away or stalled: from where the mode was looked for first."""
-        begin = np.append(self.problem.start.x, np.zeros(len(self.places)))
+        begin = np.append(self.problem.start, np.zeros(len(self.places)))
         return self.fit_theta(self.solved(begin, v, afar=True), v)
 
     def conditional(self, theta: np.ndarray, v: np.ndarray) -> Callable[..., _Given]:
@@ -495,13 +485,13 @@ def _by_optimistix(afar, layout, frame, own, v, prior, begin, scale, places):
     """Steps (q,), in parts of `scale`, to the least squares of the whitened residuals and of the prior's."""
     import optimistix as optx  # a sixth of a second that only this needs
 
-    (y, extra, rows, real), noise, size = own, layout.model.noise, layout.size
+    (y, extra, real), noise, size = own, layout.model.noise, layout.size
     at_shapes = jnp.asarray(places, dtype=int)
 
     def residuals(z: Any, _: Any) -> Any:
         at = begin + scale * z
         hyper = forward.hyper_values(layout, v.at[at_shapes].set(at[size:]))
-        left = y - forward.mean(layout, frame, at[:size], rows, hyper)
+        left = y - forward.mean(layout, frame, at[:size], hyper)
         ordered, left, more = in_time(noise, frame, left, extra)
         white, _ = noise.whiten(left[:, None], more, hyper, ordered)
         return jnp.append(real * white[:, 0], prior.weight * (at - prior.mean) / prior.sd)

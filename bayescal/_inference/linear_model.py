@@ -21,7 +21,7 @@ from bayescal._inference.noise_on_record import (
     variance,
     whitening,
 )
-from bayescal._inference.problem import Point, Problem
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.composition import Linearised
 from bayescal._model.effect import Effect
@@ -61,7 +61,7 @@ class LinearModel:
         owners: of each of these columns, the effect (q,).
         z: where θ stands, in standard deviations from its prior mean; 0 where the prior is flat (q,).
         whiten: of the readings.
-        extra: variance that the per-reading coefficients add (n,), or 0.
+        extra: variance that noise on inputs adds (n,), or 0.
     """
 
     problem: Problem
@@ -156,7 +156,7 @@ class LinearModel:
         if problem.noise.gaussian:
             return self.white_settled
         values = problem.hyper(self.mode.v)
-        return normal_scores(problem.noise, values, problem.record, self.settled)
+        return normal_scores(problem.noise, values, problem.record, self.settled, self.extra)
 
     def along(
         self, columns: Float[np.ndarray, "n k"]
@@ -203,7 +203,7 @@ class LinearModel:
     @cached_property
     def slopes(self) -> dict[str, np.ndarray]:
         """Of the expected output by each slot, at the mode."""
-        return self.problem.slopes(self.mode.point, self.problem.hyper(self.mode.v))
+        return self.problem.slopes(self.mode.x, self.problem.hyper(self.mode.v))
 
 
 def taken_up(
@@ -240,23 +240,21 @@ def _factors(matrices: Float[np.ndarray, "*b k k"]) -> Float[np.ndarray, "*b k k
 
 def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     """A structure about its mode."""
-    density = Density(problem, mode.point, mode.flat, mode.v)
+    density = Density(problem, mode.x, mode.flat, mode.v)
     hyper = problem.hyper(mode.v)
-    line = problem.linearise(mode.point, hyper)
+    line = problem.linearise(mode.x, hyper)
     prior = problem.prior(hyper, mode.flat)
     _, found = density.at(mode.v)
-    x = mode.point.x if found is None else found.mean
-    back = np.sum(line.rows * mode.point.rows, axis=1)
-    residual = problem.record.y - line.mean + back - line.jacobian @ (x - mode.point.x)
+    x = mode.x if found is None else found.mean
+    residual = problem.record.y - line.mean - line.jacobian @ (x - mode.x)
     columns, sd = [line.jacobian * prior.sd], [prior.sd]
-    there = Point(x, mode.point.rows)
     # To first order a shape is one more unknown: the slope of the output by its coordinate is its column, of prior
     # width one.
     for i in problem.moving:
         up, down = mode.v.copy(), mode.v.copy()
         up[i] += STEP
         down[i] -= STEP
-        ends = [problem.linearise(there, problem.hyper(v)).mean for v in (up, down)]
+        ends = [problem.linearise(x, problem.hyper(v)).mean for v in (up, down)]
         columns.append(((ends[0] - ends[1]) / (2 * STEP))[:, None])
         sd.append(np.ones(1))
     # Where x stands in units of its prior: a prior of no width has its coefficient at the mean.
@@ -326,16 +324,16 @@ def _half_range(values: Float[np.ndarray, "n"]) -> float:
 def _left(problem: Problem) -> Float[np.ndarray, "n"]:
     """What the effects leave of the output at least, shapes and deviations of groups at their priors' middle."""
     hyper = problem.hyper(np.zeros(len(problem.hypers)))
-    point, y = problem.start, problem.record.y
+    x, y = problem.start, problem.record.y
     plain = [t.at.start for t in problem.in_x if t.known.per is None and t.group_sd_name is None]
     left = y - np.mean(y)
     for _ in range(GAUSS_NEWTON):
-        line = problem.linearise(point, hyper)
+        line = problem.linearise(x, hyper)
         if not np.all(np.isfinite(line.mean)):
             break
         left = y - line.mean
         columns = line.jacobian[:, plain]
         # Columns of unit size: `RANK` is then of directions, not of units or of how wide a prior is.
         size = column_scale(columns)
-        point.x[plain] += size * np.linalg.lstsq(columns * size, left, rcond=RANK)[0]
+        x[plain] += size * np.linalg.lstsq(columns * size, left, rcond=RANK)[0]
     return left

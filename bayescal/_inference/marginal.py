@@ -37,7 +37,6 @@ PATIENCE = "{:g} s for chains; a time limit gives them more"
 # Where k̂ says that the weights are sound, more proposals mend too few effective draws. Chains would take 1,500
 # iterations of four at seven gradients or more each, 42,000 gradients: up to as many proposals cost less.
 MOST_DRAWS = 65_536
-MOST_NUMBERS = 50_000_000  # in the coefficients of single readings of all draws, 400 MB
 
 
 class Marginal(Method):
@@ -71,9 +70,6 @@ class Marginal(Method):
             mode = find_mode(problem, start=start) if mode is None else mode
         layout, noise = problem.layout, problem.noise
         deadline.offer(lambda why: self.about_the_mode(problem, mode, seed, notes, why))
-        if not noise.gaussian and layout.row_blocks:
-            words = f"{noise.law} noise is not Gaussian, and readings have coefficients of their own: sampled jointly."
-            return self._exact(problem, mode, seed, (*notes, words))
         if self.sampler == "nuts" or not mode.log_evidence > -np.inf:
             return self._exact(problem, mode, seed, notes)
 
@@ -82,7 +78,7 @@ class Marginal(Method):
 
         with stage("sampling"):
             judged = self._sampled(problem, mode, seed, result)
-            if judged.limit < judged.k_hat <= K_HAT and not layout.row_blocks:
+            if judged.limit < judged.k_hat <= K_HAT:
                 judged = self._sampled(problem, mode, seed, result, heavy=True)
         if not judged.why_not:
             return result(judged)
@@ -117,8 +113,6 @@ class Marginal(Method):
         model, where the usual bound of k̂ holds.
         """
         proposals, most = self.proposals, MOST_DRAWS
-        if width := len(problem.row_sd):
-            most = min(MOST_DRAWS, MOST_NUMBERS // (problem.record.size * width))
         found = None
         while True:
             found = weighted_draws(problem, mode, seed, proposals, self.rounds, heavy, found)
@@ -147,7 +141,7 @@ class Marginal(Method):
         evidence = (float(found.log_evidence), float(found.log_evidence_error))
         return Outcome(
             layout=layout,
-            draws=Draws.of(found.x[pick], found.rows[pick], found.v[pick]),
+            draws=Draws.of(found.x[pick], found.v[pick]),
             mode=found.mode,
             verdict=trust.weights_verdict(weights, k_hat, notes, found.mode, reasons),
             log_evidence=None if layout.improper else evidence,
@@ -162,14 +156,12 @@ class Marginal(Method):
         with stage("NUTS on whitened unknowns"):
             with deadline.until(None if asked else nuts_chains.PATIENCE, words=PATIENCE):
                 ran = nuts_chains.run(log_density, start, covariance, jax.random.key(seed), plan)
-            # A few at a time, because rows are as many as readings.
-            place = jax.jit(lambda q: over(lambda one: unpack(one)[:3], q, 64))
-            x, rows, v = place(ran.draws.reshape(-1, start.size))
+            place = jax.jit(lambda q: over(lambda one: unpack(one)[:2], q, 64))
+            x, v = place(ran.draws.reshape(-1, start.size))
         known = not layout.improper and np.isfinite(mode.log_evidence)
-        known = known and (layout.model.noise.gaussian or not layout.row_blocks)
         return Outcome(
             layout=layout,
-            draws=Draws.of(x, rows, v),
+            draws=Draws.of(x, v),
             mode=mode,
             verdict=trust.chain_verdict(ran, "NUTS on whitened unknowns", notes),
             log_evidence=(float(mode.log_evidence), None) if known else None,

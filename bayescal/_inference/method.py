@@ -79,13 +79,12 @@ class Draws:
     """Equally weighted joint draws, chains × draws each, as a method gives them."""
 
     x: np.ndarray
-    rows: np.ndarray
     v: np.ndarray
 
     @classmethod
-    def of(cls, x: ArrayLike, rows: ArrayLike, v: ArrayLike) -> Draws:
+    def of(cls, x: ArrayLike, v: ArrayLike) -> Draws:
         """Of draws one after the other, as many as make `CHAINS` equal parts."""
-        arrays = (np.asarray(a) for a in (x, rows, v))
+        arrays = (np.asarray(a) for a in (x, v))
         return cls(*(a.reshape(CHAINS, len(a) // CHAINS, *a.shape[1:]) for a in arrays))
 
 

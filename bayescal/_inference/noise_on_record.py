@@ -19,7 +19,7 @@ from jaxtyping import Float
 from bayescal._inference.programs import program
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
-from bayescal._model.noise_law import LOG_2PI, Noise
+from bayescal._model.noise_law import LOG_2PI, Noise, log_density_beside, scores_beside
 
 Values = Mapping[str, Any]  # φ by name, one number each
 Each = Mapping[str, Any]  # φ by name, one number a draw, or one for all
@@ -121,7 +121,7 @@ def whitening(
         return Whitening(law, values, record, extra)
     if law.gaussian or left is None:
         return Independent(np.sqrt(variance(law, values, record) + extra))
-    terms = density_terms(law, values, record, left)
+    terms = density_terms(law, values, record, left, extra)
     # Under a scale mixture a reading with the residual e has the expected precision −f′(e)/e (K. Lange, R. Little and
     # J. Taylor, JASA 84 (1989) 881): what lowers the weighted squares lowers −2·log density too.
     weight = np.maximum(terms.weight(left), np.finfo(float).tiny)
@@ -218,11 +218,18 @@ def _stacked(law: Noise, record: Record, tables: Float[np.ndarray, "b n m"]) -> 
     return np.stack([_padded(law, record, table) for table in tables])
 
 
-def _of_readings(what, law: Noise, values: Values, record: Record, *arrays: np.ndarray) -> Any:
+def _of_readings(
+    what, law: Noise, values: Values, record: Record, extra: Any, *arrays: np.ndarray
+) -> Any:
     """What a program gives for each reading at one φ, without those that pad the record."""
     own = {name: np.float64(values[name]) for name in law.parameters()}
-    made = what(*record.for_law(law), *map(record.longer, arrays), own)
+    made = what(*record.for_law(law), *map(record.longer, arrays), _longer(record, extra), own)
     return jax.tree.map(lambda a: np.asarray(a)[..., : record.size], made)
+
+
+def _longer(record: Record, extra: Any) -> Any:
+    """Variance beside the law's, of readings or of draws of them, up to the padded length; None where there is none."""
+    return record.longer(np.asarray(extra)) if np.ndim(extra) else None
 
 
 class Terms(NamedTuple):
@@ -255,9 +262,9 @@ class Terms(NamedTuple):
 
 
 @program
-def _terms(law: Noise, frame: Frame, y, left, values):
+def _terms(law: Noise, frame: Frame, y, left, extra, values):
     def density(left):
-        return law.log_density(y, y - left, values, frame)
+        return log_density_beside(law, y, y - left, extra, values, frame)
 
     # Readings are independent given the expected output: one derivative along a vector of ones holds each one's own.
     one = jnp.ones(frame.size)
@@ -269,9 +276,11 @@ def _terms(law: Noise, frame: Frame, y, left, values):
     return density(left), density(jnp.zeros(frame.size)), -first, -second
 
 
-def density_terms(law: Noise, values: Values, record: Record, left: np.ndarray) -> Terms:
+def density_terms(
+    law: Noise, values: Values, record: Record, left: np.ndarray, extra: Any = 0.0
+) -> Terms:
     """Of what the expected output leaves of the readings, independent of each other given it."""
-    return Terms(*_of_readings(_terms, law, values, record, record.y, left))
+    return Terms(*_of_readings(_terms, law, values, record, extra, record.y, left))
 
 
 class Bends(NamedTuple):
@@ -285,14 +294,14 @@ class Bends(NamedTuple):
 
 
 @program
-def _bends(law: Noise, frame: Frame, y, left, values):
+def _bends(law: Noise, frame: Frame, y, left, extra, values):
     one = jnp.ones(frame.size)
 
     def along(function):
         return lambda left, values: jax.jvp(lambda at: function(at, values), (left,), (one,))[1]
 
     def density(left, values):
-        return law.log_density(y, y - left, values, frame)
+        return log_density_beside(law, y, y - left, extra, values, frame)
 
     first = along(density)
     second = along(first)
@@ -308,26 +317,31 @@ def _bends(law: Noise, frame: Frame, y, left, values):
     return along(second)(left, values), moved
 
 
-def bends(law: Noise, values: Values, record: Record, left: np.ndarray) -> Bends:
+def bends(law: Noise, values: Values, record: Record, left: np.ndarray, extra: Any = 0.0) -> Bends:
     """Of what the expected output leaves of the readings, independent of each other given it."""
-    return Bends(*_of_readings(_bends, law, values, record, record.y, left))
+    return Bends(*_of_readings(_bends, law, values, record, extra, record.y, left))
 
 
 @program
-def _densities(law: Noise, frame: Frame, y, left, values):
-    return jax.lax.map(lambda one: law.log_density(y, y - one[0], one[1], frame), (left, values))
+def _densities(law: Noise, frame: Frame, y, left, extra, values):
+    def of(one):
+        left, extra, own = one
+        return log_density_beside(law, y, y - left, extra, own, frame)
+
+    return jax.lax.map(of, (left, extra, values))
 
 
 @program
-def _totals(law: Noise, frame: Frame, y, left, values, size):
+def _totals(law: Noise, frame: Frame, y, left, extra, values, size):
     counted = jnp.arange(frame.size) < size
 
-    def of(left, own):
-        return jnp.sum(jnp.where(counted, law.log_density(y, y - left, own, frame), 0.0))
+    def of(left, extra, own):
+        found = log_density_beside(law, y, y - left, extra, own, frame)
+        return jnp.sum(jnp.where(counted, found, 0.0))
 
-    if left.shape[0] == 1:
-        return jax.lax.map(lambda own: of(left[0], own), values)
-    return jax.lax.map(lambda one: of(*one), (left, values))
+    if left.shape[0] == 1 and extra is None:
+        return jax.lax.map(lambda own: of(left[0], None, own), values)
+    return jax.lax.map(lambda one: of(*one), (left, extra, values))
 
 
 @program
@@ -348,8 +362,8 @@ def _samples(law: Noise, frame: Frame, means, keys, values):
 
 
 @program
-def _scores(law: Noise, frame: Frame, left, values):
-    return law.normal_scores(left, values, frame)
+def _scores(law: Noise, frame: Frame, left, extra, values):
+    return scores_beside(law, left, extra, values, frame)
 
 
 def variance(law: Noise, values: Values, record: Record) -> Float[np.ndarray, "n"]:
@@ -366,17 +380,20 @@ def variances(law: Noise, hyper: Each, record: Record) -> Float[np.ndarray, "b n
 
 
 def log_densities(
-    law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each
+    law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each, extra: Any = 0.0
 ) -> Float[np.ndarray, "b n"]:
-    """Log density of each reading, given those before it, at what the expected output leaves of it in each draw."""
-    return _by_draws(
-        _densities,
-        law,
-        record,
-        hyper,
-        left,
-        fixed=(record.longer(_forth(law, record, record.y, 0)),),
-    )
+    """Log density of each reading, given those before it, at what the expected output leaves of it in each draw.
+
+    Args:
+        law: the noise law.
+        record: the readings.
+        left: output unit.
+        hyper: φ by name, one value a draw.
+        extra: variance of each reading beside the law's (b, n), or a single zero.
+    """
+    y = record.longer(_forth(law, record, record.y, 0))
+    beside = extra if np.ndim(extra) else None
+    return _by_draws(_densities, law, record, hyper, left, beside, fixed=(y,))
 
 
 def samples(
@@ -395,10 +412,10 @@ def _keys(seed: np.uint32, count: int) -> Any:
 
 
 def normal_scores(
-    law: Noise, values: Values, record: Record, left: Float[np.ndarray, "n"]
+    law: Noise, values: Values, record: Record, left: Float[np.ndarray, "n"], extra: Any = 0.0
 ) -> Float[np.ndarray, "n"]:
     """What is left of readings as independent standard normal numbers, if the law is right."""
-    found = _of_readings(_scores, law, values, record, _forth(law, record, left, 0))
+    found = _of_readings(_scores, law, values, record, extra, _forth(law, record, left, 0))
     return _back(law, record, found)
 
 
@@ -407,9 +424,10 @@ def _by_draws(
 ) -> Float[np.ndarray, "b n"]:
     """A program of several draws, some at once; the last draw stands in for missing ones."""
     names = list(law.parameters())
-    count = max([*(np.size(hyper[n]) for n in names), *(len(a) for a in arrays), 1])
+    there = [a for a in arrays if a is not None]
+    count = max([*(np.size(hyper[n]) for n in names), *map(len, there), 1])
     own = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
-    arrays = tuple(_forth(law, record, np.asarray(a), 1) for a in arrays)
+    arrays = tuple(a if a is None else _forth(law, record, np.asarray(a), 1) for a in arrays)
     found = np.empty((record.size, count))
     # One, eight or many at once: three lengths, so that no program is compiled for each number of draws.
     most = max(1, CELLS // record.padded_size)
@@ -422,7 +440,9 @@ def _by_draws(
     )
     for start in range(0, count, together):
         pick = np.minimum(start + np.arange(together), count - 1)
-        some = [record.longer(a[pick if len(a) > 1 else 0 * pick]) for a in arrays]
+        some: list[Any] = [
+            a if a is None else record.longer(a[pick if len(a) > 1 else 0 * pick]) for a in arrays
+        ]
         some += [p[pick] for p in plain]
         values = {n: v[pick] for n, v in own.items()}
         made = np.asarray(what(*record.for_law(law), *fixed, *some, values))
@@ -475,9 +495,17 @@ def sloped_log_densities(
 
 
 def total_log_density(
-    law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each
+    law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each, extra: Any = 0.0
 ) -> Float[np.ndarray, "b"]:
-    """Log density of all readings together, at what the expected output leaves of them: in each draw, or (1, n)."""
+    """Log density of all readings together, at what the expected output leaves of them: in each draw, or (1, n).
+
+    Args:
+        law: the noise law.
+        record: the readings.
+        left: output unit.
+        hyper: φ by name, one value a draw.
+        extra: variance of each reading beside the law's (b, n), or a single zero.
+    """
     names = list(law.parameters())
     count = max([*(np.size(hyper[n]) for n in names), len(left)])
     own = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}
@@ -488,12 +516,14 @@ def total_log_density(
         if count <= 8 * FEWEST_DRAWS_TOGETHER
         else max(FEWEST_DRAWS_TOGETHER, min(256, CELLS // record.padded_size))
     )
-    single = record.longer(left[0])[None] if len(left) == 1 else None
+    beside = _longer(record, _forth(law, record, extra, 1)) if np.ndim(extra) else None
+    single = record.longer(left[0])[None] if len(left) == 1 and beside is None else None
     for start in range(0, count, together):
         pick = np.minimum(start + np.arange(together), count - 1)
         some = record.longer(left[pick]) if single is None else single
         values = {n: v[pick] for n, v in own.items()}
-        made = _totals(*record.for_law(law), y, some, values, np.float64(record.size))
+        more = beside if beside is None else beside[pick]
+        made = _totals(*record.for_law(law), y, some, more, values, np.float64(record.size))
         stop = min(start + together, count)
         found[start:stop] = np.asarray(made)[: stop - start]
     return found

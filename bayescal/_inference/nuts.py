@@ -60,10 +60,10 @@ class NUTS(Method):
         deadline.offer(lambda why: Marginal().about_the_mode(problem, mode, seed, (), why))
         plan = Plan(self.warmup, self.draws, self.chains, self.dense)
         ran, sites = sampled(program(layout, frame), (y,), plan, seed)
-        x, rows, v = (np.asarray(sites[k]) for k in ("x", "rows", "v"))
+        x, v = (np.asarray(sites[k]) for k in ("x", "v"))
         ran = ran._replace(draws=np.concatenate([x, v], axis=2))
         verdict = trust.chain_verdict(ran, "NUTS", ())
-        return Outcome(layout, Draws(x, rows, v), mode, verdict, log_evidence=None)
+        return Outcome(layout, Draws(x, v), mode, verdict, log_evidence=None)
 
 
 def sampled(
@@ -116,7 +116,7 @@ def program(layout: Layout, frame: Frame) -> Callable:
     """The model as a NumPyro program of the output, non-centred where a spread is learned.
 
     Its sites are every unknown by name in its reported unit (group coefficients as `name.standard`, in units
-    of their spread), the deterministic vectors `x`, `rows` and `v`, and the likelihood as a factor.
+    of their spread), the deterministic vectors `x` and `v`, and the likelihood as a factor.
     """
     import numpyro
     import numpyro.distributions as dist
@@ -143,16 +143,9 @@ def program(layout: Layout, frame: Frame) -> Callable:
                 site = b.mean + spread * z
             x.append(site)
         x = jnp.concatenate(x) if x else jnp.zeros(0)
-        rows = jnp.zeros((frame.size, len(layout.row_blocks)))
-        if layout.row_blocks:
-            e = numpyro.sample(
-                "rows.standard", dist.Normal(0.0, 1.0).expand(rows.shape).to_event(2)
-            )
-            rows = jnp.asarray(e) * forward.row_sd(layout)
         numpyro.deterministic("x", x)
-        numpyro.deterministic("rows", rows)
         numpyro.deterministic("v", v)
-        terms = forward.log_likelihood(layout, frame, y, x, rows, values)
+        terms = forward.log_likelihood(layout, frame, y, x, values)
         numpyro.factor("readings", jnp.sum(terms))
 
     return model

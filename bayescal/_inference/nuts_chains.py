@@ -163,19 +163,18 @@ def _block_of(kernel: Any, arguments: tuple) -> Callable:
 
 
 def whitened(problem: Problem, mode: Mode):
-    """The exact log density of (v, z, e), and the map from them to (x, rows, v).
+    """The exact log density of (v, z), and the map from them to (x, v).
 
-    z is x in units of its linearised posterior, by the products at the mode and φ's own prior and noise; e are the
-    per-reading coefficients in units of their priors. Any such map is exact.
+    z is x in units of its linearised posterior, by the products at the mode and φ's own prior and noise. Any such map
+    is exact.
     """
     layout, record = problem.layout, problem.record
     frame = jax.tree.map(jnp.asarray, record.frame)
-    y, row_sd = jnp.asarray(record.y), jnp.asarray(problem.row_sd)
-    d, p, shape = len(layout.hypers), layout.size, mode.point.rows.shape
-    density, there = Density(problem, mode.point, mode.flat, mode.v), problem.hyper(mode.v)
+    y, d, p = jnp.asarray(record.y), len(layout.hypers), layout.size
+    density, there = Density(problem, mode.x, mode.flat, mode.v), problem.hyper(mode.v)
     gram, prior = density.gram(mode.v, there), problem.prior(there, mode.flat)
-    pull = gram.jtr - gram.jtj @ (prior.weight * (prior.mean - mode.point.x))
-    middle = jnp.asarray(np.where(prior.weight > 0, prior.mean, mode.point.x))
+    pull = gram.jtr - gram.jtj @ (prior.weight * (prior.mean - mode.x))
+    middle = jnp.asarray(np.where(prior.weight > 0, prior.mean, mode.x))
     amplitude = next(iter(problem.noise.amplitudes), None)
 
     def place(v, z):
@@ -192,18 +191,17 @@ def whitened(problem: Problem, mode: Mode):
         return middle + sd * solve_triangular(chol, u + z, lower=True, trans=1), volume
 
     def unpack(q: Float[Array, "dim"]):
-        v, z, e = q[:d], q[d : d + p], q[d + p :].reshape(shape)
-        x, log_jacobian = place(v, z)
-        return x, row_sd * e, v, log_jacobian
+        x, log_jacobian = place(q[:d], q[d:])
+        return x, q[:d], log_jacobian
 
     def log_density(q: Float[Array, "dim"]) -> Float[Array, ""]:
-        x, rows, v, log_jacobian = unpack(q)
+        x, v, log_jacobian = unpack(q)
         hyper = forward.hyper_values(layout, v)
-        likelihood = jnp.sum(forward.log_likelihood(layout, frame, y, x, rows, hyper))
-        prior = forward.log_prior_x(layout, x, rows, hyper)
+        likelihood = jnp.sum(forward.log_likelihood(layout, frame, y, x, hyper))
+        prior = forward.log_prior_x(layout, x, hyper)
         return likelihood + prior + forward.hyper_log_prior(layout, v) + log_jacobian
 
-    dim = d + p + int(np.prod(shape))
+    dim = d + p
     start = jnp.zeros(dim).at[:d].set(mode.v)
     covariance = jnp.eye(dim).at[:d, :d].set(mode.covariance)
     return log_density, unpack, start, covariance

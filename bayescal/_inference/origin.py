@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from bayescal._data.measurements import Measurements
 from bayescal._inference.record import AFFINE, Record, record_of
+from bayescal._model.effect import READING
 from bayescal._model.frame import Reference, origins, reference_name
 from bayescal._model.instrument import factor_of
 from bayescal._model.model import Model
@@ -65,7 +66,7 @@ def _constant(model: Model, record: Record, output: int) -> str | None:
     for effect in model.effects:
         for i, c in enumerate(effect.coefficients):
             slot = c.slot or effect.slot
-            if c.group_sd is not None or c.per == "reading" or effect.column_shapes:
+            if c.group_sd is not None or c.per == READING or effect.column_shapes:
                 continue
             belong = c.per is None or (record.codes[c.per] >= 0).all()
             column = record.columns(ColumnsOf.of(effect), ())[:, i]

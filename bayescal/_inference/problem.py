@@ -19,7 +19,7 @@ from bayescal._model.composition import (
     linearised,
     slopes,
     value,
-    values,
+    variance_of_inputs,
 )
 from bayescal._model.composition import expected as expected_of
 from bayescal._model.parameters import MOVING, Layout
@@ -33,20 +33,13 @@ NUDGE = 1e-6  # of a coordinate, for derivatives of priors,
 SHIFT = 1e-4  # and of columns of the expected output
 
 
-class Point(NamedTuple):
-    """Where the expected output is linearised: x̂ (p,) and the per-reading coefficients (n, k); NumPy's or JAX's."""
-
-    x: Any
-    rows: Any
-
-
 class Moved(NamedTuple):
-    """Slopes by one coordinate of φ: of some columns of the Jacobian, of the expected output, of the row columns."""
+    """Slopes by one coordinate of φ: of columns of the Jacobian, of the expected output, of those by noisy inputs."""
 
     at: Int[np.ndarray, "k"]
     columns: Float[np.ndarray, "n k"]
     mean: Float[np.ndarray, "n"]
-    rows: Float[np.ndarray, "n r"]
+    inputs: Float[np.ndarray, "n r"]
 
 
 class Host:
@@ -112,7 +105,7 @@ class Problem:
         self.host = Host(self.record)
         self.hypers = layout.hypers
         self.size = sum(t.size for t in self.terms if t.place == "x")
-        self.row_sd = np.array([t.prior_sd for t in self.terms if t.place == "row"])
+        self.noisy = any(t.place == "input" for t in self.terms)  # an input
         self.noise = layout.model.noise
         self.fixed_values = dict(layout.model.fixed)
         # A promoted coefficient in units of a learned spread moves with that spread too.
@@ -216,38 +209,38 @@ class Problem:
         return Prior(self.mean_of_x, sd, self.weight_of_x)
 
     @property
-    def start(self) -> Point:
-        """At the priors' means; a constant that outputs are counted from stands at its origin, near which they are."""
+    def start(self) -> Float[np.ndarray, "p"]:
+        """x at its prior means; a constant that outputs are counted from stands at its origin, near which they are."""
         x = self.mean_of_x.copy()
         for b in self.layout.x_blocks:
             if b.origin:
                 x[b.start : b.start + b.size] = 0.0
-        return Point(x, np.zeros((self.record.size, len(self.row_sd))))
+        return x
 
-    def point_of(self, other: Problem, point: Point) -> Point:
-        """Another structure's point in this one's terms; what that one has not stands at its prior mean."""
+    def x_of(self, other: Problem, x: Float[np.ndarray, "q"]) -> Float[np.ndarray, "p"]:
+        """Another structure's x in this one's terms; what that one has not stands at its prior mean."""
         found, theirs = self.start, {(t.known.of, t.index): t.at for t in other.in_x}
         for t in self.in_x:
             if (at := theirs.get((t.known.of, t.index))) is not None:
-                found.x[t.at] = point.x[at]
-        return found._replace(rows=point.rows) if point.rows.shape == found.rows.shape else found
+                found[t.at] = x[at]
+        return found
 
     # the expected output ----------------------------------------------------------------------------------------
 
     def value(self, t: Term, x: np.ndarray, hyper: Mapping[str, Any]) -> np.ndarray:
-        """A term's coefficient at each reading (…, n), or one for all (…, 1); of none of single readings."""
-        return value(self.host, t, x, None, hyper)
+        """A term's coefficient at each reading (…, n), or one for all (…, 1)."""
+        return value(self.host, t, x, hyper)
 
     def composed(
-        self, terms: Sequence[Term], x, rows, hyper: Mapping[str, Any], sloped: bool = False
+        self, terms: Sequence[Term], x, hyper: Mapping[str, Any], sloped: bool = False
     ) -> Composed:
-        """Some of its terms at a point, or at those of several draws."""
-        found = values(self.host, terms, x, rows, hyper)
-        return compose(self.host, terms, found, hyper, sloped)
+        """Some of its terms at an x, or at those of several draws."""
+        values = [self.value(t, x, hyper) for t in terms]
+        return compose(self.host, terms, values, hyper, sloped)
 
     @cached_property
     def affine(self) -> bool:
-        """Whether the expected output is affine in x and in the per-reading coefficients."""
+        """Whether the expected output is affine in x."""
         return not self.corrected and self.record.affine is not None
 
     @cached_property
@@ -266,68 +259,84 @@ class Problem:
         found = np.zeros((self.record.size, self.size), order="F")
         if self.affine:
             kept = [t for t in self.in_x if not t.known.shape_names]
-            none = np.zeros(self.size), np.zeros((self.record.size, 0)), self.fixed_values
+            none = np.zeros(self.size), self.fixed_values
             made = linearised(self.host, kept, self.composed(kept, *none, sloped=True))
             found[:, np.setdiff1d(places, acting)] = made.jacobian
         return found, acting
 
-    def slopes(self, point: Point, hyper: Values) -> Mapping[str, Float[np.ndarray, "n"]]:
+    def slopes(
+        self, x: Float[np.ndarray, "p"], hyper: Values
+    ) -> Mapping[str, Float[np.ndarray, "n"]]:
         """Of the expected output by each slot and each corrected column, reading by reading."""
         terms = () if self.affine else self.terms
-        return slopes(self.host, terms, self.composed(terms, *point, hyper, sloped=True))[1]
+        return slopes(self.host, terms, self.composed(terms, x, hyper, sloped=True))[1]
 
-    def linearise(self, point: Point, hyper: Values) -> Linearised:
-        """Expected output and Jacobian at a point, output unit per reported unit."""
-        made = self.composed(self._acting, *point, hyper, sloped=True)
+    def linearise(self, x: Float[np.ndarray, "p"], hyper: Values) -> Linearised:
+        """Expected output and Jacobian at an x, output unit per reported unit."""
+        made = self.composed(self._acting, x, hyper, sloped=True)
         found = linearised(self.host, self._acting, made)
         if not self.affine:
             return found
         still, acting = self._still
         jacobian = still.copy(order="F")
         jacobian[:, acting] = found.jacobian
-        return Linearised(found.mean + still @ point.x, jacobian, found.rows)
+        return Linearised(found.mean + still @ x, jacobian, found.inputs)
 
-    def along(self, point: Point, v: Float[np.ndarray, "d"], i: int) -> Moved:
+    def extra(self, line: Linearised) -> Float[np.ndarray, "n"] | float:
+        """Variance that noise on inputs adds to each reading, output unit squared."""
+        return variance_of_inputs(self.terms, line) if self.noisy else 0.0
+
+    def along(self, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"], i: int) -> Moved:
         """What one coordinate of φ moves."""
         ends = []
         for step in (SHIFT, -SHIFT):
             moved = v.copy()
             moved[i] += step
-            made = self.composed(self._acting, *point, self.hyper(moved), sloped=True)
+            made = self.composed(self._acting, x, self.hyper(moved), sloped=True)
             ends.append(linearised(self.host, self._acting, made))
-        mean, columns, rows = (
+        mean, columns, inputs = (
             (above - below) / (2 * SHIFT) for above, below in zip(*ends, strict=True)
         )
         which = np.flatnonzero(np.any(columns != 0, axis=0))
-        return Moved(self._still[1][which], columns[:, which], mean, rows)
+        return Moved(self._still[1][which], columns[:, which], mean, inputs)
 
-    # joint draws: x (b, p), rows (b, n, k), φ by name, one value a draw or one for all -----------------------------
+    # joint draws: x (b, p), φ by name, one value a draw or one for all -----------------------------
 
-    def expected(self, x, rows, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
+    def expected(self, x, hyper: Mapping[str, Any]) -> Float[np.ndarray, "b n"]:
         """Expected output of joint draws, output unit."""
-        found = expected_of(self.host, self.composed(self._acting, x, rows, hyper))
+        found = expected_of(self.host, self.composed(self._acting, x, hyper))
         if self.affine:
             return found + x @ self._still[0].T
         return np.broadcast_to(found, (len(x), self.record.size))  # of no term it is one for all
 
     def expected_with_slopes(
-        self, x, rows, hyper: Mapping[str, Any], terms: Sequence[Term]
+        self, x, hyper: Mapping[str, Any], terms: Sequence[Term]
     ) -> tuple[Float[np.ndarray, "b n"], list[np.ndarray]]:
         """Expected output of joint draws, and its slopes by some terms, (n,) or (b, n) each, as if all readings
         belonged to one member of a term's group."""
-        made = self.composed(self.terms, x, rows, hyper, sloped=True)
+        made = self.composed(self.terms, x, hyper, sloped=True)
         mean, by_slot = slopes(self.host, self.terms, made)
         wanted = {id(t) for t in terms}
         each = zip(self.terms, made.columns, strict=True)
         return mean, [by_slot[t.slot] * column for t, column in each if id(t) in wanted]
 
+    def expected_and_extra(
+        self, x, hyper: Mapping[str, Any]
+    ) -> tuple[Float[np.ndarray, "b n"], Any]:
+        """Expected output of joint draws, and the variance that noise on inputs adds to it, (b, n) or a single zero."""
+        if not self.noisy:
+            return self.expected(x, hyper), 0.0
+        inputs = [t for t in self.terms if t.place == "input"]
+        mean, slopes = self.expected_with_slopes(x, hyper, inputs)
+        added = [(s * t.prior_sd) ** 2 for t, s in zip(inputs, slopes, strict=True)]
+        return mean, np.broadcast_to(sum(added), mean.shape)
+
     def linearise_draws(
-        self, point: Point, hyper: Mapping[str, Any], count: int
+        self, x: Float[np.ndarray, "p"], hyper: Mapping[str, Any], count: int
     ) -> Float[np.ndarray, "b n q"]:
-        """J beside what the expected output at a point leaves, for several φ; no column may be corrected."""
-        x = np.broadcast_to(point.x, (count, self.size))
-        rows = np.broadcast_to(point.rows, (count, *point.rows.shape))
-        made = self.composed(self.terms, x, rows, hyper, sloped=True)
+        """J beside what the expected output at an x leaves, for several φ; no column may be corrected."""
+        x = np.broadcast_to(x, (count, self.size))
+        made = self.composed(self.terms, x, hyper, sloped=True)
         mean, jacobian, _ = linearised(self.host, self.terms, made)
         left = self.record.y - mean
         # A column's numbers lie together in memory, as in the Jacobian.

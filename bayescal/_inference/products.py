@@ -27,7 +27,7 @@ from bayescal._inference.chebyshev import REACH, weights, weights_and_slopes
 from bayescal._inference.column_products import ColumnProducts
 from bayescal._inference.gaussian import Conditional, Gram, Prior
 from bayescal._inference.noise_on_record import Whitening
-from bayescal._inference.problem import Point, Problem, Values
+from bayescal._inference.problem import Problem, Values
 from bayescal._inference.record import Basis
 from bayescal._model.composition import Linearised, by_member
 from bayescal._model.prior import Normal
@@ -88,7 +88,7 @@ class Products:
 
     Attributes:
         problem: the structure on its record.
-        point: x̂, and the per-reading coefficients.
+        x: x̂.
         there: coordinates of φ at which a nonlinear output is linearised in its shapes too.
         outer: the axes along which they are polynomials; None where there is none.
         at: where what is left of the readings was taken, held coefficients last (q,): zero for what shapes move.
@@ -97,11 +97,11 @@ class Products:
     def __init__(
         self,
         problem: Problem,
-        point: Point,
+        x: Float[np.ndarray, "p"],
         there: Float[np.ndarray, "d"],
         outer: Axes | None = None,
     ) -> None:
-        self.problem, self.point, self.there, self.outer = problem, point, there, outer
+        self.problem, self.x, self.there, self.outer = problem, x, there, outer
         self.size = problem.record.size
         # Where columns of the readings are corrected, every coefficient moves all columns: J is taken as it is.
         places = ("x",) if problem.corrected else ("x", "fixed")
@@ -111,7 +111,7 @@ class Products:
             [t.value for t in self.terms if t.place == "fixed" for _ in range(t.size)]
         )
         self.columns = self._laid_out()
-        self.at = np.append(point.x, self._held)
+        self.at = np.append(x, self._held)
         self.at[self.columns.moving] = 0.0
         self._inner = [i for i, _ in self.columns.by]
         self.polynomials: Polynomials | None = None
@@ -174,11 +174,11 @@ class Products:
 
     def _table(self, hyper: Values, v: np.ndarray, line: Linearised) -> Float[np.ndarray, "n m1"]:
         """[Φ r]; at a φ as far as outer axes move them."""
-        problem, point = self.problem, self.point
-        residual = problem.record.y - line.mean + np.sum(line.rows * point.rows, axis=1)
+        problem = self.problem
+        residual = problem.record.y - line.mean
         if problem.corrected:
             return np.column_stack([line.jacobian, residual])
-        slopes, parts = problem.slopes(point, hyper), []
+        slopes, parts = problem.slopes(self.x, hyper), []
         for t, basis in zip(self.terms, self._bases, strict=True):
             if basis is None:
                 shapes = tuple(float(hyper[name]) for name in t.known.shape_names)
@@ -188,7 +188,7 @@ class Products:
             return residual[:, None]
         table, moving = self._in_order(parts), self.columns.moving
         if len(moving):  # what shapes move is no constant part of μ(x̂), but J·x̂
-            amounts = self.columns.at(v) @ np.append(point.x, self._held)[moving]
+            amounts = self.columns.at(v) @ np.append(self.x, self._held)[moving]
             residual = residual + table[:, len(self.columns.plain) :] @ amounts
         return np.column_stack([table, residual])
 
@@ -197,10 +197,10 @@ class Products:
         problem = self.problem
         if not problem.affine:
             hyper = problem.hyper(self.there)
-            table = self._table(hyper, self.there, problem.linearise(self.point, hyper))
+            table = self._table(hyper, self.there, problem.linearise(self.x, hyper))
             return table.T @ table
         store: ColumnProducts = problem.record.products
-        slopes, parts = problem.slopes(self.point, {}), [np.zeros(0, int)]
+        slopes, parts = problem.slopes(self.x, {}), [np.zeros(0, int)]
         for t, basis in zip(self.terms, self._bases, strict=True):
             assert basis is not None
             held = (
@@ -356,9 +356,8 @@ class Products:
         """Products at one point of the outer axes in units of the noise there, and log|Σ| likewise."""
         hyper, v = self._axes.values(coordinates, self.there)
         unit = float(self._axes.unit(hyper))
-        line = self.problem.linearise(self.point, hyper)
-        extra = np.sum((line.rows * self.problem.row_sd) ** 2, axis=1)
-        white = Whitening(self.problem.noise, hyper, self.problem.record, extra)
+        line = self.problem.linearise(self.x, hyper)
+        white = Whitening(self.problem.noise, hyper, self.problem.record, self.problem.extra(line))
         # In units of the noise there the products hardly follow its amplitude, so that a low degree describes them.
         whole, logdet = white.gram(self._table(hyper, v, line))
         return np.append(
@@ -400,12 +399,12 @@ class Axes:
         known = UNCERTAINTY in record.frame.columns
         self._floor = float(np.median(np.asarray(record.frame[UNCERTAINTY]) ** 2)) if known else 0.0
         # Where no variance is known beforehand, all amplitudes are taken in units of the first.
-        absolute = known or len(problem.row_sd) > 0
+        absolute = known or problem.noisy
         self._amplitudes: tuple[str, ...] = (
             () if absolute or not set(noise.amplitudes) <= free else noise.amplitudes
         )
         priors = noise.parameters()
-        self._even = noise.even(record.frame) and not len(problem.row_sd)
+        self._even = noise.even(record.frame) and not problem.noisy
         self._noise = [
             n for n in priors if n in free and n not in self._amplitudes[:1] and not self._even
         ]

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from bayescal._core.errors import ModelError
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
-from bayescal._inference.problem import Point, Problem
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
 from bayescal._model.parameters import Layout
@@ -100,15 +100,13 @@ def _bends(problem: Problem) -> bool:
     if problem.affine or not problem.size:
         return False
     random, v = np.random.default_rng(1), np.zeros(len(problem.hypers))
-    widths, hyper = problem.row_sd, problem.hyper(v)
-    rows = widths * random.standard_normal((problem.record.size, len(widths)))
+    hyper = problem.hyper(v)
     sd = problem.prior(hyper, np.ones(problem.size)).sd
     # An affine f has f(a + b) − f(0) = (f(a) − f(0)) + (f(b) − f(0)) for all a and b: tried at random ones of prior
     # size.
     one, two = sd * random.standard_normal((2, problem.size))
-    moves = ((0 * one, 0.0), (one, 1.0), (two, 0.0), (one + two, 1.0))
-    points = (Point(problem.start.x + x, share * rows) for x, share in moves)
-    base, a, b, both = (problem.linearise(point, hyper).mean for point in points)
+    moves = 0 * one, one, two, one + two
+    base, a, b, both = (problem.linearise(problem.start + x, hyper).mean for x in moves)
     scale = np.max(np.abs(a - base)) + np.max(np.abs(b - base)) + 1e-300
     return bool(np.max(np.abs((both - base) - (a - base) - (b - base))) > AFFINE * scale)
 
@@ -116,7 +114,7 @@ def _bends(problem: Problem) -> bool:
 def _second_order(problem: Problem, mode: Mode) -> Float[np.ndarray, "p"]:
     """For each entry of x the size of its products with the others, in noise standard deviations."""
     hyper = problem.hyper(mode.v)
-    found = Density(problem, mode.point, mode.flat).at(mode.v)[1]
+    found = Density(problem, mode.x, mode.flat).at(mode.v)[1]
     if found is None:
         return np.zeros(problem.size)
     covariance = found.covariance
@@ -129,13 +127,12 @@ def _second_order(problem: Problem, mode: Mode) -> Float[np.ndarray, "p"]:
     def size(i: int) -> float:
         ends = []
         for sign in (1, -1):
-            x = mode.point.x.copy()
+            x = mode.x.copy()
             x[i] += sign * STEP * sd[i]
-            ends.append(problem.linearise(Point(x, mode.point.rows), hyper))
+            ends.append(problem.linearise(x, hyper))
         # What one posterior standard deviation of xᵢ changes in J, times a root of the covariance of the others: the
         # second-order term that the linearised model leaves out of each reading, in units of its noise.
-        in_x = (ends[0].jacobian - ends[1].jacobian) / (2 * STEP) @ root / noise
-        in_rows = (ends[0].rows - ends[1].rows) / (2 * STEP) * problem.row_sd / noise
-        return float(np.sqrt(np.sum(in_x**2) + np.sum(in_rows**2)))
+        bent = (ends[0].jacobian - ends[1].jacobian) / (2 * STEP) @ root / noise
+        return float(np.sqrt(np.sum(bent**2)))
 
     return np.array([size(i) for i in range(problem.size)])

@@ -24,7 +24,7 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.density import NOWHERE, Density, about
 from bayescal._inference.gaussian import Drawn, Gram, draw
-from bayescal._inference.joint import FREEDOM, draw_joint, normal_numbers
+from bayescal._inference.joint import FREEDOM, correction, normal_numbers
 from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.noise_on_record import grams
 from bayescal._inference.problem import Problem
@@ -66,7 +66,6 @@ class WeightedDraws(NamedTuple):
     """Joint draws with their log weights (not normalised, not smoothed)."""
 
     x: Float[np.ndarray, "s p"]
-    rows: Float[np.ndarray, "s n k"]
     v: Float[np.ndarray, "s d"]
     log_weight: Float[np.ndarray, "s"]
     log_weight_phi: Float[np.ndarray, "s"]  # of φ alone, before the correction
@@ -139,7 +138,7 @@ class ManyPhi:
 
     def __init__(self, problem: Problem, mode: Mode, proposals: float | None = None) -> None:
         self.problem, self.mode, self.size = problem, mode, problem.record.size
-        self.density = Density(problem, mode.point, mode.flat, mode.v)
+        self.density = Density(problem, mode.x, mode.flat, mode.v)
         self.products = self.density.products
         if self.products is None and problem.noise.gaussian:
             close = CLOSE_NATS if self.size <= COSTLY_READINGS else CLOSER_NATS
@@ -197,7 +196,7 @@ class ManyPhi:
     def _by_readings(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> Drawn:
         """The same from products that are computed for each φ."""
         problem = self.problem
-        if problem.corrected or len(problem.row_sd) or not problem.noise.gaussian:
+        if problem.corrected or problem.noisy or not problem.noise.gaussian:
             made = [self.density.gram(one, problem.hyper(one)) for one in v]
             grams = Gram(*(np.stack([np.asarray(g[i]) for g in made]) for i in range(4)))
         else:
@@ -205,12 +204,12 @@ class ManyPhi:
             parts = [self._computed(part) for part in np.array_split(v, -(-len(v) // together))]
             grams = Gram(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
         prior = problem.prior(problem.hyper(v.T), self.mode.flat, (len(v),))
-        return draw(grams, self.size, prior, self.mode.point.x, normal)
+        return draw(grams, self.size, prior, self.mode.x, normal)
 
     def _computed(self, v: Float[np.ndarray, "b d"]) -> Gram:
         problem, record = self.problem, self.problem.record
         hyper, count = problem.hyper(v.T), len(v) if problem.moving else 1
-        table = problem.linearise_draws(self.mode.point, hyper, count)
+        table = problem.linearise_draws(self.mode.x, hyper, count)
         each = {name: np.broadcast_to(value, len(v)) for name, value in hyper.items()}
         return Gram.of(*grams(problem.noise, record, table, each, len(v)))
 
@@ -270,8 +269,7 @@ def adapted(
         log_weight = there - log_proposal
         if np.max(there) > higher or effective_size(softmax(log_weight)) > ADAPTED * len(v):
             break
-        none = np.zeros((len(v), 0))
-        tried.add(mixture, v, log_proposal, _Placed(v, there, none, none, there))
+        tried.add(mixture, v, log_proposal, _Placed(v, there, np.zeros((len(v), 0)), there))
         mixture = _match(mode, tried.all.v, tried.log_weight)
         if k + 1 >= USUAL_ROUNDS and smoothed(log_weight)[1] <= K_HAT:
             break
@@ -317,17 +315,17 @@ class Rounds:
 
     def drawn(self, mode: Mode) -> WeightedDraws:
         """All of them, weighed."""
-        v, _, x, rows, correction = self.all
+        v, _, x, corrections = self.all
         log_weight_phi = self.log_weight
-        counting = correction > NOWHERE
+        counting = corrections > NOWHERE
         log_weight = np.where(
-            counting, log_weight_phi + np.where(counting, correction, 0.0), NOWHERE
+            counting, log_weight_phi + np.where(counting, corrections, 0.0), NOWHERE
         )
         # The mean of the unnormalised weights is the evidence; its relative error is that of a mean of so many.
         evidence = logsumexp(log_weight) - math.log(len(v))  # pyright: ignore[reportOperatorIssue]
         error = np.std(np.exp(log_weight - evidence)) / math.sqrt(len(v))
         evidence, error = np.float64(evidence), np.float64(error)
-        return WeightedDraws(x, rows, v, log_weight, log_weight_phi, evidence, error, mode, self)
+        return WeightedDraws(x, v, log_weight, log_weight_phi, evidence, error, mode, self)
 
 
 class _Placed(NamedTuple):
@@ -336,15 +334,14 @@ class _Placed(NamedTuple):
     Attributes:
         v: φ.
         log_density: of φ, x integrated out.
-        x, rows: coefficients.
-        correction: of the log weight of the joint draw; `NOWHERE` where none counts.
+        x: coefficients.
+        corrections: of the log weight of the joint draw; `NOWHERE` where none counts.
     """
 
     v: Float[np.ndarray, "s d"]
     log_density: Float[np.ndarray, "s"]
     x: Float[np.ndarray, "s p"]
-    rows: Float[np.ndarray, "s n k"]
-    correction: Float[np.ndarray, "s"]
+    corrections: Float[np.ndarray, "s"]
 
 
 @on_one_thread
@@ -396,7 +393,7 @@ def weighted_draws(
             start = found.v[int(np.argmax(found.log_weight_phi))]
         # No draw of a posterior lies above its mode, and one that counts for many more is on a hill that is not
         # proposed: the climb may have ended on a lower one, and begins anew there.
-        mode = find_mode(problem, [start], point=density.mode.point)
+        mode = find_mode(problem, [start], x=density.mode.x)
         if mode.log_density > higher:
             density, known = ManyPhi(problem, mode, expected), None
         elif found is not None:
@@ -488,11 +485,9 @@ def _placed(
 ) -> _Placed:
     """Coefficients drawn for each φ that counts, and what corrects their weights."""
     mode = density.mode
-    count, (size, width) = len(v), mode.point.rows.shape
-    x = np.array(np.broadcast_to(mode.point.x, (count, len(mode.point.x))))
-    rows = np.broadcast_to(mode.point.rows, (count, size, width))
-    rows = np.array(rows) if width else rows
-    log_density, correction, highest = np.empty(count), np.full(count, NOWHERE), NOWHERE
+    count, size = len(v), density.problem.record.size
+    x = np.array(np.broadcast_to(mode.x, (count, len(mode.x))))
+    log_density, corrections, highest = np.empty(count), np.full(count, NOWHERE), NOWHERE
     together = max(32, min(density.together, IN_CACHE // size))
     bends = density.exact and not density.problem.affine and not judged.alike
     first = FIRST_DRAWS if bends and count > FIRST_DRAWS else 0
@@ -508,41 +503,33 @@ def _placed(
         if not counting.any():
             continue
         pick, found, normal = stretch[counting], found.of(counting), normal[counting]
-        args = density, v[pick], found, normal, of_phi[counting], judged, heavy, random
-        drawn, own, corrected = _drawn(*args)
+        corrected = _corrected(density, v[pick], found, normal, of_phi[counting], judged, heavy)
         some = np.isfinite(corrected)
-        x[pick[some]] = drawn[some]
-        if width:
-            rows[pick[some]] = own[some]
-        correction[pick[some]] = corrected[some]
+        x[pick[some]] = found.x[some]
+        corrections[pick[some]] = corrected[some]
     # Of those that were looked at too: their scatter would pass for a tail.
     if judged.alike and density.exact:
-        correction = np.where(correction > NOWHERE, judged.mean, NOWHERE)
-    return _Placed(v, log_density, x, rows, correction)
+        corrections = np.where(corrections > NOWHERE, judged.mean, NOWHERE)
+    return _Placed(v, log_density, x, corrections)
 
 
-def _drawn(
-    density: ManyPhi, v, found: Drawn, normal, of_phi, judged: Corrections, heavy: bool, random
-):
-    """x, per-reading coefficients and corrections of draws, as `draw_joint`; the same correction where it is known.
+def _corrected(
+    density: ManyPhi, v, found: Drawn, normal, of_phi, judged: Corrections, heavy: bool
+) -> Float[np.ndarray, "b"]:
+    """`correction` of draws; the same for all where it is known.
 
     Where polynomials end it is not: there each draw has its own.
     """
-    problem, mode, exact = density.problem, density.mode, density.exact
-    hyper, inside = problem.hyper(v.T), density.inside(v)
-    if len(problem.row_sd) or not judged.alike:
-        made = draw_joint(problem, mode, found, normal, hyper, exact, heavy, random)
-        judged.add(of_phi[inside], made[2][inside])
+    problem, exact, inside = density.problem, density.exact, density.inside(v)
+    if not judged.alike:
+        made = correction(problem, found, normal, problem.hyper(v.T), exact, heavy)
+        judged.add(of_phi[inside], made[inside])
         return made
-    x = found.x.copy()
-    rows, correction = np.empty((len(v), problem.record.size, 0)), np.full(len(v), judged.mean)
-    if not inside.all():
-        out = ~inside
+    made, out = np.full(len(v), judged.mean), ~inside
+    if out.any():
         hyper = problem.hyper(v[out].T)
-        some = found.of(out), normal[out]
-        made = draw_joint(problem, mode, *some, hyper, exact, heavy, random)
-        x[out], rows[out], correction[out] = made
-    return x, rows, correction
+        made[out] = correction(problem, found.of(out), normal[out], hyper, exact, heavy)
+    return made
 
 
 def propose(

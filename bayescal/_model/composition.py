@@ -77,28 +77,24 @@ class Composed(NamedTuple):
 class Linearised(NamedTuple):
     """The expected output and its derivatives, at one point.
 
-    mean (…, n); jacobian by x (…, n, p); rows: by each coefficient that has one value per reading (…, n, k).
+    mean (…, n); jacobian by x (…, n, p); inputs: by each input that has noise (…, n, k).
     """
 
     mean: Any
     jacobian: Any
-    rows: Any
+    inputs: Any
 
 
-def value(source: ColumnSource, term: Term, x: Any, rows: Any, hyper: Hyper, row: int = 0) -> Any:
+def value(source: ColumnSource, term: Term, x: Any, hyper: Hyper) -> Any:
     """A term's coefficient at each reading (…, n), or one for all (…, 1).
 
     Args:
         source: of the members' codes.
         term: whose.
         x: coefficients (…, p), reported units.
-        rows: per-reading coefficients (…, n, k).
         hyper: φ by name.
-        row: which of these is the term's, if it is one of them.
     """
     xp = source.xp
-    if term.place == "row":
-        return rows[..., row]
     found = members(xp, term, x, hyper)
     if term.known.per is None:
         return found
@@ -111,7 +107,7 @@ def members(xp: Any, term: Term, x: Any, hyper: Hyper) -> Any:
     if term.place == "x":
         return x[..., term.at]
     draws = x.shape[:-1]
-    if term.place == "fixed":
+    if term.place in ("fixed", "input"):
         return xp.full((*draws, term.size), term.value)
     own = [xp.broadcast_to(xp.asarray(hyper[name]), draws) for name in term.members]
     found = xp.stack(own, axis=-1)
@@ -120,17 +116,6 @@ def members(xp: Any, term: Term, x: Any, hyper: Hyper) -> Any:
         # Papaspiliopoulos, G. Roberts and M. Sköld, Stat. Sci. 22 (2007) 59).
         spread = xp.broadcast_to(xp.asarray(hyper[term.group_sd_name]), draws)
         found = term.known.mean + spread[..., None] * found
-    return found
-
-
-def values(
-    source: ColumnSource, terms: Iterable[Term], x: Any, rows: Any, hyper: Hyper
-) -> list[Any]:
-    """`value` of each term; those of single readings in their order."""
-    found, row = [], 0
-    for t in terms:
-        found.append(value(source, t, x, rows, hyper, row))
-        row += t.place == "row"
     return found
 
 
@@ -212,8 +197,17 @@ def linearised(source: ColumnSource, terms: Sequence[Term], made: Composed) -> L
     tabled = _in_one_table if source.xp is np else _in_one_product
     each = [(t, c, by_slot[t.slot]) for t, c in zip(terms, made.columns, strict=True)]
     return Linearised(
-        mean, *(tabled(source, mean, [e for e in each if e[0].place == p]) for p in ("x", "row"))
+        mean, *(tabled(source, mean, [e for e in each if e[0].place == p]) for p in ("x", "input"))
     )
+
+
+def variance_of_inputs(terms: Sequence[Term], line: Linearised) -> Any:
+    """What noise on inputs adds to the variance of each reading, to first order (…, n).
+
+    Source: JCGM 100:2008, 5.1.2.
+    """
+    sd = np.array([t.prior_sd for t in terms if t.place == "input"])
+    return ((line.inputs * sd) ** 2).sum(axis=-1)
 
 
 def _in_one_table(source: ColumnSource, mean: np.ndarray, each: list[tuple]) -> np.ndarray:
@@ -244,7 +238,7 @@ def _in_one_product(source: ColumnSource, mean: Any, each: list[tuple]) -> Any:
 
 
 def _codes(source: ColumnSource, t: Term) -> Any:
-    return None if t.known.per is None or t.place == "row" else source.codes[t.known.per]
+    return None if t.known.per is None else source.codes[t.known.per]
 
 
 def by_member(xp: Any, column: Any, codes: Any, size: int) -> Any:

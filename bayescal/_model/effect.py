@@ -31,6 +31,7 @@ from bayescal._model.prior import (
 from bayescal._model.static import set_once, static
 
 Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
+READING = "reading"  # the group of which each reading is a member by itself
 
 
 CENTRAL_95 = 1.959963984540054  # standard deviations to either end of the central 95 % of a normal distribution
@@ -48,8 +49,9 @@ class Coefficient:
             standard deviation only its mean counts.
         part: its name within the effect, such as "parallel,M2,cos"; empty if the effect has just one.
         slot: the slot it feeds, where that is not the effect's own.
-        per: None for one value; a group for one value each: "run", "cell", "device", "axis", "reading", or any
-            column of labels that the instrument declares, such as "station".
+        per: None for one value; a group for one value each: "run", "cell", "device", "axis", or any column of labels
+            that the instrument declares, such as "station". "reading": noise on an input, of known standard deviation,
+            which widens the variance of each reading by the square of the slope.
         group_sd: prior of the standard deviation between the group's members, which is then learned.
             None leaves it at the prior's own sd.
     """
@@ -64,8 +66,12 @@ class Coefficient:
     def __post_init__(self) -> None:
         if self.group_sd is not None and self.per is None:
             raise ValueError("a `group_sd` between groups needs a group: give `per`")
-        if self.per == "reading" and self.group_sd is not None:
+        if self.per == READING and self.group_sd is not None:
             raise ValueError("a `group_sd` of single readings is noise: give it to the noise law")
+        if self.per == READING and not isinstance(self.prior, Normal):
+            raise ValueError(
+                "noise on an input needs its standard deviation: prior=Normal(0.0, sd)"
+            )
 
     @property
     def flat(self) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -21,10 +22,11 @@ from bayescal._model.composition import (
     linearised,
     members,
     slopes,
-    values,
+    value,
+    variance_of_inputs,
 )
 from bayescal._model.frame import Frame
-from bayescal._model.noise_law import in_time
+from bayescal._model.noise_law import in_time, log_density_beside
 from bayescal._model.parameters import Layout
 from bayescal._model.terms import Term, terms_of
 
@@ -74,91 +76,79 @@ def prior_weight(layout: Layout) -> Float[Array, "p"]:
     )
 
 
-def row_sd(layout: Layout) -> Float[Array, "k"]:
-    """Prior standard deviations of the coefficients that have one value per reading."""
-    return jnp.asarray([b.coefficient.size for b in layout.row_blocks], dtype=float)
-
-
 def _fill(layout: Layout, parts: list[Float[Array, "..."]]) -> Float[Array, "p"]:
     return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
 
-def coefficients(
-    layout: Layout, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
-) -> Values:
+def coefficients(layout: Layout, x: Float[Array, "p"], hyper: Values) -> Values:
     """The value of every coefficient by name, (size,) each, in its reported unit."""
-    of_rows = iter(rows.T)
-    return {
-        b.name: next(of_rows)
-        if b.place == "row"
-        else members(jnp, Term.of_block(b, {}, {}), x, hyper)
-        for b in layout.blocks
-    }
+    return {b.name: members(jnp, Term.of_block(b, {}, {}), x, hyper) for b in layout.blocks}
 
 
 def composed(
-    layout: Layout, frame: Frame, x: Array, rows: Array, hyper: Values, sloped: bool = False
+    layout: Layout, frame: Frame, x: Array, hyper: Values, sloped: bool = False
 ) -> tuple[Traced, tuple[Term, ...], Composed]:
     """The model put together at a point: its source, its terms, and what they come to; `sloped`: with slopes."""
     source = Traced(layout.model.instrument, frame)
     terms, _ = terms_of(layout.blocks, source)
-    found = values(source, terms, x, rows, hyper)
-    return source, terms, compose(source, terms, found, hyper, sloped)
+    values = [value(source, t, x, hyper) for t in terms]
+    return source, terms, compose(source, terms, values, hyper, sloped)
 
 
-def mean(
-    layout: Layout, frame: Frame, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
-) -> Float[Array, "n"]:
+def mean(layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values) -> Float[Array, "n"]:
     """Expected output, output unit."""
-    source, _, made = composed(layout, frame, x, rows, hyper)
+    source, _, made = composed(layout, frame, x, hyper)
     return expected(source, made)
 
 
 def slopes_by_slot(
-    layout: Layout, frame: Frame, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
+    layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values
 ) -> Mapping[str, Float[Array, "n"]]:
     """Derivative of the expected output by each slot and each corrected column, reading by reading."""
-    return slopes(*composed(layout, frame, x, rows, hyper, sloped=True))[1]
+    return slopes(*composed(layout, frame, x, hyper, sloped=True))[1]
 
 
-def linearise(
-    layout: Layout, frame: Frame, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
-) -> Linearised:
+def linearise(layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values) -> Linearised:
     """Expected output and Jacobian at a point, output unit per reported unit."""
-    return linearised(*composed(layout, frame, x, rows, hyper, sloped=True))
+    return linearised(*composed(layout, frame, x, hyper, sloped=True))
+
+
+def with_inputs(
+    layout: Layout, frame: Frame, x: Float[Array, "p"], hyper: Values
+) -> tuple[Float[Array, "n"], Float[Array, "n"] | None]:
+    """Expected output, and the variance that noise on inputs adds to each reading; None where there is none."""
+    if not any(b.place == "input" for b in layout.blocks):
+        return mean(layout, frame, x, hyper), None
+    source, terms, made = composed(layout, frame, x, hyper, sloped=True)
+    line = linearised(source, terms, made)
+    return line.mean, variance_of_inputs(terms, line)
 
 
 def log_likelihood(
-    layout: Layout,
-    frame: Frame,
-    y: Float[Array, "n"],
-    x: Float[Array, "p"],
-    rows: Float[Array, "n k"],
-    hyper: Values,
+    layout: Layout, frame: Frame, y: Float[Array, "n"], x: Float[Array, "p"], hyper: Values
 ) -> Float[Array, "n"]:
     """Log density of each reading given every unknown; in the order of time under correlated noise."""
-    noise = layout.model.noise
-    ordered, y, expected = in_time(noise, frame, y, mean(layout, frame, x, rows, hyper))
-    return noise.log_density(y, expected, hyper, ordered)
+    noise, (expected, extra) = layout.model.noise, with_inputs(layout, frame, x, hyper)
+    ordered, y, expected = in_time(
+        noise, frame, y, expected
+    )  # where order matters there is no such noise
+    return log_density_beside(noise, y, expected, extra, hyper, ordered)
 
 
-def log_prior_x(
-    layout: Layout, x: Float[Array, "p"], rows: Float[Array, "n k"], hyper: Values
-) -> Float[Array, ""]:
-    """Log prior density of x and of the per-reading coefficients given φ; flat ones count nothing."""
+def log_prior_x(layout: Layout, x: Float[Array, "p"], hyper: Values) -> Float[Array, ""]:
+    """Log prior density of x given φ; flat ones count nothing."""
     sd, weight = prior_sd(layout, hyper), prior_weight(layout)
     z = (x - prior_mean(layout)) / sd
-    own = -0.5 * jnp.sum(weight * (z**2 + 2 * jnp.log(sd) + jnp.log(2 * jnp.pi)))
-    spread = row_sd(layout)
-    zr = rows / spread
-    return own - 0.5 * jnp.sum(zr**2 + 2 * jnp.log(spread) + jnp.log(2 * jnp.pi))
+    return -0.5 * jnp.sum(weight * (z**2 + 2 * jnp.log(sd) + jnp.log(2 * jnp.pi)))
 
 
-def draw_readings(
-    layout: Layout, frame: Frame, x: Array, rows: Array, v: Array, key: Array
-) -> Array:
-    """Readings simulated by the model's own equation and noise."""
+def draw_readings(layout: Layout, frame: Frame, x: Array, v: Array, key: Array) -> Array:
+    """Readings simulated by the model's own equation and noise, that on inputs to first order."""
     hyper, noise = hyper_values(layout, v), layout.model.noise
-    ordered, expected = in_time(noise, frame, mean(layout, frame, x, rows, hyper))
+    expected, extra = with_inputs(layout, frame, x, hyper)
+    if extra is not None:
+        key, own = jax.random.split(key)
+        expected = expected + jnp.sqrt(extra) * jax.random.normal(own, expected.shape)
+    ordered, expected = in_time(noise, frame, expected)
     drawn = noise.sample(key, expected, hyper, ordered)
     return drawn if noise.independent else jnp.zeros_like(drawn).at[frame.order].set(drawn)

@@ -20,7 +20,7 @@ from bayescal._core.jit import importable, written_by_value
 from bayescal._data.column import Column, NominalScale
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, basis_factor
-from bayescal._model.effect import Coefficient, Effect, with_forms
+from bayescal._model.effect import READING, Coefficient, Effect, with_forms
 from bayescal._model.frame import GROUPS, Frame
 from bayescal._model.noise_law import Noise
 from bayescal._model.static import static
@@ -187,7 +187,7 @@ class Instrument:
     def groups(self) -> tuple[str, ...]:
         """What coefficients may be given one each of: run, cell, axis, device, reading, and its columns of labels."""
         labels = (column.name for column in self.columns if column.unit is None)
-        return tuple(dict.fromkeys((*GROUPS, "reading", *labels)))
+        return tuple(dict.fromkeys((*GROUPS, READING, *labels)))
 
     @property
     def outputs(self) -> tuple[str, ...]:

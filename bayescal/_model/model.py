@@ -15,7 +15,7 @@ from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, unit_label
-from bayescal._model.effect import Coefficient, Effect
+from bayescal._model.effect import READING, Coefficient, Effect
 from bayescal._model.formula import require_units
 from bayescal._model.frame import GROUPS
 from bayescal._model.instrument import Instrument, factor_of
@@ -83,7 +83,7 @@ class Model(Printed):
     def groups(self) -> tuple[str, ...]:
         """Groups whose members have a coefficient each; "reading" is none."""
         named = (c.per for effect in self.effects for c in effect.coefficients if c.per)
-        return tuple(dict.fromkeys(per for per in named if per != "reading"))
+        return tuple(dict.fromkeys(per for per in named if per != READING))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -299,7 +299,7 @@ def testable(effect: Effect, readings: Measurements) -> str | None:
     # One member tells no spread; of an effect that is more than deviations it is one coefficient with a size.
     deviations = all(c.group_sd is not None for c in effect.coefficients)
     for coefficient in effect.coefficients:
-        own = coefficient.per not in (None, "reading", *GROUPS)
+        own = coefficient.per not in (None, READING, *GROUPS)
         if own and not readings.has(str(coefficient.per)):
             return f"needs the column {coefficient.per}"
         if deviations and coefficient.per is not None:

@@ -143,10 +143,7 @@ class Noise(abc.ABC):
         self, y: Float[Array, "n"], mean: Float[Array, "n"], parameters: Parameters, frame: Frame
     ) -> Float[Array, "n"]:
         """Log density of each reading; given those before it in its run, where they are not independent."""
-        # The Cholesky factor takes readings in turn: zₜ is what is new in one, Lₜₜ its standard deviation given those
-        # before, and so each term is the log density of one reading given those before it.
-        white, log_sd = self.whiten((y - mean)[:, None], 0.0, parameters, frame)
-        return -0.5 * white[:, 0] ** 2 - log_sd - 0.5 * LOG_2PI
+        return _by_whitening(self, y - mean, 0.0, parameters, frame)
 
     def sample(
         self, key: Array, mean: Float[Array, "n"], parameters: Parameters, frame: Frame
@@ -242,6 +239,55 @@ class Noise(abc.ABC):
             along: what it follows, at these times and at those.
         """
         return np.zeros((len(at), left.shape[1])), np.zeros(len(at))
+
+
+def log_density_beside(
+    law: Noise,
+    y: Float[Array, "n"],
+    mean: Float[Array, "n"],
+    extra: Float[Array, "n"] | None,
+    parameters: Parameters,
+    frame: Frame,
+) -> Float[Array, "n"]:
+    """`law.log_density` of readings with a Gaussian part of known variance beside the law's; None: without.
+
+    A law that is not Gaussian takes that part as it takes a known uncertainty of each reading.
+    """
+    if extra is None:
+        return law.log_density(y, mean, parameters, frame)
+    if law.gaussian:
+        return _by_whitening(law, y - mean, extra, parameters, frame)
+    return law.log_density(y, mean, parameters, _widened(frame, extra))
+
+
+def scores_beside(
+    law: Noise,
+    left: Float[Array, "n"],
+    extra: Float[Array, "n"] | None,
+    parameters: Parameters,
+    frame: Frame,
+) -> Float[Array, "n"]:
+    """`law.normal_scores` of readings with such a part."""
+    if extra is None:
+        return law.normal_scores(left, parameters, frame)
+    if law.gaussian:
+        return law.whiten(left[:, None], extra, parameters, frame)[0][:, 0]
+    return law.normal_scores(left, parameters, _widened(frame, extra))
+
+
+def _by_whitening(
+    law: Noise, left: Float[Array, "n"], extra: Any, parameters: Parameters, frame: Frame
+) -> Float[Array, "n"]:
+    # The Cholesky factor takes readings in turn: zₜ is what is new in one, Lₜₜ its standard deviation given those
+    # before, and so each term is the log density of one reading given those before it.
+    white, log_sd = law.whiten(left[:, None], extra, parameters, frame)
+    return -0.5 * white[:, 0] ** 2 - log_sd - 0.5 * LOG_2PI
+
+
+def _widened(frame: Frame, extra: Float[Array, "n"]) -> Frame:
+    """A frame in which each reading is uncertain by so much variance more."""
+    known = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
+    return replace(frame, columns={**frame.columns, UNCERTAINTY: jnp.sqrt(known + extra)})
 
 
 def in_time(

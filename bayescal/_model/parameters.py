@@ -1,9 +1,9 @@
-"""Where each unknown of a model stands: in the Gaussian vector x, beside a reading, or in φ.
+"""Where each unknown of a model stands: in the Gaussian vector x, or in φ.
 
-x holds the coefficients, in their reported units. A coefficient with one value per reading stands apart
-("row"): it widens that reading's variance and is never a column of a matrix. φ holds what the model is not
-Gaussian in: noise, learned spreads, shapes, and coefficients *promoted* because their product with another
-unknown matters. Each entry of φ has a coordinate v on the whole line.
+x holds the coefficients, in their reported units. φ holds what the model is not Gaussian in: noise, learned spreads,
+shapes, and coefficients *promoted* because their product with another unknown matters. Each entry of φ has a coordinate
+v on the whole line. A coefficient with one value per reading is no unknown but noise on an input: it stands at its
+mean, and widens the variance of its reading by the square of the slope.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from jaxtyping import Float
 
 from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
-from bayescal._model.effect import Coefficient, Effect
+from bayescal._model.effect import READING, Coefficient, Effect
 from bayescal._model.frame import GROUPS, origins
 from bayescal._model.instrument import factor_of
 from bayescal._model.model import Model
 from bayescal._model.prior import Flat, FlatLine, Normal, Positive
 
-Place = Literal["x", "row", "phi", "fixed"]
+Place = Literal["x", "input", "phi", "fixed"]
 HyperKind = Literal["noise", "group_sd", "shape", "promoted"]
 MOVING: tuple[HyperKind, ...] = ("shape", "promoted")  # the output's Jacobian depends on them
 Levels = Mapping[str, Sequence[str]]  # the members of each group
@@ -71,7 +71,7 @@ class CoefficientBlock:
         per = self.coefficient.per
         if per is None:
             return [self.name]
-        members = (levels or {}).get(per, range(self.size))  # readings have none
+        members = (levels or {}).get(per, range(self.size))
         return [member_name(self.name, member) for member in members]
 
 
@@ -110,14 +110,14 @@ class Layout:
             for index, coefficient in enumerate(effect.coefficients):
                 name = effect.coefficient_name(index)
                 slot = self.model.instrument.slot(coefficient.slot or effect.slot)
-                size = counts[coefficient.per] if coefficient.per else 1
                 place: Place = "x"
                 if name in fixed or coefficient.known:
                     place = "fixed"
-                elif coefficient.per == "reading":
-                    place = "row"
+                elif coefficient.per == READING:
+                    place = "input"
                 elif name in self.promoted:
                     place = "phi"
+                size = 1 if coefficient.per in (None, READING) else counts[coefficient.per]
                 factor = factor_of(self.model.instrument, effect, coefficient)
                 known: float = coefficient.mean
                 origin = above.pop(name, 0.0) / factor
@@ -151,10 +151,6 @@ class Layout:
     @property
     def x_blocks(self) -> tuple[CoefficientBlock, ...]:
         return tuple(b for b in self.blocks if b.place == "x")
-
-    @property
-    def row_blocks(self) -> tuple[CoefficientBlock, ...]:
-        return tuple(b for b in self.blocks if b.place == "row")
 
     @property
     def origin_of_x(self) -> Float[np.ndarray, "p"]:
@@ -232,12 +228,12 @@ def bind(
         ModelError: fewer readings than flat coefficients, or a group effect without its group.
     """
     further = (
-        c.per for effect in more for c in effect.coefficients if c.per not in (None, "reading")
+        c.per for effect in more for c in effect.coefficients if c.per not in (None, READING)
     )
     groups = dict.fromkeys((*GROUPS, *model.groups, *map(str, further)))
     there = {group for group in groups if group in GROUPS or readings.has(group)}
     levels = {group: readings.groups(group)[0] if group in there else () for group in groups}
-    counts = {**{g: len(names) for g, names in levels.items()}, "reading": len(readings)}
+    counts = {group: len(names) for group, names in levels.items()}
     origin = {name: o for own in origins(reference).values() for name, o in own.items()}
     layout = Layout(model, tuple(counts.items()), origin=tuple(origin.items()))
     flat = sum(b.size for b in layout.x_blocks if b.coefficient.flat)
@@ -246,10 +242,11 @@ def bind(
             f"{readings.file} has {len(readings)} readings for {flat} coefficients with a flat prior: "
             "measure more, take effects out, or give them a Normal prior"
         )
-    if not model.noise.independent and layout.row_blocks:
+    noisy = [b.effect.name for b in layout.blocks if b.place == "input"]
+    if not model.noise.independent and noisy:
         raise ModelError(
-            f"Effect {layout.row_blocks[0].effect.name!r} has one coefficient for each reading, which is not "
-            f"combined with {model.noise.law} noise: take the effect out, or use White() noise"
+            f"Effect {noisy[0]!r} is noise on an input of each reading, which is not combined with "
+            f"{model.noise.law} noise: take the effect out, or use White() noise"
         )
     if not model.noise.independent and not readings.has("time"):
         raise ModelError(

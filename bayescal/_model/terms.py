@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._model.effect import Basis, Effect, basis_of
+from bayescal._model.effect import READING, Basis, Effect, basis_of
 from bayescal._model.parameters import CoefficientBlock
 from bayescal._model.prior import LogNormal, Normal
 
@@ -92,7 +92,7 @@ class CoefficientTerms(NamedTuple):
         columns = ColumnsOf.of(effect).on(corrections)
         names = (*map(effect.shape_name, effect.column_shapes),)
         names += tuple(name for by in corrections for name in by.shape_names)
-        own = c.per, block.mean, c.size, c.flat, learned
+        own = None if c.per == READING else c.per, block.mean, c.size, c.flat, learned
         return cls(effect, effect.name, *own, columns, names, columns.key)
 
 

@@ -241,7 +241,7 @@ def skewed(chapter: Chapter) -> list[str]:
     found, c = [], chapter.used
     posterior, drawn = c.posterior, curves(c)
     for name in map(str, posterior):
-        if "reading" in posterior[name].dims or name.partition("[")[0] in drawn:
+        if name.partition("[")[0] in drawn:
             continue
         draws = c.samples(name)
         sd = draws.std(axis=0)

@@ -172,10 +172,10 @@ def _by_refit(effect, with_it: Weighed) -> dict:
     if learned := learned_size(effect, problem, mode):
         return {"size": learned[0], "size_sd": learned[1], "shape": shapes}
     term = next(t for t in problem.in_x if t.known.of == effect.name)
-    _, got = Density(problem, mode.point, mode.flat, mode.v).at(mode.v)
+    _, got = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
     # Given φ̂: the noise and the shapes are held, as in a score.
     sd = 0.0 if got is None else math.sqrt(got.covariance[term.at.start, term.at.start])
-    return {"size": float(mode.point.x[term.at.start]), "size_sd": sd, "shape": shapes}
+    return {"size": float(mode.x[term.at.start]), "size_sd": sd, "shape": shapes}
 
 
 def _size(library: Library, points: Sequence[ScoredPoint]) -> tuple[float, float]:

@@ -245,8 +245,7 @@ class _CheckedInstrument:
         model.require(self.readings)
         one = _Simulated(model, self.readings, of, self.seed)
         keys = jax.random.split(jax.random.fold_in(jax.random.key(self.seed), len(self.rows)), 2)
-        rows = forward.row_sd(one.layout) * jax.random.normal(keys[0], one.rows.shape)
-        drawn = forward.draw_readings(one.layout, one.frame, one.x, rows, one.v, keys[1])
+        drawn = forward.draw_readings(one.layout, one.frame, one.x, one.v, keys[1])
         output, names = np.asarray(drawn), ", ".join(one.mine)
         variance = np.asarray(model.noise.variance(one.hyper, one.frame))
         self.noise = float(np.median(np.sqrt(variance)))
@@ -269,7 +268,7 @@ class _CheckedInstrument:
     def _of_response(self, one: _Simulated) -> None:
         """Slots that change no output, or change it one for one in another unit."""
         i, layout, frame, hyper = self.instrument, one.layout, one.frame, one.hyper
-        by_slot = forward.slopes_by_slot(layout, frame, one.x, one.rows, hyper)
+        by_slot = forward.slopes_by_slot(layout, frame, one.x, hyper)
         slopes = {s.name: np.asarray(by_slot[s.name]) for s in i.slots}
         if not any(np.any(slope) for slope in slopes.values()):
             raise ModelError(
@@ -286,7 +285,7 @@ class _CheckedInstrument:
             # Without an equation of its own the stimulus is a column of the response: the output is tried with one
             # unit more of it.
             there, here = (
-                forward.mean(layout, at, jnp.zeros_like(one.x), one.rows, hyper)
+                forward.mean(layout, at, jnp.zeros_like(one.x), hyper)
                 for at in (frame.with_column(name, frame[name] + 1.0), frame)
             )
             if np.all(np.abs(np.asarray(there - here) - 1) < 1e-6):
@@ -329,7 +328,7 @@ class _CheckedInstrument:
         """A note, where the output departs from its linear form within the plausible sizes."""
         middle = forward.prior_mean(one.layout)
         # Linearised where every coefficient stands one size from its mean, and compared at the means.
-        exact = forward.mean(one.layout, one.frame, middle, one.rows, one.hyper)
+        exact = forward.mean(one.layout, one.frame, middle, one.hyper)
         linear = one.line.mean + one.line.jacobian @ (middle - one.x)
         departs = float(np.max(np.abs(np.asarray(exact - linear)), initial=0.0))
         if departs > BENT_NOISE * self.noise and (kind == "baseline" or not self._is_bent):
@@ -392,7 +391,7 @@ class _Simulated:
 
     Attributes:
         mine: names of the effects in question.
-        x, v, hyper, rows: coefficients, φ at the middle of its priors, no coefficients of single readings.
+        x, v, hyper: coefficients, φ at the middle of its priors.
         line: the output linearised there.
     """
 
@@ -408,5 +407,4 @@ class _Simulated:
             drawn = 1 - 2 * (n % 2) if one else random.standard_normal(b.size)
             signs[b.start : b.start + b.size] = drawn
         self.x = x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * signs
-        self.rows = rows = jnp.zeros((frame.size, len(layout.row_blocks)))
-        self.line = forward.linearise(layout, frame, x, rows, hyper)
+        self.line = forward.linearise(layout, frame, x, hyper)

@@ -23,7 +23,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import amplitudes, sized
 from bayescal._inference.record import record_of
-from bayescal._model.effect import Effect, with_forms
+from bayescal._model.effect import READING, Effect, with_forms
 from bayescal._model.frame import Reference, derived
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model, testable
@@ -242,7 +242,7 @@ def structures_over(
 
     def untestable(effect: Effect) -> str | None:
         unknown = (c for c in effect.coefficients if not c.known)
-        if any((c.slot or effect.slot) not in slots or c.per == "reading" for c in unknown):
+        if any((c.slot or effect.slot) not in slots or c.per == READING for c in unknown):
             return (
                 "corrects a column or single readings, which no search weighs: add it to the model"
             )

@@ -194,7 +194,7 @@ def expected_readings(
 
     Returns:
         Expected outputs of each draw, members of groups new; and what single readings add to that: noise, the
-        deviations of new members, coefficients of readings.
+        deviations of new members.
     """
     calibration.model.require(readings)
     readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MOST_READINGS)))
@@ -204,20 +204,23 @@ def expected_readings(
     codes = {group: np.asarray(own) for group, own in frame.codes.items()}
     unseen = replace(frame, codes={group: np.full_like(own, -1) for group, own in codes.items()})
     problem = calibration.problem_on(unseen)
-    record, (x, rows, v) = problem.record, calibration.draws(draws)
-    rows = np.zeros((len(x), record.size, rows.shape[2]))
+    record, (x, v) = problem.record, calibration.draws(draws)
     parts = np.array_split(np.arange(len(x)), -(-len(x) // DRAWS_TOGETHER))
-    means = [problem.expected(x[p], rows[p], problem.hyper(v[p].T)) for p in parts]
+    means = [problem.expected(x[p], problem.hyper(v[p].T)) for p in parts]
     # The rest at the middle of the draws. Whitening the unit matrix gives L⁻¹; Σ = (L⁻ᵀL⁻¹)⁻¹, whatever the law.
     hyper = problem.hyper(np.median(v, axis=0))
     white = whitening(problem.noise, hyper, record)(np.eye(record.size))
-    covariance = np.linalg.inv(white.T @ white)
+    middle = x.mean(axis=0)[None]
+    beside = problem.expected_and_extra(middle, hyper)[1]
+    covariance = np.linalg.inv(white.T @ white) + np.diag(
+        np.broadcast_to(beside, (1, record.size))[0]
+    )
     own = [t for t in problem.terms if t.known.per is not None and t.place != "fixed"]
-    _, slopes = problem.expected_with_slopes(x.mean(axis=0)[None], rows[:1], hyper, own)
+    _, slopes = problem.expected_with_slopes(middle, hyper, own)
     for t, slope in zip(own, slopes, strict=True):
         sd = t.prior_sd if t.group_sd_name is None else hyper[t.group_sd_name]
         column = np.reshape(slope, -1) * sd
-        member = np.arange(record.size) if t.place == "row" else codes[str(t.known.per)]
+        member = codes[str(t.known.per)]
         same = (member[:, None] == member) & (member[:, None] >= 0)
         covariance += same * np.outer(column, column)
     return np.concatenate(means), covariance

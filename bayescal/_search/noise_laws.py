@@ -19,6 +19,7 @@ from bayescal._inference.laplace import at_mode, climb
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.channel_at_rest import CHANNEL
+from bayescal._model.effect import READING
 from bayescal._model.frame import Frame
 from bayescal._model.model import Model
 from bayescal._model.noise_law import OFFERS, WHITE, Noise
@@ -42,7 +43,7 @@ def laws_over(model: Model, frame: Frame) -> dict[str, Noise]:
     """
     # Coefficients of single readings are noise by another name: beside them, or with the noise held, no law is
     # weighed.
-    together = any(c.per == "reading" for e in model.effects for c in e.coefficients)
+    together = any(c.per == READING for e in model.effects for c in e.coefficients)
     fixed = any(name.startswith("noise.") for name, _ in model.fixed)
     if together or fixed or frame.size < FEWEST_FOR_NOISE or not model.noise.first:
         return {}

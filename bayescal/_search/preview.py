@@ -200,7 +200,7 @@ def _size(effect: Effect, line: LinearModel, covariance: np.ndarray) -> tuple[fl
     if learned := learned_size(effect, problem, mode):
         return learned
     term = next(t for t in problem.terms if t.known.of == effect.name and t.index == 0)
-    own, i = mode.point.x[term.at], term.at.start
+    own, i = mode.x[term.at], term.at.start
     if term.place != "x":
         return effect.coefficients[0].size, 0.0
     if term.size > 1:  # a value for each member, of known spread

@@ -244,5 +244,5 @@ def _along(at: Weighed, name: str, coordinates: Float[np.ndarray, "k"]) -> Float
     vs = np.tile(at.mode.v, (len(coordinates), 1))
     vs[:, place] = coordinates
     prior = np.asarray(own.prior.log_density(coordinates))
-    density = Density(at.problem, at.mode.point, at.mode.flat, at.mode.v)
+    density = Density(at.problem, at.mode.x, at.mode.flat, at.mode.v)
     return density.values(vs) - prior

@@ -24,7 +24,7 @@ from bayescal._core.progress import stage
 from bayescal._core.settings import settings
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import CHAINS, Draws
-from bayescal._inference.problem import ABSENT, Point
+from bayescal._inference.problem import ABSENT
 from bayescal._inference.sampling import weighted_draws
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
@@ -71,9 +71,9 @@ def averaged(
             if frozenset(share.effects) == own:
                 # The last structure was sampled already: its own draws again, without repetition where there are
                 # enough.
-                x, rows, v = last.draws()
+                x, v = last.draws()
                 pick = random.choice(len(x), count, replace=count > len(x))
-                parts.append(_by_name(last.layout, x[pick], rows[pick], v[pick]))
+                parts.append(_by_name(last.layout, x[pick], v[pick]))
                 models.append(last.model)
                 continue
             weighed = structures.weigh(Structure(frozenset(share.effects), noise))
@@ -108,13 +108,13 @@ def _drawn(weighed: Weighed, count: int, probability: float, seed: int) -> _Valu
     found = weighted_draws(weighed.problem, weighed.mode, seed, None, ROUNDS, part=probability)
     weights, _ = smoothed(found.log_weight)
     pick = resample(weights, count, seed)
-    return _by_name(weighed.problem.layout, found.x[pick], found.rows[pick], found.v[pick])
+    return _by_name(weighed.problem.layout, found.x[pick], found.v[pick])
 
 
-def _by_name(layout: Layout, x: np.ndarray, rows: np.ndarray, v: np.ndarray) -> _Values:
+def _by_name(layout: Layout, x: np.ndarray, v: np.ndarray) -> _Values:
     """Of coefficients the value, also where a structure holds it in units of its spread: so the union does."""
     members: Any = {group: range(count) for group, count in layout.counts}
-    found = named(layout, members, x[None], rows[None], v[None])
+    found = named(layout, members, x[None], v[None])
     return {str(name): found[name].values[0] for name in found.data_vars}
 
 
@@ -143,13 +143,11 @@ def _together(
     further = {g: last.readings.groups(g)[0] for g in model.groups if g not in last.levels}
     members = tuple((group, len(names)) for group, names in further.items())
     layout = replace(last.layout, model=model, counts=(*last.layout.counts, *members), promoted=())
-    n = len(last.readings)
     counts = [len(next(iter(part.values()))) for part in parts]
     total = sum(counts)
     # Zeros are the point: an effect that a structure lacks has the coefficient zero in its draws, not its prior's
     # mean.
     x, v = np.zeros((total, layout.size)), np.zeros((total, len(layout.hypers)))
-    rows = np.zeros((total, n, len(layout.row_blocks)))
     for own, part, end, count in zip(models, parts, np.cumsum(counts), counts, strict=True):
         at = slice(end - count, end)
         for b in layout.x_blocks:
@@ -157,9 +155,6 @@ def _together(
                 x[at, b.start : b.start + b.size] = part[b.name].reshape(count, -1) - b.origin
             elif b.index in b.effect.held and b.effect.name in own.names:
                 x[at, b.start] = b.coefficient.mean
-        for k, b in enumerate(layout.row_blocks):
-            if b.name in part:
-                rows[at, :, k] = part[b.name]
     for i, h in enumerate(layout.hypers):
         v[:, i] = _coordinates(h, parts, counts)
     random = np.random.default_rng(last.seed)
@@ -169,13 +164,13 @@ def _together(
     return replace(
         last,
         model=model,
-        joint=Draws.of(x[order], rows[order], v[order]),
+        joint=Draws.of(x[order], v[order]),
         verdict=replace(last.verdict, notes=(*last.verdict.notes, said)),
         method=f"{last.method}, averaged",
         confounded=last.confounders,
         layout=layout,
         levels={**last.levels, **further},
-        mode=_mode(last, layout, x, rows, v),
+        mode=_mode(last, layout, x, v),
     )
 
 
@@ -194,7 +189,7 @@ def _coordinates(h, parts: Sequence[_Values], counts: Sequence[int]) -> Float[np
     return np.concatenate([*found])
 
 
-def _mode(last: Calibration, layout: Layout, x, rows, v) -> Mode:
+def _mode(last: Calibration, layout: Layout, x, v) -> Mode:
     """Where the average is linearised: at the means of the draws."""
     blocks = last.layout.x_blocks
     scales = {b.name: last.mode.flat[b.start : b.start + b.size] for b in blocks}
@@ -204,7 +199,7 @@ def _mode(last: Calibration, layout: Layout, x, rows, v) -> Mode:
     around = np.where(v > 0.5 * ABSENT, v, middle)
     covariance = np.atleast_2d(np.cov(around.T)) if v.shape[1] else np.zeros((0, 0))
     return last.mode._replace(
-        point=Point(x.mean(axis=0), rows.mean(axis=0)),
+        x=x.mean(axis=0),
         v=np.where(middle > 0.5 * ABSENT, middle, ABSENT),
         covariance=covariance + 1e-9 * np.eye(v.shape[1]),
         flat=np.concatenate([np.zeros(0), *flat]),

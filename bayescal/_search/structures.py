@@ -260,8 +260,8 @@ class Structures:
         else:
             known, width = carried(problem, near.problem, near.mode)
             begin = starts(problem, near.problem, known, hints)
-            point = problem.point_of(near.problem, near.mode.point)
-            mode = find_mode(problem, begin, width, point, STILL_SD, curved=False)
+            x = problem.x_of(near.problem, near.mode.x)
+            mode = find_mode(problem, begin, width, x, STILL_SD, curved=False)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         problem, mode, log_evidence = averaged(problem, mode, sized)
         log_prior = self.log_prior(structure)
@@ -276,11 +276,11 @@ class Structures:
         problem = self._bound(structure, near)
         if problem.kinds.count("noise") != 1:
             return math.inf
-        point = problem.point_of(near.problem, near.mode.point)
+        x = problem.x_of(near.problem, near.mode.x)
         known, _ = carried(problem, near.problem, near.mode)
         v = np.array([known.get(h.name, 0.0) for h in problem.hypers])
-        flat = flat_scales(problem, point, v)
-        density, of_size = Density(problem, point, flat), np.array(problem.kinds) == "noise"
+        flat = flat_scales(problem, x, v)
+        density, of_size = Density(problem, x, flat), np.array(problem.kinds) == "noise"
         # All of φ but the noise's size is held: the products are then those of one table, and no step of the search
         # passes over the readings. A refit can only raise the density further.
         found = minimize_scalar(
@@ -446,12 +446,10 @@ def averaged(problem: Problem, mode: Mode, sized: Sequence[Effect]) -> tuple[Pro
             break
     if chosen != begun:
         problem = Problem(problem.layout, problem.record, dict(chosen))
-        mode = find_mode(problem, [mode.v], mode.covariance, mode.point, STILL_SD)
+        mode = find_mode(problem, [mode.v], mode.covariance, mode.x, STILL_SD)
         at_sizes = _AtSizes(problem, mode, chosen)
     else:
-        mode = at_mode(
-            Density(problem, mode.point, mode.flat, mode.v), mode.v, mode.change, quick=True
-        )
+        mode = at_mode(Density(problem, mode.x, mode.flat, mode.v), mode.v, mode.change, quick=True)
     # Σ over the sizes of one effect, the others at their likeliest: as if ratios of evidence multiplied. They do
     # where effects do not overlap; where they do, one of them mostly has its size by the other's.
     log_evidence = mode.log_evidence
@@ -469,8 +467,8 @@ class _AtSizes:
     """Log density at a mode's φ for other sizes of its effects, times their probabilities."""
 
     def __init__(self, problem: Problem, mode: Mode, made_at: Mapping[str, float]):
-        density, hyper = Density(problem, mode.point, mode.flat), problem.hyper(mode.v)
-        self.gram, self.at = density.gram(mode.v, hyper), mode.point.x
+        density, hyper = Density(problem, mode.x, mode.flat), problem.hyper(mode.v)
+        self.gram, self.at = density.gram(mode.v, hyper), mode.x
         self.size = problem.record.size
         self.prior, self.made_at = problem.prior(hyper, mode.flat), dict(made_at)
         # Learned spreads are no plausible sizes: φ has them, and the evidence is averaged over them already.

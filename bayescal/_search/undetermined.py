@@ -121,9 +121,9 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
         """About the means of the priors."""
         frame = build_frame(rows, reference, levels)
         problem = Problem(layout, Record(model.instrument, frame, np.asarray(rows["output"])))
-        v, point = np.zeros(len(layout.hypers)), problem.start
-        flat = flat_scales(problem, point, v)
-        return linear_model(problem, Mode(point, v, np.eye(len(v)), 0.0, 0.0, 0.0, flat, False))
+        v, x = np.zeros(len(layout.hypers)), problem.start
+        flat = flat_scales(problem, x, v)
+        return linear_model(problem, Mode(x, v, np.eye(len(v)), 0.0, 0.0, 0.0, flat, False))
 
     planned, vector = linear(readings), model.instrument.vector
     in_moves = readings.has(TURNED[0])  # what it takes is a log with further moves, about any axis

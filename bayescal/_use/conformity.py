@@ -612,11 +612,7 @@ def _unknown(calibration: Calibration, limit: StatedLimit, local_gravity: float)
 def _draws_by_name(calibration: Calibration) -> dict[str, tuple[np.ndarray, str]]:
     """Every unknown under the name that a calibration prints: draws (d,) and unit."""
     found: dict[str, tuple[np.ndarray, str]] = {}
-    names = {
-        b.name: b.member_names(calibration.levels)
-        for b in calibration.layout.blocks
-        if b.place != "row"
-    }
+    names = {b.name: b.member_names(calibration.levels) for b in calibration.layout.blocks}
     for name in map(str, calibration.posterior):
         values = calibration.samples(name)
         unit = str(calibration.posterior[name].attrs.get("units", "1"))

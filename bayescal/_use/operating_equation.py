@@ -708,7 +708,7 @@ def noise_variance(calibration: Calibration) -> float:
     Where it follows a column, it is also the mean over the readings of the calibration. What is known of the
     uncertainty of each is not in it.
     """
-    _, _, v = calibration.draws(2000)
+    _, v = calibration.draws(2000)
     layout, frame = calibration.layout, _seen_by_noise(calibration)
 
     def variance(v):

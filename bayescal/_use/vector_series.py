@@ -264,7 +264,7 @@ def _slots(
     """
     vector = calibration.model.instrument.vector
     assert vector is not None
-    x, _, v = calibration.draws(draws)
+    x, v = calibration.draws(draws)
     x = x + at.layout.origin_of_x
     count, known = len(x), {TEMPERATURE, *vector.beside}
     random = np.random.default_rng(seed)
@@ -275,7 +275,7 @@ def _slots(
     slots = {name: np.zeros((count, at.record.size)) for name in at.record.slots}
     of_test: dict[str, dict[str, np.ndarray]] = {}
     for t in at.terms:
-        if t.slot not in slots or t.slot in vector.rig or t.place == "row":
+        if t.slot not in slots or t.slot in vector.rig or t.place == "input":
             continue
         new = t.known.per is not None and t.place != "fixed"
         if new:

@@ -91,7 +91,7 @@ def fit_linear(
     fit = bc.fit(model, readings, bc.LeastSquares(), strict=False)
     names = model.effects[0].coefficients
     draws = np.stack([fit.samples(f"value.line[{c.part}]") for c in names], axis=1)
-    best = fit.mode.point.x + fit.layout.origin_of_x  # the mean of the draws but for their rounding
+    best = fit.mode.x + fit.layout.origin_of_x  # the mean of the draws but for their rounding
     if place:
         matrix = expand(powers[-1], *place)
         best, draws = matrix @ best, draws @ matrix.T

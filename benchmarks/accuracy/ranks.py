@@ -21,7 +21,7 @@ from scipy import stats
 
 import bayescal as bc
 from bayescal._model import forward
-from bayescal._model.frame import Frame, build_frame, reference_of
+from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout, bind
 from benchmarks.intervals import expected_counts
 
@@ -30,8 +30,8 @@ POINTS = 50  # at which an ECDF is compared with its band
 INTERVAL = 0.95
 
 
-def draw_prior(layout: Layout, frame: Frame, key: Array) -> tuple[Array, Array, Array]:
-    """One draw (x, rows, v) from the prior.
+def draw_prior(layout: Layout, key: Array) -> tuple[Array, Array]:
+    """One draw (x, v) from the prior.
 
     Raises:
         ValueError: a prior is flat.
@@ -45,9 +45,7 @@ def draw_prior(layout: Layout, frame: Frame, key: Array) -> tuple[Array, Array, 
     x = forward.prior_mean(layout) + forward.prior_sd(layout, hyper) * jax.random.normal(
         keys[-1], (layout.size,)
     )
-    k = len(layout.row_blocks)
-    rows = forward.row_sd(layout) * jax.random.normal(keys[-2], (frame.size, k))
-    return x, rows, v
+    return x, v
 
 
 def drawn(
@@ -66,10 +64,10 @@ def drawn(
 
     def one(key):
         k1, k2 = jax.random.split(key)
-        x, rows, v = draw_prior(layout, frame, k1)
+        x, v = draw_prior(layout, k1)
         hyper = forward.hyper_values(layout, v)
-        values = forward.coefficients(layout, x, rows, hyper)
-        return forward.draw_readings(layout, frame, x, rows, v, k2), {**hyper, **values}
+        values = forward.coefficients(layout, x, hyper)
+        return forward.draw_readings(layout, frame, x, v, k2), {**hyper, **values}
 
     outputs, truth = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(seed), count))
     data = [plan.with_column("output", np.asarray(y)) for y in outputs]

@@ -69,7 +69,7 @@ def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
     key = jax.random.key(SEED)
     plan = nuts_chains.Plan(WARMUP, draws, CHAINS)
     ran = nuts_chains.run(density, start, covariance, key, plan)
-    place = jax.jit(lambda q: over(lambda one: unpack(one)[:3], q, 64))
+    place = jax.jit(lambda q: over(lambda one: unpack(one)[:2], q, 64))
     flat = place(ran.draws.reshape(-1, start.size))
     shaped = (np.asarray(a).reshape(CHAINS, draws, *a.shape[1:]) for a in flat)
     return named(layout, levels, *shaped), ran.divergences

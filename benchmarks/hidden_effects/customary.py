@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayescal._inference.linear_model import linear_model
-from bayescal._inference.problem import Point, Problem
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.instrument import factor_of
 from bayescal._model.terms import ColumnsOf
@@ -59,8 +59,8 @@ def _regressors(searched: Searched, record: Record) -> Regressors:
     base = searched.base
     there = Problem(base.problem.layout, record)
     hyper = there.hyper(base.mode.v)
-    point = Point(base.mode.point.x, np.zeros((record.size, len(there.row_sd))))
-    line, slopes = there.linearise(point, hyper), there.slopes(point, hyper)
+    x = base.mode.x
+    line, slopes = there.linearise(x, hyper), there.slopes(x, hyper)
     instrument, counts = searched.model.instrument, dict(base.problem.layout.counts)
     columns, owners = [], []
     for name, effect in searched.structures.candidates.items():

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 import bayescal as bc
-from bayescal._inference.problem import Point, Problem
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import reference_of
 from bayescal._model.noise_terms import CORRELATION_TIME
@@ -73,14 +73,12 @@ def _effects(structures: Structures, names: list[str], rng: np.random.Generator)
             known = [b for b in base.problem.in_x if b.known.of == t.known.of]
             at = known[placed[t.known.of]].at
             placed[t.known.of] += 1
-            x[t.at] = without[t.at] = base.mode.point.x[at]
+            x[t.at] = without[t.at] = base.mode.x[at]
         else:
             x[t.at] = prior.mean[t.at] + prior.sd[t.at] * rng.standard_normal(t.size)
-    rows = np.zeros((structures.record.size, len(problem.row_sd)))
-    there, here = (problem.linearise(Point(one, rows), hyper).mean for one in (x, without))
-    moved = rng.standard_normal(rows.shape) * problem.row_sd
-    line = problem.linearise(Point(x, rows), hyper)
-    return there - here + np.sum(line.rows * moved, axis=1)
+    there, here = (problem.linearise(one, hyper) for one in (x, without))
+    moved = np.sqrt(problem.extra(there)) * rng.standard_normal(structures.record.size)
+    return there.mean - here.mean + moved
 
 
 def _coordinate(h: Hyper, rng: np.random.Generator) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 import bayescal as bc
 from bayescal._data.set_aside import set_aside
 from bayescal._inference.density import Density
-from bayescal._inference.problem import Point, Problem
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
@@ -119,11 +119,10 @@ class Later:
     def expected(self, weighed: Weighed) -> np.ndarray:
         """Output that a structure expects of it."""
         mode = weighed.mode
-        _, found = Density(weighed.problem, mode.point, mode.flat).at(mode.v)
-        x = mode.point.x if found is None else found.mean
+        _, found = Density(weighed.problem, mode.x, mode.flat).at(mode.v)
+        x = mode.x if found is None else found.mean
         there = Problem(weighed.problem.layout, self.record, weighed.problem.size_factors)
-        rows = np.zeros((self.record.size, len(there.row_sd)))
-        return there.linearise(Point(x, rows), there.hyper(mode.v)).mean
+        return there.linearise(x, there.hyper(mode.v)).mean
 
     def error(self, weighed: Weighed) -> float:
         return float(np.sqrt(np.mean((self.record.y - self.expected(weighed)) ** 2)))

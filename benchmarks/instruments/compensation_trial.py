@@ -81,15 +81,14 @@ class Trial:
 
         def one(key):
             k = jax.random.split(key, 4)
-            x, rows, v = draw_prior(layout, frame, k[0])
+            x, v = draw_prior(layout, k[0])
             hyper = forward.hyper_values(layout, v)
             z = jax.random.normal(k[1], (later.size,))
             new = forward.prior_mean(later) + forward.prior_sd(later, hyper) * z
             new = new.at[come].set(x[keep]) * act
-            no_rows = jnp.zeros((there.size, 0))
-            first = forward.draw_readings(layout, frame, x, rows, v, k[2])
-            second = forward.draw_readings(later, there, new, no_rows, v, k[3]) + extra
-            truth = {**hyper, **forward.coefficients(layout, x, rows, hyper)}
+            first = forward.draw_readings(layout, frame, x, v, k[2])
+            second = forward.draw_readings(later, there, new, v, k[3]) + extra
+            truth = {**hyper, **forward.coefficients(layout, x, hyper)}
             return first, second, truth
 
         keys = jax.random.split(jax.random.key(seed), count)

@@ -163,12 +163,14 @@ def test_arviz_draws_it(found, tmp_path, draw) -> None:
 
 
 @pytest.mark.slow
-def test_thermometer_errors_have_one_value_a_reading(readings) -> None:
+def test_a_thermometers_noise_widens_predictions_by_the_slope(readings) -> None:
     found = bc.fit(INSTRUMENT.baseline() + THERMOMETER, readings)
-    errors = found.tree["posterior"]["temperature.reading"]
-    assert errors.dims == ("chain", "draw", "reading")
-    assert errors.sizes["reading"] == len(readings)
-    assert errors.attrs["units"] == "delta_degC"
+    assert "temperature.reading" not in found.posterior
     prior = THERMOMETER.coefficients[0].prior
     assert isinstance(prior, bc.Normal)
-    assert errors.std() == pytest.approx(prior.sd, rel=0.1)
+    slope, white = (found.samples(n).mean() for n in ("bias.temperature", "noise.white"))
+    predicted = bc.predict(found)
+    share = np.hypot(white, prior.sd * slope)
+    assert predicted.sd == pytest.approx(share, rel=0.03)
+    replicated = found.tree["posterior_predictive"]["output"]
+    assert replicated.std(("chain", "draw")).mean() == pytest.approx(share, rel=0.05)

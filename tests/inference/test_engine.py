@@ -17,7 +17,7 @@ from bayescal._inference.gaussian import LOG_2PI, column_scale
 from bayescal._inference.laplace import across, find_mode
 from bayescal._inference.linear_model import sized
 from bayescal._inference.noise_on_record import total_log_density, whitening
-from bayescal._inference.problem import Point, Problem
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import INTERPOLATED, Record, record_of
 from bayescal._inference.sampling import ManyPhi, weighted_draws
 from bayescal._model import forward
@@ -106,22 +106,20 @@ def assembled(case: str, *promoted: str) -> Problem:
     return Problem(layout, record.beside(model.instrument.shown_by(record.frame, model.effects)))
 
 
-def somewhere(a: Problem, seed: int = 0) -> tuple[Point, np.ndarray]:
-    """A point and a coordinate of φ at random, within the priors."""
+def somewhere(a: Problem, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """An x and a coordinate of φ at random, within the priors."""
     random = np.random.default_rng(seed)
     v = 0.5 * random.standard_normal(len(a.hypers))
     sd = a.sizes.at(a.hyper(v)) * 0.3
-    rows = 0.3 * a.row_sd * random.standard_normal((a.record.size, len(a.row_sd)))
-    return Point(a.mean_of_x + sd * random.standard_normal(a.size), rows), v
+    return a.mean_of_x + sd * random.standard_normal(a.size), v
 
 
 compiled = eqx.filter_jit(forward.linearise)  # a program, not one for each step of it
 
 
-def composed(a: Problem, point: Point, hyper: forward.Values) -> forward.Linearised:
-    """What the composition itself says at a point."""
-    x, rows = jnp.asarray(point.x), jnp.asarray(point.rows)
-    return compiled(a.layout, a.record.frame, x, rows, hyper)
+def composed(a: Problem, x: np.ndarray, hyper: forward.Values) -> forward.Linearised:
+    """What the composition itself says at an x."""
+    return compiled(a.layout, a.record.frame, jnp.asarray(x), hyper)
 
 
 @pytest.mark.parametrize("case", slow_but(FAST, CASES))
@@ -135,14 +133,14 @@ def test_outputs_and_jacobians_are_those_of_the_composition(case: str) -> None:
     np.testing.assert_allclose(found.mean, line.mean, rtol=1e-9, atol=1e-9 * scale)
     columns = np.max(np.abs(line.jacobian), axis=0) + 1e-300
     np.testing.assert_allclose(found.jacobian / columns, line.jacobian / columns, atol=1e-8)
-    np.testing.assert_allclose(found.rows, line.rows, rtol=1e-9)
+    np.testing.assert_allclose(found.inputs, line.inputs, rtol=1e-9)
 
 
 def dense_log_density(a: Problem, v: np.ndarray, flat: np.ndarray) -> float:
     """log p(y, φ) about the start by the covariance matrix of all readings: Σ + J·D·Jᵀ."""
     start, hyper = a.start, forward.hyper_values(a.layout, jnp.asarray(v))
     line = composed(a, start, hyper)
-    extra = np.sum((np.asarray(line.rows) * a.row_sd) ** 2, axis=1)
+    extra = np.broadcast_to(a.extra(line), a.record.size)
     one = jnp.eye(a.record.size)
     white, _ = a.noise.whiten(one, jnp.asarray(extra), hyper, a.record.frame)
     sd, j = (
@@ -150,7 +148,7 @@ def dense_log_density(a: Problem, v: np.ndarray, flat: np.ndarray) -> float:
         np.asarray(line.jacobian),
     )
     covariance = np.linalg.inv(np.asarray(white.T @ white)) + (j * sd**2) @ j.T
-    left = a.record.y - np.asarray(line.mean) + j @ (start.x - a.mean_of_x)
+    left = a.record.y - np.asarray(line.mean) + j @ (start - a.mean_of_x)
     volume = np.linalg.slogdet(covariance)[1] + left @ np.linalg.solve(covariance, left)
     density = -0.5 * (volume + a.record.size * LOG_2PI)
     return float(density + forward.hyper_log_prior(a.layout, jnp.asarray(v)))
@@ -191,7 +189,7 @@ def test_a_structure_as_data_and_one_computed_anew_are_the_same(monkeypatch) -> 
 def test_polynomials_along_outer_axes_are_the_density(monkeypatch, case, promoted) -> None:
     a = assembled(case, *promoted)
     mode = find_mode(a)
-    anew = Density(a, mode.point, mode.flat, mode.v)
+    anew = Density(a, mode.x, mode.flat, mode.v)
     monkeypatch.setattr("bayescal._inference.density._pay", lambda *_: True)
     found = about(anew, mode.v, mode.covariance, 0.001, 1)
     assert found is not None and found.polynomials is not None
@@ -208,7 +206,7 @@ def test_polynomials_along_outer_axes_are_the_density(monkeypatch, case, promote
 def test_slopes_of_the_density_are_its_differences(case: str, promoted) -> None:
     a = assembled(case, *promoted)
     mode = find_mode(a)
-    density = Density(a, mode.point, mode.flat)
+    density = Density(a, mode.x, mode.flat)
     v = mode.v + 0.1
     found = density.slope(v)[1]
     step = 1e-4
@@ -234,7 +232,7 @@ def test_what_is_held_is_the_same_for_several_draws(monkeypatch, model: bc.Model
     a = assembled("held")
     mode = find_mode(a)
     v = mode.v + 0.1 * np.random.default_rng(0).standard_normal((3, len(a.hypers)))
-    there = Density(a, mode.point, mode.flat, mode.v)
+    there = Density(a, mode.x, mode.flat, mode.v)
     here, _ = ManyPhi(a, mode).at(v, np.zeros((3, a.size)))
     np.testing.assert_allclose(here, there.values(v), atol=0.05)
     left = np.tile(a.record.y, (3, 1))
@@ -247,7 +245,7 @@ def test_what_is_held_is_the_same_for_several_draws(monkeypatch, model: bc.Model
 def test_the_mode_is_the_top_of_the_density() -> None:
     a = assembled("gyro")
     mode = find_mode(a)
-    density = Density(a, mode.point, mode.flat, mode.v)
+    density = Density(a, mode.x, mode.flat, mode.v)
     best = minimize(lambda v: -density.at(v)[0], mode.v, method="Nelder-Mead")
     assert -best.fun < mode.log_density + 1e-3
     np.testing.assert_allclose(mode.v, best.x, atol=2e-3)
@@ -274,7 +272,7 @@ def stepped(place: float) -> Problem:
 def test_of_many_maxima_the_highest_is_the_mode(place: float) -> None:
     a = stepped(place)
     mode = find_mode(a)
-    density = Density(a, mode.point, mode.flat)
+    density = Density(a, mode.x, mode.flat)
     (along,) = across(a, mode.v)
     assert density.at(mode.v)[0] > max(density.at(v)[0] for v in along) - 1e-3
     assert a.hyper(mode.v)["unknown(time, jump).place"] == pytest.approx(place, abs=0.01)
@@ -297,8 +295,8 @@ def test_promoted_coefficients_stand_in_phi() -> None:
     own = assembled("gyro, thermometer")
     point, v = somewhere(a)
     hyper = a.hyper(v)
-    x = np.insert(point.x, 1, hyper["bias.temperature"])
-    there = own.linearise(Point(x, point.rows), own.hyper(v[:-1]))
+    x = np.insert(point, 1, hyper["bias.temperature"])
+    there = own.linearise(x, own.hyper(v[:-1]))
     np.testing.assert_allclose(a.linearise(point, hyper).mean, there.mean, rtol=1e-12)
     assert isinstance(a.layout, Layout)
 

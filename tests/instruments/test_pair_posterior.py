@@ -141,7 +141,7 @@ def test_the_mode_is_looked_for_on_both_sides_of_a_product() -> None:
     for one, sensitivity in zip(data, truth["environment.shared[sensitivity]"], strict=True):
         draws, (layout, levels) = coverage.drawn_once(ground.model, one, ground.method, 0)
         best = np.argsort(draws.log_weight)[-200:]
-        names = named(layout, levels, *(a[best][None] for a in (draws.x, draws.rows, draws.v)))
+        names = named(layout, levels, *(a[best][None] for a in (draws.x, draws.v)))
         found = names["environment.shared[sensitivity]"].values[0].mean(axis=0)
         assert found @ sensitivity > 0
 

@@ -15,7 +15,7 @@ import bayescal as bc
 from bayescal import effects
 from bayescal._inference.density import Density
 from bayescal._inference.nuts import program
-from bayescal._inference.problem import Point, Problem
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model import forward
 from bayescal_models.mems_gyro import INSTRUMENT
@@ -39,18 +39,16 @@ def test_closed_form_is_the_multivariate_normal(model, known) -> None:
     )
     b = bound(model, readings(**more))
     problem, v = on_record(b), np.asarray(b.v)
-    density = Density(
-        problem, Point(np.asarray(b.x), np.asarray(b.rows)), np.ones(b.layout.size), v
-    )
+    density = Density(problem, np.asarray(b.x), np.ones(b.layout.size), v)
     total, found = density.at(v)
     assert found is not None
     prior = problem.prior(problem.hyper(v), density.flat)
 
-    line = forward.linearise(b.layout, b.frame, b.x, b.rows, b.hyper)
+    line = forward.linearise(b.layout, b.frame, b.x, b.hyper)
     J, D = np.asarray(line.jacobian), np.diag(np.asarray(prior.sd) ** 2)
     noise = b.layout.model.noise.variance(b.hyper, b.frame)
-    S = np.diag(noise + jnp.sum((line.rows * forward.row_sd(b.layout)) ** 2, axis=1))
-    centre = line.mean - jnp.sum(line.rows * b.rows, axis=1) + J @ (prior.mean - b.x)
+    S = np.diag(noise + jnp.sum((line.inputs * width_of_inputs(b.layout)) ** 2, axis=1))
+    centre = line.mean + J @ (prior.mean - b.x)
     V = S + J @ D @ J.T
     normal = multivariate_normal(np.asarray(centre), V)  # pyright: ignore[reportArgumentType]
     direct = normal.logpdf(np.asarray(b.y))  # pyright: ignore[reportAttributeAccessIssue]
@@ -61,6 +59,10 @@ def test_closed_form_is_the_multivariate_normal(model, known) -> None:
     np.testing.assert_allclose(
         found.covariance, D - gain @ J @ D, atol=1e-8 * max(1.0, D.max(initial=0))
     )
+
+
+def width_of_inputs(layout) -> np.ndarray:
+    return np.array([block.coefficient.size for block in layout.blocks if block.place == "input"])
 
 
 def on_record(b) -> Problem:
@@ -82,8 +84,7 @@ def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
         INSTRUMENT.effect("bias.temperature").coefficients[0].size,
     )
     problem, v = on_record(b), np.asarray(b.v)
-    point = Point(np.asarray(b.x), np.asarray(b.rows))
-    found = [Density(problem, point, np.full(2, scale), v).at(v) for scale in (1.0, 30.0)]
+    found = [Density(problem, np.asarray(b.x), np.full(2, scale), v).at(v) for scale in (1.0, 30.0)]
     values = [total - problem.log_prior(v) for total, _ in found]
     # The same, whatever the scale of the flat column …
     assert values[0] == pytest.approx(values[1], abs=1e-8)
@@ -110,17 +111,18 @@ def test_jacobian_is_the_derivative_of_the_mean(promoted) -> None:
     hyper = forward.hyper_values(layout, v)
     x = forward.prior_sd(layout, hyper) * rng.normal(size=layout.size)
 
-    def mean(x, rows):
-        return forward.mean(layout, b.frame, x, rows, hyper)
+    def mean(x, error):
+        there = b.frame.with_column("temperature", b.frame["temperature"] + error)
+        return forward.mean(layout, there, x, hyper)
 
-    line = eqx.filter_jit(forward.linearise)(layout, b.frame, x, b.rows, hyper)
-    by_x, by_rows = jax.jit(jax.jacfwd(mean, argnums=(0, 1)))(x, b.rows)
-    np.testing.assert_allclose(line.mean, mean(x, b.rows), rtol=1e-13)
+    none = jnp.zeros(b.frame.size)
+    line = eqx.filter_jit(forward.linearise)(layout, b.frame, x, hyper)
+    by_x, by_error = jax.jit(jax.jacfwd(mean, argnums=(0, 1)))(x, none)
+    np.testing.assert_allclose(line.mean, mean(x, none), rtol=1e-13)
     width = np.abs(by_x).max(axis=0)
     np.testing.assert_allclose(line.jacobian / width, by_x / width, rtol=1e-11, atol=1e-12)
     # A thermometer error moves its own reading and no other, so that one number a reading says all.
-    diagonal = jnp.einsum("ij,ik->ijk", jnp.eye(b.frame.size), line.rows)
-    np.testing.assert_allclose(diagonal, by_rows, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(np.diag(line.inputs[:, 0]), by_error, rtol=1e-11, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -158,13 +160,9 @@ def test_numpyro_program_has_the_same_density(model) -> None:
             sites[f"{block.name}.standard"] = z
             x.append(c.mean + spread * z)
             ours += block.size * jnp.log(spread)  # likewise: x is written in units of its spread
-        e = jnp.asarray(rng.normal(size=b.rows.shape))
-        rows = e * forward.row_sd(b.layout)
-        sites["rows.standard"] = e
         x = jnp.concatenate(x)
-        ours += forward.log_prior_x(b.layout, x, rows, hyper)
-        ours += jnp.sum(forward.log_likelihood(b.layout, b.frame, b.y, x, rows, hyper))
-        ours += b.rows.shape[0] * jnp.sum(jnp.log(forward.row_sd(b.layout)))
+        ours += forward.log_prior_x(b.layout, x, hyper)
+        ours += jnp.sum(forward.log_likelihood(b.layout, b.frame, b.y, x, hyper))
         theirs, trace = log_density(program(b.layout, b.frame), (b.y,), {}, sites)
         np.testing.assert_allclose(trace["x"]["value"], x, rtol=1e-12)
         np.testing.assert_allclose(trace["v"]["value"], v, rtol=1e-9, atol=1e-12)

@@ -63,18 +63,18 @@ def test_slots_are_affine_in_the_coefficients_of_an_effect(instrument, effect) -
     names = {block.slot for block in b.layout.blocks}
     slots = {s.name for s in instrument.slots}
 
-    def total(x, rows):
+    def total(x):
         """What the effect adds to its slots, or to the column it corrects."""
 
         def seen(filled, corrected):
             return sum(filled[n] if n in slots else corrected[n] for n in names)
 
         model = bc.Model(replaced(instrument, seen), (effect,), instrument.noise)
-        return forward.mean(Layout(model, b.layout.counts), b.frame, x, rows, b.hyper)
+        return forward.mean(Layout(model, b.layout.counts), b.frame, x, b.hyper)
 
     other = b.x[::-1] + 1.0
-    both = total(b.x + other, b.rows) + total(0 * b.x, 0 * b.rows)
-    apart = total(b.x, 0 * b.rows) + total(other, b.rows)
+    both = total(b.x + other) + total(0 * b.x)
+    apart = total(b.x) + total(other)
     scale = np.abs(apart).max()
     np.testing.assert_allclose(both, apart, rtol=1e-10, atol=1e-10 * scale)
     assert effect.equation

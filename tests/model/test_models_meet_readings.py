@@ -93,7 +93,7 @@ def test_every_unknown_stands_in_exactly_one_place() -> None:
     assert places == {
         "bias.constant": "fixed",
         "bias.temperature": "phi",
-        "temperature.reading": "row",
+        "temperature.reading": "input",
         "bias.run": "x",
         "bias.thermal_lag": "x",
         "bias.thermal_lag[start]": "x",

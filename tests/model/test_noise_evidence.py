@@ -49,7 +49,7 @@ def exact_student_t(fit: bc.Calibration, y: np.ndarray) -> float:
 
     reach = 7 * np.sqrt(np.diag(fit.mode.covariance))
     return summed(
-        joint, bc.StudentT(SCALE), [*around(fit.mode.point.x, [0.15]), *around(fit.mode.v, reach)]
+        joint, bc.StudentT(SCALE), [*around(fit.mode.x, [0.15]), *around(fit.mode.v, reach)]
     )
 
 

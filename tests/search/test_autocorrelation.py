@@ -57,7 +57,7 @@ def test_z_is_standard_under_the_model(rng) -> None:
     g = found.linear.directions
     layout, mode = found.layout, found.mode
     hyper = forward.hyper_values(layout, jnp.asarray(mode.v))
-    line = forward.linearise(layout, found.frame, mode.point.x, mode.point.rows, hyper)
+    line = forward.linearise(layout, found.frame, mode.x, hyper)
     prior, noise = found.problem.prior(found.problem.hyper(mode.v), mode.flat), found.model.noise
     sd = np.sqrt(np.broadcast_to(noise.variance(hyper, found.frame), len(data)))
     a = np.asarray(line.jacobian * prior.sd) / sd[:, None]

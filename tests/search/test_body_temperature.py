@@ -13,7 +13,7 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._inference.problem import Point, Problem
+from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
 from bayescal._model import forward
 from bayescal._model.model import testable as why_not_tested
@@ -105,13 +105,11 @@ def test_the_engine_and_the_composition_agree(form: str) -> None:
     problem, random = Problem(layout, record), np.random.default_rng(3)
     x = 0.1 * random.standard_normal(problem.size)
     hyper = problem.hyper(0.5 * random.standard_normal(len(layout.hypers)))
-    rows = np.zeros((len(readings), 0))
-    line = problem.linearise(Point(x, rows), hyper)
+    line = problem.linearise(x, hyper)
     whole = forward.linearise(
         layout,
         record.frame,
         jnp.asarray(x),
-        jnp.asarray(rows),
         {k: jnp.asarray(v) for k, v in hyper.items()},
     )
     np.testing.assert_allclose(line.mean, whole.mean, rtol=0, atol=1e-7)

@@ -46,7 +46,7 @@ def test_draws_have_each_effect_as_often_as_it_is_probable(trail, average) -> No
         probable = sum(s.probability for s in trail.shares if name in s.effects)
         assert shares[name] == pytest.approx(probable, abs=0.002)
     assert shares["bias.constant"] == 1
-    x, _, _ = average.draws()
+    x, _ = average.draws()
     own = [b for b in average.layout.x_blocks if b.effect.name == "bias.reference_voltage"]
     out = ~has_effect(average, "bias.reference_voltage")
     assert np.all(x[out, own[0].start] == 0)

@@ -41,7 +41,6 @@ class Bound:
     layout: Layout
     frame: bc.Frame
     x: jax.Array
-    rows: jax.Array
     v: jax.Array
 
     @classmethod
@@ -51,9 +50,7 @@ class Bound:
         random, v = np.random.default_rng(SEED), jnp.zeros(len(layout.hypers))
         sd = forward.prior_sd(layout, forward.hyper_values(layout, v))
         x = forward.prior_mean(layout) + sd * random.standard_normal(layout.size)
-        shape = (frame.size, len(layout.row_blocks))
-        rows = forward.row_sd(layout) * random.standard_normal(shape)
-        return cls(layout, frame, x, rows, v)
+        return cls(layout, frame, x, v)
 
     @property
     def hyper(self) -> forward.Values:
@@ -61,26 +58,19 @@ class Bound:
 
 
 @eqx.filter_jit
-def differences(layout: Layout, frame, x, rows, v) -> tuple[Any, jax.Array, jax.Array, jax.Array]:
-    """Linearised form, prior sd of x, and central differences by x and by the per-reading coefficients."""
+def differences(layout: Layout, frame, x, v) -> tuple[Any, jax.Array, jax.Array]:
+    """Linearised form, prior sd of x, and central differences by x."""
     hyper = forward.hyper_values(layout, v)
     sd = forward.prior_sd(layout, hyper)
 
     def by(push):
-        return forward.mean(layout, frame, x + STEP * push * sd, rows, hyper)
+        return forward.mean(layout, frame, x + STEP * push * sd, hyper)
 
     def along(one):
         return (by(one) - by(-one)) / (2 * STEP)
 
     columns = jax.lax.map(along, jnp.eye(layout.size)).T
-    widths = forward.row_sd(layout)
-    in_rows = []
-    for k in range(len(layout.row_blocks)):  # a reading's own coefficient moves that reading alone
-        push = STEP * widths[k] * jnp.zeros_like(rows).at[:, k].set(1.0)
-        ends = [forward.mean(layout, frame, x, rows + s * push, hyper) for s in (1, -1)]
-        in_rows.append((ends[0] - ends[1]) / (2 * STEP * widths[k]))
-    stacked = jnp.stack(in_rows, 1) if in_rows else jnp.zeros((frame.size, 0))
-    return forward.linearise(layout, frame, x, rows, hyper), sd, columns, stacked
+    return forward.linearise(layout, frame, x, hyper), sd, columns
 
 
 class Case:
@@ -144,7 +134,7 @@ class Case:
     @cached_property
     def differences(self):
         b = self.bound
-        return jax.tree.map(np.asarray, differences(b.layout, b.frame, b.x, b.rows, b.v))
+        return jax.tree.map(np.asarray, differences(b.layout, b.frame, b.x, b.v))
 
     def sample(self, model: bc.Model, readings: bc.Measurements) -> None:
         """The two steps of the default method, as `fit` calls them: mode, then importance sampling."""

@@ -79,7 +79,7 @@ def whitened_target(p: BoundProblem) -> Target:
     noise = jax.random.normal(jax.random.key(SEED), (CHAINS, centre.size))
 
     def unknowns(q: jax.Array) -> jax.Array:
-        x, _, v, _ = unpack(centre + root @ q)
+        x, v, _ = unpack(centre + root @ q)
         return jnp.concatenate([x, v])
 
     none = np.zeros(centre.size, bool)

@@ -141,13 +141,11 @@ def problem_of(kind: str, found: Any) -> tuple[PeerProblem, np.ndarray]:
     layout, frame, mode = found.layout, found.frame, found.mode
     prior = found.problem.prior(found.problem.hyper(mode.v), mode.flat)
     places = layout.positions("shape", "promoted")
-    if layout.row_blocks or layout.improper:
-        raise RuntimeError(f"{kind}: has flat priors or one coefficient for each reading")
+    if found.problem.noisy or layout.improper:
+        raise RuntimeError(f"{kind}: has flat priors or noise on an input")
     hyper = forward.hyper_values(layout, mode.v)
     noise = np.sqrt(np.asarray(layout.model.noise.variance(hyper, frame)))
-    answer = np.concatenate(
-        [(mode.point.x - prior.mean) / prior.sd, mode.v[jnp.array(places, int)]]
-    )
+    answer = np.concatenate([(mode.x - prior.mean) / prior.sd, mode.v[jnp.array(places, int)]])
     if kind != "ng accelerometer":
         return by_hand(kind, *scales(found)), answer
     y, sd = found.readings["output"], jnp.asarray(noise)
@@ -156,7 +154,7 @@ def problem_of(kind: str, found: Any) -> tuple[PeerProblem, np.ndarray]:
     def residuals(z: jax.Array) -> jax.Array:
         x, w = prior.mean + prior.sd * z[: layout.size], z[layout.size :]
         own = forward.hyper_values(layout, jnp.asarray(mode.v).at[jnp.array(places, int)].set(w))
-        guess = forward.mean(layout, frame, x, mode.point.rows, own)
+        guess = forward.mean(layout, frame, x, own)
         return jnp.concatenate([(y - guess) / sd, z])
 
     slopes = jax.jit(jax.jacfwd(residuals))

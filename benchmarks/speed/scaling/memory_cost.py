@@ -43,7 +43,7 @@ def fit_in_here(path: str) -> None:
     memory["readings"] = peak()
     model = mems_gyro.INSTRUMENT.baseline()
     mode = bc.fit(model, readings, bc.LeastSquares()).mode
-    x = np.asarray(mode.point.x)
+    x = np.asarray(mode.x)
     memory["fit"] = peak()
     seconds = time.perf_counter() - begun
     centred = readings["temperature"] - np.round(readings["temperature"].mean())

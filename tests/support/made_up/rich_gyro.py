@@ -52,6 +52,5 @@ def bound(model: bc.Model, data: bc.Measurements) -> SimpleNamespace:
     hyper = forward.hyper_values(layout, v)
     sd = forward.prior_sd(layout, hyper)
     x = forward.prior_mean(layout) + sd * rng.normal(size=layout.size)
-    rows = forward.row_sd(layout) * rng.normal(size=(frame.size, len(layout.row_blocks)))
-    y = forward.draw_readings(layout, frame, x, rows, v, jax.random.key(8))
-    return SimpleNamespace(layout=layout, frame=frame, x=x, rows=rows, v=v, hyper=hyper, y=y)
+    y = forward.draw_readings(layout, frame, x, v, jax.random.key(8))
+    return SimpleNamespace(layout=layout, frame=frame, x=x, v=v, hyper=hyper, y=y)
