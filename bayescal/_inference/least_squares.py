@@ -189,7 +189,7 @@ def refine(
     fit = _Refinement(problem, mode)
     # Where JᵀJ has no Cholesky factor the mode is nowhere; from the prior's centre, QR may find it.
     found = np.all(np.isfinite(mode.x)) and math.isfinite(mode.log_evidence)
-    x = mode.x if found else problem.start.x
+    x = mode.x if found else problem.start
     v = np.where(np.isfinite(mode.v), mode.v, 0.0)
     theta, converged = np.concatenate([x, v[fit.places]]), False
     if by_optimistix and not (

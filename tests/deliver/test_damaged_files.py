@@ -171,10 +171,6 @@ CHANGES = {
         fewer_of("observed_data", reading=slice(3, None)),
         "conflicting dimension sizes",
     ),
-    "draws of fewer readings": (
-        fewer_of("draws", reading=slice(3, None)),
-        "draws/rows has the shape",
-    ),
     "a smaller mode": (fewer_of("mode", x_0=slice(1, None)), "mode/x has the shape"),
     "another reading": (
         variable("observed_data", "output", first_is(7.0)),

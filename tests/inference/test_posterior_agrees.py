@@ -9,6 +9,7 @@ from scipy import stats
 from scipy.integrate import quad
 
 import bayescal as bc
+from bayescal import effects
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
@@ -141,6 +142,12 @@ def test_line_with_thermometer_error_agrees_with_nuts(sampler, table) -> None:
 @pytest.mark.slow
 def test_parabola_with_thermometer_error_agrees_with_nuts(table) -> None:
     model = BASELINE + "bias.temperature_quadratic" + THERMOMETER
+    assert_agree(bc.fit(model, table), reference_fit(model, table))
+
+
+@pytest.mark.slow
+def test_a_thermometers_error_beside_outliers_agrees_with_nuts(table) -> None:
+    model = (BASELINE + effects.thermometer(1.5, source="made up")).with_noise(bc.StudentT())
     assert_agree(bc.fit(model, table), reference_fit(model, table))
 
 
