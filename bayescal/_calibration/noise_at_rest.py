@@ -63,7 +63,6 @@ STIRRED_DEGREES = 0.2
 Terms = tuple[str, ...]  # names of those of a sum, beside white noise
 # Readings above which means of blocks are taken: the filter then takes a tenth of a second.
 BLOCK_MEANS_READINGS = 16_384
-ROUGH_READINGS = 1024  # of those that tell where a maximum is looked for: a tenth of the time
 NOTHING = 1e6  # times the scatter of neighbours: the uncertainty of a place without a reading
 STRETCHES = 8  # of single readings beside the means, as many readings as there are means at most
 ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, then in pairs
@@ -153,7 +152,6 @@ class _AtRest(NamedTuple):
     tau: np.ndarray  # averaging times, s,
     allan: np.ndarray  # and variances, output unit squared
     line: Mapping[str, float] = {}  # a tone to begin with, for steps of one second; none if empty
-    rough: _AtRest | None = None  # the same of longer means, if there are many readings
 
     def law(self, terms: Terms) -> RestingSum:
         scale = HalfCauchy(self.size)
@@ -195,9 +193,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
         InputError: no column `time`, no run of 30 readings, uneven steps, or an output that is rounded too coarsely.
     """
     runs = even_runs(readings)
-    channel, notes = _channel(readings, runs, BLOCK_MEANS_READINGS)
-    if len(readings) > 4 * ROUGH_READINGS:
-        channel = channel._replace(rough=_channel(readings, runs, ROUGH_READINGS)[0])
+    channel, notes = _channel(readings, runs)
     fits: dict[Terms, Mode] = {(): _fit(channel, ())}
     output = np.asarray(readings["output"], float)
     (brief, surely), (clear, line) = _of_neighbours(output, runs), _line(output, runs)
@@ -317,8 +313,7 @@ def _total(fits: dict[Terms, Mode], terms: tuple[str, ...]) -> float:
     return fits[terms].log_evidence + math.log(nothing if not terms else (1 - nothing) / others)
 
 
-def _channel(readings: Measurements, runs: EvenRuns, most: int) -> tuple[_AtRest, list[str]]:
-    """A channel as the filter takes it, of about so many means and single readings each, and what was done to it."""
+def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]]:
     output, notes = np.asarray(readings["output"], float), []
     rows = [r for r in runs.rows if len(r) > 1]
     jumps = np.concatenate([np.diff(own) for own in runs.of(output)])
@@ -342,11 +337,11 @@ def _channel(readings: Measurements, runs: EvenRuns, most: int) -> tuple[_AtRest
             f"{100 * runs.lost:.2g} % of the readings were lost: the filter goes on without"
         )
     total = sum(len(r) for r in rows)
-    count = 2 ** max(0, math.ceil(math.log2(total / most)))
+    count = 2 ** max(0, math.ceil(math.log2(total / BLOCK_MEANS_READINGS)))
     blocks: list[np.ndarray] = []
     if count > 1:
         blocks = [r[: len(r) // count * count].reshape(-1, count) for r in rows if len(r) >= count]
-        rows = _stretches(rows, most // STRETCHES)
+        rows = _stretches(rows, BLOCK_MEANS_READINGS // STRETCHES)
         notes.append(
             f"of {total} readings the filter took {sum(map(len, blocks))} means of {count} by their exact law, and "
             f"{len(rows)} stretches of {len(rows[0])} single readings"
@@ -414,9 +409,8 @@ def _fit(channel: _AtRest, terms: Terms, known: Mapping[str, float] | None = Non
     if known is not None:
         least = starts[-1]  # further terms as small as any start has them
         starts.append(np.array([known.get(n, v) for n, v in zip(priors, least, strict=True)]))
-    rough = problem if channel.rough is None else channel.rough.problem(terms)
-    order = np.argsort(-_density(rough).values(np.array(starts)))[:STARTS]
-    tries = [find_mode(rough, [starts[i]], still=SETTLED, curved=False) for i in order]
+    order = np.argsort(-_density(problem).values(np.array(starts)))[:STARTS]
+    tries = [find_mode(problem, [starts[i]], still=SETTLED, curved=False) for i in order]
     best = max(tries, key=lambda t: t.log_density)
     return find_mode(problem, [best.v], covariance=best.covariance, still=SETTLED)
 
