@@ -15,10 +15,17 @@ import pytest
 
 import bayescal as bc
 from bayescal._use.compensation_program import STIMULUS
-from bayescal._use.expression_graph import JAVASCRIPT, OPERATIONS, Graph, statements
+from bayescal._use.expression_graph import JAVASCRIPT, statements
 from bayescal._use.program_text import effects_of
 from tests.support.browser import chromium
-from tests.support.export_check import COMPILER, run_header
+from tests.support.export_check import (
+    COMPILER,
+    PAIRS,
+    each_operation,
+    inputs_of,
+    random_rows,
+    run_header,
+)
 from tests.support.inside import text_of
 from tests.support.made_up import bent_sensor
 
@@ -61,26 +68,18 @@ process.stdout.write(text(rows.map(row => {call})));"""
     return json.loads(ran.stdout)
 
 
-def random_rows(compensator: bc.Compensator) -> np.ndarray:
-    """Readings, and inputs all over their calibrated ranges."""
-    random = np.random.default_rng(11)
-    largest = float(np.abs(compensator.calibration.readings["output"]).max())  # pyright: ignore[reportOptionalMemberAccess]
-    columns = [random.uniform(-largest, largest, ROWS)]
-    columns += [random.uniform(i.low, i.high, ROWS) for i in compensator.inputs]
-    return np.column_stack(columns)
-
-
 @needs_node
 def test_the_page_computes_what_c_and_python_compute(compensator, page, tmp_path) -> None:
-    rows = random_rows(compensator)
+    rows = random_rows(compensator, ROWS)
     (script,) = SCRIPT.findall(page)
     found = in_node(script, "compensate(row[0], row.slice(1))", rows)
     value, own, one = (
         np.array([float(f[n]) for f in found])
         for n in ("value", "uncertainty", "uncertaintyReading")
     )
-    inputs = {i.name: rows[:, 1 + k] for k, i in enumerate(compensator.inputs)}
-    by_python, uncertainty, inclination = compensator.program.run(rows[:, 0], inputs)
+    by_python, uncertainty, inclination = compensator.program.run(
+        rows[:, 0], inputs_of(compensator, rows)
+    )
     floor = 1e-3 * np.abs(by_python).max()  # near zero a value is a difference of large numbers
     assert np.max(np.abs(value - by_python) / np.maximum(np.abs(by_python), floor)) < 1e-12
     np.testing.assert_allclose(own, uncertainty, rtol=1e-12)
@@ -97,7 +96,7 @@ def test_the_page_computes_what_c_and_python_compute(compensator, page, tmp_path
 
 @needs_node
 def test_parts_of_the_variance_add_up_and_are_those_of_the_covariance(compensator, page) -> None:
-    rows = random_rows(compensator)[:20]
+    rows = random_rows(compensator, 20)
     (script,) = SCRIPT.findall(page)
     for row, found in zip(
         rows, in_node(script, "compensate(row[0], row.slice(1))", rows), strict=True
@@ -111,48 +110,13 @@ def test_parts_of_the_variance_add_up_and_are_those_of_the_covariance(compensato
         assert found["variance"] == pytest.approx(total, rel=1e-9), row
 
 
-ARGUMENTS = {
-    "acos": [(0.3,), (-1.0,)],
-    "asin": [(0.3,), (-0.9,)],
-    "log": [(0.3,), (5.0,)],
-    "log1p": [(0.3,), (-0.5,)],
-    "sqrt": [(0.3,), (2.0,)],
-    "pow": [(2.5, 3.0), (0.4, -1.5), (-2.0, 3.0)],
-    "rem": [(5.5, 2.0), (-5.5, 2.0)],
-}
-TRUTHS = ("and", "or", "not", "select", "real")  # of what is true or false
-
-
 @needs_node
-@pytest.mark.parametrize("name", [n for n in OPERATIONS if n not in TRUTHS])
-def test_each_operation_is_the_same_in_javascript(name) -> None:
-    count = 1 + ("{1}" in OPERATIONS[name].javascript)
-    given = ARGUMENTS.get(name, [(0.7, -0.2)[:count], (-1.3, 1.3)[:count], (2.0, 2.0)[:count]])
-    graph = Graph()
-    places = [graph.input(n) for n in "ab"[:count]]
-    result = graph.apply(name, *places)
-    if graph.boolean(result):
-        result = graph.apply("real", result)
-    lines, (said,) = statements(graph, [result], {"a": "row[0]", "b": "row[1]"}, JAVASCRIPT)
-    body = "".join(lines)
-    found = in_node("", f"(() => {{ {body} return {said}; }})()", np.array(given))
-    columns = np.array(given).T
-    (want,) = graph.evaluate([result], dict(zip("ab", columns, strict=False)))
-    np.testing.assert_allclose(found, want, rtol=1e-14, atol=1e-16)
-
-
-@needs_node
-@pytest.mark.parametrize(("a", "b"), [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
-def test_what_is_true_or_false_is_the_same_in_javascript(a, b) -> None:
-    graph = Graph()
-    x, y, zero = graph.input("a"), graph.input("b"), graph.constant(0.0)
-    up, down = graph.apply("gt", x, zero), graph.apply("lt", y, zero)
-    both, either = graph.apply("and", up, down), graph.apply("or", up, graph.apply("not", down))
-    chosen = graph.apply("select", both, x, graph.apply("real", either))
-    lines, (said,) = statements(graph, [chosen], {"a": "row[0]", "b": "row[1]"}, JAVASCRIPT)
-    (found,) = in_node("", f"(() => {{ {''.join(lines)} return {said}; }})()", np.array([[a, b]]))
-    (want,) = graph.evaluate([chosen], {"a": np.array([a]), "b": np.array([b])})
-    assert found == want[0]
+def test_each_operation_is_the_same_in_javascript() -> None:
+    graph, outputs = each_operation()
+    lines, results = statements(graph, outputs, {"a": "row[0]", "b": "row[1]"}, JAVASCRIPT)
+    found = in_node("", f"(() => {{ {''.join(lines)} return [{', '.join(results)}]; }})()", PAIRS)
+    want = graph.evaluate(outputs, {"a": PAIRS[:, 0], "b": PAIRS[:, 1]})
+    np.testing.assert_allclose(found, np.array(want, float).T, rtol=1e-14, atol=1e-16)
 
 
 def test_every_unknown_belongs_to_one_effect(compensator) -> None:
@@ -199,9 +163,8 @@ def test_in_a_browser_without_network_it_computes_what_python_computes(
 ) -> None:
     """In Chromium, offline: 1,000 points against Python, one condition moved by hand, no line on the console."""
     sync_api = pytest.importorskip("playwright.sync_api")
-    file, rows = compensator.export(tmp_path / "page.html"), random_rows(compensator)
-    inputs = {i.name: rows[:, 1 + k] for k, i in enumerate(compensator.inputs)}
-    by_python, uncertainty, _ = compensator.program.run(rows[:, 0], inputs)
+    file, rows = compensator.export(tmp_path / "page.html"), random_rows(compensator, ROWS)
+    by_python, uncertainty, _ = compensator.program.run(rows[:, 0], inputs_of(compensator, rows))
     with sync_api.sync_playwright() as program:
         arguments = ["--no-sandbox", "--disable-gpu"]
         browser = program.chromium.launch(executable_path=chromium(), args=arguments)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,13 +12,21 @@ import pytest
 import bayescal as bc
 from bayescal._core.quoting import ascii_text
 from bayescal._use.compensation_program import program_of
-from bayescal._use.expression_graph import LANGUAGES, OPERATIONS, Graph, statements
+from bayescal._use.expression_graph import LANGUAGES, Graph, statements
 from bayescal._use.operating_equation import posterior_moments
-from tests.support.export_check import needs_compiler, run_c, run_header, tilted
+from tests.support.export_check import (
+    PAIRS,
+    each_operation,
+    inputs_of,
+    needs_compiler,
+    random_rows,
+    run_c,
+    run_header,
+    tilted,
+)
 from tests.support.inside import text_of
 from tests.support.made_up import bent_sensor, split_search
 
-ROWS = 10_000
 pytestmark = pytest.mark.filterwarnings(
     "ignore::bayescal._use.compensation_program.OutsideCalibration"
 )
@@ -41,21 +48,12 @@ def compensator(request) -> bc.Compensator:
 
 @pytest.fixture(scope="module")
 def rows(compensator) -> np.ndarray:
-    """10⁴ random readings with inputs all over their calibrated ranges."""
-    random = np.random.default_rng(7)
-    largest = float(np.abs(compensator.calibration.readings["output"]).max())
-    columns = [random.uniform(-largest, largest, ROWS)]
-    columns += [random.uniform(i.low, i.high, ROWS) for i in compensator.inputs]
-    return np.column_stack(columns)
-
-
-def inputs(compensator: bc.Compensator, rows: np.ndarray) -> dict[str, Any]:
-    return {i.name: rows[:, 1 + k] for k, i in enumerate(compensator.inputs)}
+    return random_rows(compensator, 10_000)
 
 
 def expected(compensator: bc.Compensator, rows: np.ndarray) -> np.ndarray:
     """By JAX: value, uncertainty without and with noise."""
-    given = inputs(compensator, rows)
+    given = inputs_of(compensator, rows)
     plain = compensator(output=rows[:, 0], method="first order", noise=False, **given)
     noisy = compensator(output=rows[:, 0], method="first order", **given)
     return np.column_stack([plain.value, plain.uncertainty, noisy.uncertainty])
@@ -82,7 +80,7 @@ def test_the_header_in_single_precision_agrees_to_its_own_rounding(
 ) -> None:
     found = run_header(compensator, rows, tmp_path, "float")
     value, uncertainty, inclination = compensator.program.run(
-        rows[:, 0], inputs(compensator, rows), np.float32
+        rows[:, 0], inputs_of(compensator, rows), np.float32
     )
     noisy = np.hypot(uncertainty, compensator.noise * inclination)
     eps = float(np.finfo(np.float32).eps)
@@ -193,7 +191,6 @@ def test_a_graph_writes_nothing_that_comes_to_nothing() -> None:
     assert graph.apply("sin", x) == graph.apply("sin", x)
 
 
-PAIRS = np.array([(0.7, -0.2), (-1.3, 1.3), (2.0, 2.0), (5.5, 2.0), (-5.5, 2.0), (2.5, 3.0)])
 C_PROGRAM = """
 #include <math.h>
 #include <stdio.h>
@@ -211,25 +208,6 @@ int main(void)
     return 0;
 }
 """
-
-
-def each_operation() -> tuple[Graph, list[int]]:
-    """Every operation on a and b, or on what is true of them; where it needs positive ones or a sine, on those."""
-    graph = Graph()
-    a, b, zero = graph.input("a"), graph.input("b"), graph.constant(0.0)
-    up, down = graph.apply("gt", a, zero), graph.apply("lt", b, zero)
-    size, sine = (
-        graph.apply("add", graph.apply("abs", a), graph.constant(0.1)),
-        graph.apply("sin", a),
-    )
-    of = {"and": (up, down), "or": (up, down), "not": (up,), "select": (down, a, b), "real": (up,)}
-    of |= {"log": (size,), "sqrt": (size,), "log1p": (size,), "acos": (sine,), "asin": (sine,)}
-    of |= {"pow": (size, b)}
-    found = []
-    for name, operation in OPERATIONS.items():
-        made = graph.apply(name, *of.get(name, (a, b)[: 1 + ("{1}" in operation.c)]))
-        found.append(graph.apply("real", made) if graph.boolean(made) else made)
-    return graph, found
 
 
 def test_each_operation_is_the_same_in_python() -> None:

@@ -1,4 +1,4 @@
-"""Names of files, columns, devices and effects may hold anything: no export takes them for code, markup or formulas."""
+"""Names of files, columns, devices and effects may hold anything: nothing that leaves takes them for code or markup."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import re
 import subprocess
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
-from functools import cache
+from dataclasses import dataclass, replace
+from datetime import date
+from functools import cache, cached_property
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
@@ -35,122 +38,22 @@ from bayescal._core.result_table import as_html, plain_table
 from bayescal._use.compensation_program import from_data
 from bayescal._use.correction_files import load_correction
 from bayescal_models import mems_gyro
+from tests.deliver.test_noise_at_rest import told
+from tests.support import references
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler
-from tests.support.inside import text_of
+from tests.support.hostile_names import CODE, PIECES
+from tests.support.inside import dcc_of, text_of
 
-# Pieces that mean something to C, Python, HTML, XML, spreadsheets, and to the programs that write these.
-PIECES = (
-    *(
-        "*/",
-        "/*",
-        "*\\ ",
-        "\\",
-        "\\\n",
-        "??/",
-        "??)",
-        "//",
-        "#define x",
-        '"',
-        '"""',
-        "'",
-        "\x00",
-        "\x1b[2J",
-        "\x7f",
-    ),
-    *(
-        "<",
-        ">",
-        "<script>alert(1)</script>",
-        "<img src=x onerror=alert(1)>",
-        "&lt;",
-        "&",
-        "]]>",
-        "-->",
-        "<!--",
-    ),
-    *(
-        "{{ 7*7 }}",
-        "{% raw %}",
-        "${x}",
-        "%s",
-        "{0}",
-        "=1+1",
-        "+1",
-        "-1",
-        "@SUM(A1)",
-        "\t=1",
-        "\r\n",
-        ",",
-        ";",
-    ),
-    *(
-        "\u2028",
-        "\u202e",
-        "\ufeff",
-        "\ud800",
-        "\uffff",
-        "é",
-        "漢",
-        "int f(void){return 1;}",
-        "system('x')",
-        "\n#",
-    ),
-    *("import os", "NAN", "in", "range", "t0", "reading", "0", " "),
-)
+yaml = pytest.importorskip("yaml")
+
 HOSTILE = st.lists(st.sampled_from(PIECES) | st.text(max_size=3), max_size=6).map("".join)
 TEXT = HOSTILE.map(lambda name: name.replace("\ud800", "?"))  # what a file can hold
-BY_HAND = (
-    "gyro*\\ int f(void){return 1;}\\*.csv",
-    '"""\nimport os\nos.system("x")\n"""',
-    "*\\/ int x; /*",
-    "a ??/\n int x;",
-    '</title><script>alert(1)</script>"onload="x',
-    "=cmd|'/c calc'!A1",
-    "a*/int evil(void);/*b",
-    "*\\",
-    "/",
-    "*",
-    "??/",
-    "??/\\",
-    "\\\nint x;",
-    "//",
-    "\r*/ int x; //",
-    "\x0b*/\x0c#include <x>",
-    "#define fabs(x) system(x)",
-    "_Pragma(x)",
-    "%:define x",
-    "fabs",
-    "NAN",
-    "INFINITY",
-    "unix",
-    "errno",
-    "reading",
-    "stimulus",
-    "inputs",
-    "values",
-    "slope",
-    "math",
-    "range",
-    "lambda",
-    "t0",
-    "__import__('os')",
-    "{{ config }}",
-    "{% include x %}",
-    "'" * 3,
-    '\\"""',
-    "\u2028import os\u2029",
-    "# -*- coding: utf-7 -*-",
-    "\ufeff",
-    "\u202egnp.cvs",
-    "",
-    "\x00",
-)
 MANY = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def of_any_name(test: Callable[..., None]) -> Callable[..., None]:
     """A test of each name made up by hand, and of 60 that are drawn."""
-    for name in BY_HAND:
+    for name in CODE:
         test = example(name=name)(test)
     return MANY(given(name=TEXT)(test))
 
@@ -196,89 +99,49 @@ def program_data(name: Callable[[str], str]) -> dict[str, Any]:
     }
 
 
-def exported(name: Callable[[str], str], language: str) -> str:
-    return text_of(from_data(program_data(name), "made.json"), language)
-
-
-def tokens_of_c(text: str) -> str:
-    """What a compiler sees of a header: trigraphs and spliced lines resolved, comments gone, blanks alike."""
-    assert COMPILER is not None
-    command = [COMPILER, "-std=c99", "-fpreprocessed", "-E", "-P", "-x", "c", "-"]
-    made = subprocess.run(command, input=text.encode("ascii"), capture_output=True, check=True)
-    return " ".join(made.stdout.decode("ascii").split())
+def corrected(name: str, unit: str = "g") -> bc.VectorCorrection:
+    """Three axes whose every text is a name."""
+    terms = np.r_[0.01, -0.02, 0.03, np.eye(3).ravel(), np.zeros(9)][None]
+    return bc.VectorCorrection(
+        outputs=(name, f"{name}y", f"{name}z"),
+        unit=unit,
+        reference=25.0,
+        low=0.0,
+        high=50.0,
+        terms=terms,
+        covariance=1e-6 * np.eye(terms.size),
+        noise=1e-3,
+        notes=(name, f"note of {name}"),
+        source=name,
+        beside=(name, f"{name}b", f"{name}c"),
+        instrument=name,
+    )
 
 
 @cache
-def plain_export(language: str) -> str:
-    return exported(lambda _: "plain", language)
+def device() -> tuple[bc.Calibration, bc.Decisions]:
+    calibration = references.calibration("still_sensor")
+    return calibration, bc.decide(calibration, "bias.temperature: ±1 g/°C")
 
 
-@cache
-def plain_tokens() -> str:
-    return tokens_of_c(plain_export("c"))
-
-
-def check_c(name: str) -> None:
-    """The header compiles without a word, and is the same code whatever its texts say."""
-    hostile = exported(lambda _: name, "c")
-    assert COMPILER is not None
-    command = [COMPILER, *FLAGS, "-fsyntax-only", "-x", "c", "-"]
-    made = subprocess.run(command, input=hostile.encode("ascii"), capture_output=True, check=False)
-    assert made.returncode == 0, made.stderr.decode()
-    plain, found = plain_tokens(), tokens_of_c(hostile)
-    assert found.count(";") == plain.count(";") and found.count("{") == plain.count("{")
-
-
-def shape_of(code: str | ast.AST) -> list[str]:
-    """Kinds of statements and expressions of a Python module, one after the other."""
-    tree = ast.parse(code) if isinstance(code, str) else code
-    return [type(node).__name__ for node in ast.walk(tree)]
-
-
-def check_python(name: str) -> None:
-    """The module parses to the same statements whatever its texts say, and its strings are the names."""
-    hostile = ast.parse(exported(lambda _: name, "python"))
-    assert shape_of(hostile) == shape_of(plain_export("python"))
-    strings = {n.value for n in ast.walk(hostile) if isinstance(n, ast.Constant)}
-    assert name in strings
-    space: dict[str, Any] = {}
-    exec(compile(hostile, "exported.py", "exec"), space)
-    assert space["compensate"](4.0, 10.0)[0] == pytest.approx((4.0 - 1.0) / 1.5)
-
-
-def check_page(name: str) -> None:
-    """The page has the same tags and the same scripts whatever its texts say."""
-    hostile, plain = exported(lambda _: name, "html"), plain_export("html")
-    assert Seen(hostile).tags == Seen(plain).tags
-    scripts = re.compile(r"<script.*?</script>", re.DOTALL)
-    assert scripts.findall(hostile) == scripts.findall(plain)
-
-
-EXPORTS = [
-    pytest.param(check_c, marks=[needs_compiler, pytest.mark.slow]),
-    check_python,
-    check_page,
-]
-
-
-@pytest.mark.parametrize("check", EXPORTS)
-@of_any_name
-def test_a_name_is_no_code_in_an_export(check, name) -> None:
-    check(name)
-
-
-@settings(MANY, max_examples=300)
-@given(HOSTILE)
-def test_comments_and_strings_hold_their_text(name) -> None:
-    for text in (c_comment(name), python_words(name)):
-        assert text.isascii() and text.isprintable() and "\\" not in text
-    comment = c_comment(name)
-    assert not any(pair in comment for pair in ("*/", "/*", "??"))
-    assert not comment.startswith(("/", "*")) and not comment.endswith(("*", "/"))
-    assert '"' not in python_words(name)
-    assert ast.literal_eval(python_string(name)) == name
-    made = identifier(name, ("x", "x_"))
-    assert made.isidentifier() and made.isascii() and made not in ("x", "x_")
+def certificate_of(name: str) -> str:
+    """A certificate whose every text is a name."""
+    calibration, found = device()
+    (one,) = found.decisions
+    at = {name: (0.0, 1.0, "g")}
+    one = replace(one, limit=name, quantity=name, why=name, notes=(name,), at=at)
+    texts = ("number", "remarks", "name", "serial", "model", "manufacturer", "owner_number")
+    section = dict.fromkeys((*texts, "responsible", "operator", "procedure", "city", "email"), name)
+    stated = {
+        "certificate": section,
+        "device": section,
+        "calibration": {**section, "begin": date(2026, 11, 20), "end": date(2026, 11, 21)},
+        "laboratory": {**section, "country": "DE"},
+        "customer": {**section, "country": "GB"},
+        "standards": [{**section, "certificate": name, "traceable_to": name}],
+    }
+    decided = replace(found, rule_in_words=name, decisions=(one,))
+    return dcc_of(calibration, {**stated, "conditions": {name: name}}, decided)
 
 
 class Seen(HTMLParser):
@@ -299,6 +162,147 @@ class Seen(HTMLParser):
 
     def handle_data(self, data) -> None:
         self.text += data
+
+
+# What readers take of a text: a compiler, Python, a browser, YAML, whoever reads lines.
+
+
+def tokens_of_c(text: str) -> str:
+    """Trigraphs and spliced lines resolved, comments gone, blanks alike; it compiles without a word."""
+    assert COMPILER is not None
+
+    def run(*how: str) -> bytes:
+        command = [COMPILER, *how, "-x", "c", "-"]
+        made = subprocess.run(command, input=text.encode("ascii"), capture_output=True, check=False)
+        assert made.returncode == 0, made.stderr.decode()
+        return made.stdout
+
+    run(*FLAGS, "-fsyntax-only")
+    return " ".join(run("-std=c99", "-fpreprocessed", "-E", "-P").decode("ascii").split())
+
+
+def marks_of_c(text: str) -> tuple[int, int]:
+    """Statements and blocks, where names of the code are made of the texts."""
+    tokens = tokens_of_c(text)
+    return tokens.count(";"), tokens.count("{")
+
+
+def shape_of(code: str) -> list[str]:
+    """Kinds of statements and expressions of a Python module, one after the other."""
+    return [type(node).__name__ for node in ast.walk(ast.parse(code))]
+
+
+def tags_and_scripts(page: str) -> tuple[list[str], list[str]]:
+    return Seen(page).tags, re.findall(r"<script.*?</script>", page, re.DOTALL)
+
+
+def keys_of(text: str) -> Any:
+    """What a reader of YAML takes."""
+    return yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+
+
+def code_lines(text: str) -> list[str]:
+    """Lines that are no comment, as a reader splits them."""
+    return [line for line in text.splitlines() if not line.startswith("#")]
+
+
+def elements(text: str) -> list[tuple[str, dict[str, str]]]:
+    """Of XML, with their attributes."""
+    return [(e.tag, e.attrib) for e in ET.fromstring(text.encode("utf-8")).iter()]
+
+
+def of_one_output(language: str) -> Callable[[str], str]:
+    """A compensator with a name for every text, exported."""
+    return lambda name: text_of(from_data(program_data(lambda _: name), "made.json"), language)
+
+
+def of_three_axes(format: str, unit: str = "g", **called: str) -> Callable[[str], str]:
+    """A correction of three axes with a name for every text, exported."""
+    return lambda name: text_of(corrected(name, unit), format, **called)
+
+
+def noise_of(name: str) -> str:
+    """What Kalibr reads, of channels that are called so."""
+    return bc.kalibr_yaml({name: told("rad/s"), f"{name}y": told("m/s^2")})
+
+
+def parameters_with(name: str) -> str:
+    """Parameters of an autopilot with such a note."""
+    sources = {"gyro_x": "00ff"}
+    return bc.FirmwareParameters("px4-params", {"TC_G_ENABLE": 1}, {}, sources, (name,)).text()
+
+
+@dataclass(frozen=True)
+class Exit:
+    """A text that leaves with a name in it, and what its reader takes beside the name."""
+
+    text: Callable[[str], str]
+    read: Callable[[str], Any]
+
+    @cached_property
+    def plain(self) -> Any:
+        return self.read(self.text("plain"))
+
+
+SENSOR = {"name": "sensor"}
+EXITS = {
+    "c": Exit(of_one_output("c"), marks_of_c),
+    "python": Exit(of_one_output("python"), shape_of),
+    "html": Exit(of_one_output("html"), tags_and_scripts),
+    "axes in c": Exit(of_three_axes("c", **SENSOR), tokens_of_c),
+    "axes in c, called after their instrument": Exit(of_three_axes("c"), marks_of_c),
+    "axes in python": Exit(of_three_axes("python", **SENSOR), shape_of),
+    "axes in yaml": Exit(of_three_axes("yaml"), keys_of),
+    "rates in yaml": Exit(of_three_axes("yaml", "deg/s"), keys_of),
+    "axes for px4": Exit(of_three_axes("px4-params"), code_lines),
+    "axes for ardupilot": Exit(of_three_axes("ardupilot-params"), code_lines),
+    "noise for kalibr": Exit(noise_of, lambda text: (code_lines(text), keys_of(text))),
+    "parameters": Exit(parameters_with, code_lines),
+    "certificate": Exit(lambda name: certificate_of(f"a{name}"), elements),
+}
+
+
+FAST = ("python", "html", "noise for kalibr", "parameters")
+WAYS = [
+    pytest.param(
+        name,
+        marks=[
+            *([] if name in FAST else [pytest.mark.slow]),
+            *([needs_compiler] if one.read in (tokens_of_c, marks_of_c) else []),
+        ],
+    )
+    for name, one in EXITS.items()
+]
+
+
+@pytest.mark.parametrize("way", WAYS)
+@of_any_name
+def test_a_name_is_data_to_whoever_reads_what_leaves(way: str, name: str) -> None:
+    """The same code, tags, keys and elements whatever the texts say."""
+    assert EXITS[way].read(EXITS[way].text(name)) == EXITS[way].plain
+
+
+@of_any_name
+def test_a_name_comes_back_from_python(name: str) -> None:
+    for text in (of_one_output("python")(name), of_three_axes("python", **SENSOR)(name)):
+        assert name in {n.value for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Constant)}
+    space: dict[str, Any] = {}
+    exec(of_one_output("python")(name), space)
+    assert space["compensate"](4.0, 10.0)[0] == pytest.approx((4.0 - 1.0) / 1.5)
+
+
+@settings(MANY, max_examples=300)
+@given(HOSTILE)
+def test_comments_and_strings_hold_their_text(name) -> None:
+    for text in (c_comment(name), python_words(name)):
+        assert text.isascii() and text.isprintable() and "\\" not in text
+    comment = c_comment(name)
+    assert not any(pair in comment for pair in ("*/", "/*", "??"))
+    assert not comment.startswith(("/", "*")) and not comment.endswith(("*", "/"))
+    assert '"' not in python_words(name)
+    assert ast.literal_eval(python_string(name)) == name
+    made = identifier(name, ("x", "x_"))
+    assert made.isidentifier() and made.isascii() and made not in ("x", "x_")
 
 
 @settings(MANY, max_examples=300)
@@ -405,6 +409,39 @@ def test_what_is_nested_or_no_json_is_refused(text, tmp_path) -> None:
         load_correction(path)
 
 
+@pytest.mark.parametrize("name", CODE)
+def test_three_axes_come_back_from_json(name: str, tmp_path: Path) -> None:
+    path = bc.export_vector(corrected(name), tmp_path / "sensor.json")
+    back = bc.load_vector_correction(path)
+    assert back.data() == corrected(name).data()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("[" * 100_000, '{"a":' * 100_000, "\x00", "[]", "{}"),
+        *('{"terms": [[NaN]]}', "unit", "terms", "noise", "notes", "made_by", "more"),
+    ],
+)
+def test_a_hostile_file_of_three_axes_is_refused(text: str, tmp_path: Path) -> None:
+    found = json.loads(json.dumps(corrected("x").data()))
+    wrong = {"unit": 3, "terms": [["1"]], "noise": 1e400, "notes": ["\ud800"], "made_by": None}
+    if text.isalpha():
+        text = json.dumps({**found, text: wrong.get(text, 1)})
+    path = tmp_path / "sensor.json"
+    path.write_text(text, "utf-8")
+    with pytest.raises(bc.InputError, match=r"sensor\.json is (no correction|not JSON|damaged)"):
+        bc.load_vector_correction(path)
+
+
+@pytest.mark.parametrize(
+    "topic", ["/imu0\nupdate_rate: 1", "", "a b", "!!python/object:x", "/ä", "/"]
+)
+def test_what_is_no_topic_is_refused(topic: str) -> None:
+    with pytest.raises(bc.InputError, match="no name of ROS"):
+        bc.kalibr_yaml({"x": told("rad/s")}, topic=topic)
+
+
 def hostile_file(name: str, folder: Path) -> Path:
     """Two runs of a gyroscope in a file whose name, run labels and one column are hostile."""
     found = mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(runs=2))
@@ -423,7 +460,7 @@ def hostile_file(name: str, folder: Path) -> Path:
     return path
 
 
-IN_A_FILE = [BY_HAND[0], BY_HAND[4], BY_HAND[5]]
+IN_A_FILE = [CODE[0], CODE[4], CODE[5]]
 IN_A_FILE += ["board\x1b[2J", "a\udcffb", "$\\frac{$ $$\\href{javascript:x}{y}$$"]
 
 

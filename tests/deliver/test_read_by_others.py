@@ -16,7 +16,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._data.unit_conversion import STANDARD_GRAVITY
-from tests.deliver.test_names_in_other_exports import told
+from tests.deliver.test_noise_at_rest import told
 from tests.deliver.test_one_program import GRAVITY, triad
 from tests.support.inside import text_of
 
