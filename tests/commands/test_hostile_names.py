@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._tables.raw_table import in_one_line
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.hostile_names import HOSTILE
+from tests.support.inside import name_in_files
 
 pytestmark = needs_installation
 RNG = np.random.default_rng(1)
@@ -67,7 +67,7 @@ def test_names_that_are_not_used(tmp_path) -> None:
     done = run("calibrate", file, *GYRO, "--out", tmp_path / "out", "--max-effects", 1)
     assert done.status == 0, done.err
     kept = bc.load(tmp_path / "out" / "calibration.nc").readings
-    assert len(HOSTILE) >= 30 and set(kept.columns) >= set(map(in_one_line, HOSTILE))
+    assert len(HOSTILE) >= 30 and set(kept.columns) >= set(map(name_in_files, HOSTILE))
     taken_away(tmp_path, file)
 
 
@@ -101,7 +101,7 @@ def test_a_name_that_is_found_and_one_that_is_the_output(tmp_path, name) -> None
     done = run("calibrate", file, *GYRO, *said, "--out", tmp_path / "out", "--max-effects", 1)
     assert done.status == 0, done.err
     found = bc.load(tmp_path / "out" / "calibration.nc")
-    name = in_one_line(name)
+    name = name_in_files(name)
     unknown = f"unknown({name})"
     assert unknown in found.model.names
     drafted = bc.draft_effect(found, unknown)

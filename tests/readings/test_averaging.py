@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._data.averaging import duration
 from tests.readings.test_measurements import SCALE
 
 RNG = np.random.default_rng(3)
@@ -116,7 +115,8 @@ def test_an_uneven_clock_moves_no_reading_across() -> None:
     + [("1e-3 s", 1e-3), (" 20 ms ", 0.02), ("1h", 3600.0)],
 )
 def test_times_are_read_as_people_write_them(text: str | float, seconds: float) -> None:
-    assert duration(text) == pytest.approx(seconds, rel=1e-12)
+    data = bc.Measurements.from_arrays(SCALE, time=0.25 * seconds * np.arange(20), output=range(20))
+    assert f"averaged over {seconds:g} s, to 5 means of 4" in data.average(text).flags[-1]
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_times_are_read_as_people_write_them(text: str | float, seconds: float) 
 )
 def test_what_is_no_time_is_refused(text: str) -> None:
     with pytest.raises(bc.InputError, match="is no time to average over: write a positive number"):
-        duration(text)
+        log().average(text)
 
 
 def test_averaging_that_cannot_be_is_refused() -> None:

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import bayescal as bc
-from bayescal._tables.mapping_file import load_mapping, save_mapping
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, QUICK, needs_installation, options_of, run
+from tests.support.inside import mapping_of, write_mapping
 from tests.support.lab_files import HEAD, RATE, TEMPERATURE, TIME, text, with_cell
 
 pytestmark = needs_installation
@@ -60,8 +60,8 @@ def test_what_was_said_once_is_kept_for_the_next_file(tmp_path: Path) -> None:
 def test_a_mapping_is_read_as_it_was_written(tmp_path_factory, columns, units, gravity) -> None:
     path = tmp_path_factory.mktemp("m") / "lab.toml"
     made = {"columns": columns, "units": units, "local_gravity": gravity, "missing": "drop"}
-    save_mapping(path, made)
-    assert load_mapping(path) == {name: value for name, value in made.items() if value}
+    write_mapping(path, made)
+    assert mapping_of(path) == {name: value for name, value in made.items() if value}
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import bayescal as bc
-from bayescal._data.column import overloads
-from bayescal._tables.raw_table import in_one_line
 from tests.support.hostile_names import HOSTILE
+from tests.support.inside import is_overload, name_in_files
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ def same(a: bc.Measurements, b: bc.Measurements) -> None:
 
 labels = st.text(st.characters(exclude_categories=["Cc", "Cs"]), min_size=1, max_size=8)
 numbers = st.floats(allow_nan=False, allow_infinity=False).filter(  # no code of an overload
-    lambda x: not overloads(np.array([x])).size
+    lambda x: not is_overload(x)
 )
 
 
@@ -171,7 +170,7 @@ def test_any_name_of_a_column_is_written_and_read_back(tmp_path, suffix):
     for name in HOSTILE:
         m = m.with_column(name, [3.0, 4.0], "V")
     back = bc.read(m.write(tmp_path / f"t{suffix}"), SCALE)
-    assert set(back.columns) >= set(map(in_one_line, HOSTILE))
+    assert set(back.columns) >= set(map(name_in_files, HOSTILE))
 
 
 # --- from arrays ---------------------------------------------------------------------------------

@@ -288,3 +288,21 @@ def test_the_numbers_given_are_not_changed():
 )
 def test_a_unit_that_is_one_thing_only_where_it_stands_is_understood(text, kind, meant):
     assert unit_in(text, (kind,)) == meant
+
+
+@pytest.mark.parametrize(
+    ("unit", "size", "base"),
+    [
+        *(("gram", 1e-3, "kg"), ("lb", 0.45359237, "kg"), ("kN", 1e3, "N"), ("kgf", 9.80665, "N")),
+        *(
+            ("L/min", 1e-3 / 60, "m^3/s"),
+            ("ml/h", 1e-6 / 3600, "m^3/s"),
+            ("sccm", 1e-6 / 60, "m^3/s"),
+        ),
+        *(("mmol/L", 1.0, "mol/m^3"), ("psi", 6894.757293168, "Pa"), ("mmHg", 133.322387415, "Pa")),
+        *(("Nm", 1.0, "N*m"), ("mgram/m^3", 1e-6, "kg/m^3")),
+    ],
+)
+def test_units_of_mass_force_volume_amount_pressure_and_flow(unit, size, base) -> None:
+    assert base_unit(unit) == base
+    assert np.isclose(convert(1.0, unit, base), size, rtol=1e-9)

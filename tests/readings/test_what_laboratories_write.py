@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._data.unit_conversion import base_unit, convert
 from bayescal_models import (
     accelerometer_dividing_head,
     accelerometer_triad,
@@ -245,24 +244,6 @@ def test_the_voltage_of_the_supply_is_known(put, head) -> None:
     lines = [f"{10 * i},{20 + i / 20},{5 + 0.01 * (i % 7)},{0.1 * (i % 5)}" for i in range(60)]
     path = put("\n".join([f"time [s],temperature [degC],{head},output [deg/s]", *lines]))
     assert bc.read(path, mems_gyro.INSTRUMENT).unit("supply_voltage") == "V"
-
-
-@pytest.mark.parametrize(
-    ("unit", "size", "base"),
-    [
-        *(("gram", 1e-3, "kg"), ("lb", 0.45359237, "kg"), ("kN", 1e3, "N"), ("kgf", 9.80665, "N")),
-        *(
-            ("L/min", 1e-3 / 60, "m^3/s"),
-            ("ml/h", 1e-6 / 3600, "m^3/s"),
-            ("sccm", 1e-6 / 60, "m^3/s"),
-        ),
-        *(("mmol/L", 1.0, "mol/m^3"), ("psi", 6894.757293168, "Pa"), ("mmHg", 133.322387415, "Pa")),
-        *(("Nm", 1.0, "N*m"), ("mgram/m^3", 1e-6, "kg/m^3")),
-    ],
-)
-def test_units_of_mass_force_volume_amount_pressure_and_flow(unit, size, base) -> None:
-    assert base_unit(unit) == base
-    assert np.isclose(convert(1.0, unit, base), size, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 import bayescal as bc
 from bayescal._calibration.description import identity
+from bayescal._data.column import overloads
+from bayescal._data.set_aside import not_new, said_of
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._report.certificate import Certificate, dcc_text
 from bayescal._report.result_json import result
+from bayescal._tables.mapping_file import load_mapping, save_mapping
+from bayescal._tables.raw_table import in_one_line
 from bayescal._use.correction_files import as_text
 
 
@@ -42,3 +49,33 @@ def dcc_of(calibration: bc.Calibration, stated: Any, decided: bc.Decisions | Non
     """The digital calibration certificate as XML; `stated`: its file, or what stands in it."""
     given = Certificate(stated) if isinstance(stated, dict) else stated
     return dcc_text(calibration, given, decisions=decided)
+
+
+def readings_again(readings: bc.Measurements, holdout: bc.Measurements) -> int:
+    """How many hold-out readings are readings that were fitted."""
+    return not_new(readings, holdout)
+
+
+def said_of_holdout(readings: bc.Measurements, holdout: bc.Measurements) -> str:
+    """What a search says of hold-out data that are not new; empty of new ones."""
+    return said_of(readings, holdout)
+
+
+def is_overload(value: float) -> bool:
+    """Whether a number stands for an overload of a voltmeter, as 9.9e37 does."""
+    return bool(overloads(np.array([value])).size)
+
+
+def name_in_files(name: str) -> str:
+    """What a file's reader makes of the name of a column."""
+    return in_one_line(name)
+
+
+def mapping_of(path: Path) -> dict[str, Any]:
+    """What a mapping file says, as arguments of `bc.read`."""
+    return load_mapping(path)
+
+
+def write_mapping(path: Path, said: Mapping[str, Any]) -> None:
+    """Write a mapping file, as --save-mapping does."""
+    save_mapping(path, said)
