@@ -1,12 +1,14 @@
-"""The workbench's page at four widths, light and dark, measured: nothing beyond the window, clipped or over another.
+"""The workbench's page at five widths, light and dark, measured: nothing beyond the window, clipped or over another.
 
 And what axe-core finds in it and in its report: nothing serious.
 
 What Bokeh draws stands on a canvas: there every figure has room for its ticks, and its labels give way to each other.
+`make test-all ARGS='-k clipped'` with BAYESCAL_PICTURES=docs/workbench writes the pictures that the docs show.
 """
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +17,20 @@ from bokeh.models import NoOverlap
 
 from bayescal._workbench.parts.pieces import new_figure
 from tests.support.command_line import needs_installation
-from tests.workbench.real_page import Bench, browser, opened
+from tests.workbench.real_page import Bench, Seen, browser, opened
 
 pytestmark = [needs_installation, pytest.mark.nightly]
-SIZES = {390: 844, 768: 1024, 1024: 768, 1440: 900}
-TABS = ("The error", "Side by side", "Budget", "Decision", "Export", "Describe")
+SIZES = {390: 844, 768: 1024, 1024: 768, 1280: 800, 1920: 1080}
+TABS = (
+    *("The error", "Side by side", "Verdict", "Budget", "Decision", "Next experiment"),
+    *("Allan deviation", "Report", "Export", "Python", "File", "Describe"),
+)
+SHOWN = {  # by the docs
+    "start light 1280": "start",
+    "preview light 1280": "preview",
+    "found light 1280": "found",
+    "The error dark 768": "narrow_dark",
+}
 FIGURE = 80, 110  # px, least height and width
 # Lines of text with their boxes, cut where an ancestor scrolls; `clipped`: cut by one that does not, or across a scroll
 # that is no printed table or code. Text of the same element, or of its own ancestor, is not over it.
@@ -44,6 +55,8 @@ MEASURED = """() => {
     for (const one of [...(node.shadowRoot ? node.shadowRoot.childNodes : []), ...node.childNodes]) look(one);
   };
   const text = (node) => {
+    const button = node.parentElement.closest("button");
+    if (button && button.scrollWidth > button.clientWidth + 1) found.clipped.push("button: " + button.textContent);
     const range = document.createRange();
     range.selectNodeContents(node);
     for (const box of range.getClientRects()) {
@@ -79,16 +92,31 @@ MEASURED = """() => {
 }"""
 
 
+def taken(seen: Seen, name: str) -> None:
+    """A picture of what is seen, where pictures are asked for: under the name that the docs use, else under its own."""
+    folder, kept = os.environ.get("BAYESCAL_PICTURES"), SHOWN.get(name)
+    if folder is None or (kept is None and "BAYESCAL_ALL" not in os.environ):
+        return
+    seen.page.wait_for_timeout(400)
+    seen.page.screenshot(path=Path(folder) / f"{kept or name.replace(' ', '_')}.png")
+
+
 @pytest.mark.parametrize("ground", ["light", "dark"])
 @pytest.mark.parametrize("width", SIZES)
 def test_nothing_is_clipped_and_nothing_overlaps(begun: Bench, width: int, ground: str) -> None:
     with opened(begun.url, width=width, height=SIZES[width], dark=ground == "dark") as seen:
         seen.looked()
+        shown = f"{ground} {width}"
+        taken(seen, f"start {shown}")
         if len(seen.steps()) == 1:
-            seen.add("bias.drift").looked()
+            seen.point("bias.drift")
+            taken(seen, f"preview {shown}")
+            seen.add("bias.drift").looked().add("bias.thermal_lag").looked()
+        taken(seen, f"found {shown}")
         wrong: dict[str, Any] = {}
         for name in TABS:
             seen.tab(name).page.wait_for_timeout(700)
+            taken(seen, f"{name} {shown}")
             found = seen.page.evaluate(MEASURED)
             small = [f for f in found["figures"] if f[1] < FIGURE[0] or f[0] < FIGURE[1]]
             if found["wide"] > 0 or found["clipped"] or found["over"] or small:
@@ -120,7 +148,7 @@ def test_axe_finds_nothing_serious(begun: Bench, ground: str) -> None:
     dark = ground == "dark"
     with opened(begun.url, dark=dark) as seen:
         found = {}
-        for name in (*TABS, "File", "Report"):
+        for name in TABS:
             seen.looked().tab(name).page.wait_for_timeout(700)
             at_rest = {"name": "Change … bias.constant", "disabled": False}
             seen.page.get_by_role("button", **at_rest).wait_for()

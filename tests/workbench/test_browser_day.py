@@ -76,7 +76,7 @@ def test_budget_verdict_and_decision_follow_the_model(seen: Seen) -> None:
     seen.page.get_by_text("This result may be used").wait_for()
     seen.tab("Budget")
     seen.page.get_by_text("Uncertainty budget of rate_input").wait_for()
-    fill(seen, "temperature [degC]", "40")
+    fill(seen, "temperature [°C]", "40")
     seen.press("Make the budget")
     seen.page.get_by_text("temperature = 40 °C").wait_for()
     seen.tab("Decision")

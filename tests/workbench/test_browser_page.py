@@ -89,18 +89,6 @@ def test_names_from_files_are_text(seen: Seen) -> None:
     seen.clean()
 
 
-def test_adding_lowers_the_error_and_a_step_can_be_gone_back_to(seen: Seen) -> None:
-    seen.add("bias.thermal_lag")
-    before, after = seen.steps()
-    assert float(after[3]) < 0.9 * float(before[3]), "the hold-out data's error falls"
-    assert (
-        "bias.thermal_lag" in seen.page.locator('[data-row="bias.thermal_lag"]').first.inner_text()
-    )
-    seen.page.get_by_role("button", name="Go back 0").click()
-    seen.page.locator('tr[data-row="0"][aria-current]').wait_for()
-    seen.clean()
-
-
 def test_a_dropped_file_is_judged_as_calibrate_judges_it(seen: Seen, tmp_path: Path) -> None:
     bad = tmp_path / "<img src=x onerror=alert(3)> wrong units.csv"
     bad.write_text(f"time [s],temperature [m],<script>alert(2)</script>,{NAME}\n0,1,2,3\n", "utf-8")

@@ -28,7 +28,7 @@ from bayescal._core.errors import InputError
 from bayescal._data.header_matching import MISSING_READINGS, expected_columns
 from bayescal._data.measurements import Measurements
 from bayescal._data.read import read
-from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
+from bayescal._data.unit_conversion import STANDARD_GRAVITY, pretty, unit_label
 from bayescal._report.plot_colours import GREEN, ORANGE, RED
 from bayescal._report.report import Pictures
 from bayescal._search.next_experiment import next_experiment
@@ -382,8 +382,8 @@ class BudgetPane(AskPane):
             return
         self._at = {}
         for name, value in found.at.items():
-            label, shown = f"{name} [{found.at_units[name] or '1'}]", float(f"{value:.6g}")
-            self._at[name] = field(pn.widgets.FloatInput, label, value=shown, width=120)
+            label, shown = f"{name} [{pretty(found.at_units[name] or '1')}]", float(f"{value:.6g}")
+            self._at[name] = field(pn.widgets.FloatInput, label, value=shown, width=150)
         self.room[:] = list(self._at.values())
 
 
@@ -604,7 +604,7 @@ class PythonPane(Pane):
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
-        said = "What was clicked on the way to this step, as Python; it gives the same numbers"
+        said = "What was clicked, in Python: the same numbers"
         self.code = code_field(said, disabled=True, max_length=10**6)
         self.link = download(
             "Download workbench.py",
