@@ -117,7 +117,7 @@ def test_files_that_call_a_column_differently_are_read_together(tmp_path: Path) 
     assert again.status in (0, 1), again.err
     assert "'Temp / °C' as temperature" in again.err and "'Oven (C)' as temperature" in again.err
     assert run("fit", *files, *GYRO, *QUICK, "--mapping", kept).out == again.out
-    columns = load_mapping(kept)["columns"]
+    columns = mapping_of(kept)["columns"]
     found = bc.read(files, mems_gyro.INSTRUMENT, columns=columns)
     assert np.allclose(found["output"][: len(TIME)], found["output"][len(TIME) :])
 
