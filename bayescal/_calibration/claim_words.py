@@ -163,7 +163,7 @@ profile.one (note)
     All runs have one profile of {column}: what repeats with the time within a run ({of}) is told from the
     temperature by its form alone. {another}
 thermometer.or_sensor (note)
-    Not decidable from these readings: whether {of} is of the sensor, or the thermometer ({columns:list}) or the
+    Not decidable from these readings: whether the sensor has {of}, or the thermometer ({columns:list}) or the
     output is late, slow or drifting. Predictions hold with this thermometer and this logger;
   → compare the thermometer once with one at the sensor.
 level.which (note)

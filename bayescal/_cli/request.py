@@ -69,7 +69,7 @@ def open_channels(
     if not choice.typed and general.tailor is None:  # what is typed may need the readings
         compose(general, choice, user_effects(choice.effects_file))
     asked.columns.keep()
-    if asked.average is None:
+    if asked.average is None and not general.outputs:  # rests are looked for in the log of a triad
         print_notes(dict.fromkeys(note for one in found.values() for note in long_log(one)))
     readings = {n: averaged(one, asked.average, asked.keep_spikes) for n, one in found.items()}
     models = {}

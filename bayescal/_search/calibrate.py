@@ -362,7 +362,8 @@ class Loop:
             return replace(trail, shares=shares)
         verdict = trail.final.calibration.verdict
         notes = dict.fromkeys((*verdict.notes, *used.verdict.notes))
-        used = used.with_verdict(against=verdict.against, notes=tuple(notes))
+        of_last = {"against": verdict.against, "checked": verdict.checked}
+        used = used.with_verdict(**of_last, notes=tuple(notes))
         return replace(trail, average=used, shares=shares)
 
     def held_against(self, step: Step, used: Calibration, structures: Structures) -> Step:

@@ -40,6 +40,12 @@ def test_shares_are_the_probabilities_of_the_search(trail) -> None:
     np.testing.assert_allclose(found, np.array(of) / sum(of), rtol=0.05)  # the likeliest are kept
 
 
+def test_what_stands_against_its_use_is_what_stands_against_the_last_model(trail, average) -> None:
+    last = trail.final.calibration.verdict
+    assert last.checked and average.verdict.checked  # else each use would check it anew, otherwise
+    assert average.verdict.against == last.against
+
+
 def test_draws_have_each_effect_as_often_as_it_is_probable(trail, average) -> None:
     shares = inclusion(average)
     for name in average.model.names[2:]:

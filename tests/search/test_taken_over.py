@@ -131,7 +131,7 @@ def test_what_a_late_thermometer_would_make_is_said_to_be_open() -> None:
     base, last = fits(readings, "bias.thermal_lag", "bias.warm_up")
     steps, verdict = judged([step_of(base), step_of(last)])
     (said,) = (n for n in steps[-1].calibration.verdict.notes if n.startswith("Not decidable"))
-    named = "bias.thermal_lag and bias.warm_up is of the sensor, or the thermometer (temperature)"
+    named = "the sensor has bias.thermal_lag and bias.warm_up, or the thermometer (temperature)"
     assert named in said
     assert "decidable" not in verdict.reason
     steps, _ = judged([step_of(base)])
@@ -145,7 +145,7 @@ def test_a_drift_that_was_not_expected_may_be_the_thermometers() -> None:
         steps, _ = judged([step_of(first), step_of(last)])
         notes = [n for n in steps[-1].calibration.verdict.notes if n.startswith("Not decidable")]
         assert len(notes) == count
-        assert all("bias.drift is of the sensor, or the thermometer" in n for n in notes)
+        assert all("the sensor has bias.drift, or the thermometer" in n for n in notes)
 
 
 def test_a_group_of_one_reading_says_nothing() -> None:
