@@ -2,8 +2,9 @@
 
 Terms become effects with the stated sizes as prior standard deviations and the stated ranges as shapes'; columns are
 made by the task's own formulas, at fifteen values of a shape, and interpolated between. What the search calls
-unknown(…) is "outside". Probabilities are those of the structures it lists, all noise laws together; predictions are
-its average over structures.
+unknown(…) is "outside". Probabilities are those of the structures it lists, all noise laws together: its evidence of
+each, with the data sheet's prior (`missing_effect.prior`) in place of its own, which expects any number of effects.
+Predictions are its average over structures.
 
 Of a fleet, thousands of readings, only the search is done, and a fit of what it finds: no checks of every step and no
 leaving out of each device in turn, which take `calibrate` five times as long. The noise law is held white unless
@@ -15,12 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import partial
+from math import exp
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
+from missing_effect import prior
 from missing_effect.regression import NODES, Regression, grid
 from missing_effect.task import OUTSIDE, Task, Term
 
@@ -29,6 +32,16 @@ LABELS = ("run", "device")
 CORRELATE = (
     4.0  # standard errors of the correlation of neighbouring residuals, from which they correlate
 )
+UNKNOWN = "unknown("  # begins the names of the search's descriptions of what has no name
+TONE = "unknown(time, cycle)"  # without other noise a law of noise, as the data sheet has it
+PLACES = (
+    "temperature",
+    "temperature rate",
+    "time",
+    "elapsed",
+)  # of what the data sheet has outside
+CURVES = 30  # descriptions along these, about
+BESIDE = 0.03  # prior of each further effect beside such a description: the data sheet has none
 SMALLEST = 1e-5  # probability of a set that is stated
 ALONG = {"power": "column", "rate": "", "warm_up": "elapsed"}
 
@@ -49,11 +62,34 @@ def solve(task: Task) -> dict[str, Any]:
     else:
         found = bc.calibrate(model, train, effects=candidates, ignore=tuple(columns), covariates=())
         predicted = bc.predict(found.calibration, later)
-        sets = {}
-        for s in found.search.structures if found.search else ():
-            key = _named(s.effects)
-            sets[key] = sets.get(key, 0.0) + s.probability
+        sets = _restated(task, found.search.structures) if found.search else {}
     return {"sets": sets, "mean": predicted.mean, "sd": predicted.sd}
+
+
+def _restated(task: Task, structures: Sequence[Any]) -> dict[tuple[str, ...], float]:
+    """Sets by a search's evidences and the data sheet's prior."""
+    pair, count = prior.rivals(task), len(task.candidates)
+    top = max(s.log_evidence for s in structures)
+    sets: dict[tuple[str, ...], float] = {}
+    for s in structures:
+        named = {n for n in s.effects if not n.startswith(UNKNOWN)}
+        curves = set(s.effects) - named
+        weight = exp(s.log_evidence - top)
+        if curves and (s.noise or curves != {TONE}):
+            of_places = all(n[len(UNKNOWN) : -1].split(",")[0] in PLACES for n in curves)
+            weight *= prior.weight("outside", 0, count) / CURVES * of_places
+            weight *= BESIDE ** (len(curves) + len(named) - 1)
+        elif curves or s.noise:
+            weight *= prior.weight("coloured", len(named), count) / prior.LAWS
+        else:
+            weight *= prior.weight("white", len(named), count)
+        if pair and (curves or s.noise or len(named) != 1 or not named <= {*pair}):
+            weight *= prior.ELSE
+        sets[_named(s.effects)] = sets.get(_named(s.effects), 0.0) + weight
+    total = sum(sets.values())
+    if total == 0.0:  # the search lists nothing that the data sheet has
+        return {_named(s.effects): s.probability for s in structures[:1]}
+    return {names: p / total for names, p in sets.items()}
 
 
 def _of_fleet(
@@ -73,7 +109,10 @@ def _of_fleet(
 
 
 def _sets(found: bc.Discovery) -> dict[tuple[str, ...], float]:
-    """Products over findings, of each of which one member is missing or none, and over all other effects."""
+    """Products over findings, of each of which one member is missing or none, and over all other effects.
+
+    Of these the sets that the data sheet has of fleets: at most two effects, nothing outside.
+    """
     left = {c.effect: c.probability or 0.0 for c in found.candidates}
     choices = []
     for finding in found.sets:
@@ -87,15 +126,17 @@ def _sets(found: bc.Discovery) -> dict[tuple[str, ...], float]:
         options = {**choice, "": 1.0 - sum(choice.values())}
         tried = {(s, n): p * q for s, p in sets.items() for n, q in options.items()}
         sets = {s | {n} - {""}: p for (s, n), p in tried.items() if p > SMALLEST}
-    named: dict[tuple[str, ...], float] = {}
+    kept: dict[tuple[str, ...], float] = {}
     for s, p in sets.items():
-        named[_named(s)] = named.get(_named(s), 0.0) + p
-    return named
+        if len(s) <= prior.MOST and not any(n.startswith(UNKNOWN) for n in s):
+            kept[_named(s)] = p
+    whole = sum(kept.values())
+    return {s: p / whole for s, p in kept.items()} if kept else {(): 1.0}
 
 
 def _named(effects: Iterable[str]) -> tuple[str, ...]:
     """A structure's effects as a set of names of the task."""
-    return tuple(sorted({OUTSIDE if n.startswith("unknown(") else n for n in effects}))
+    return tuple(sorted({OUTSIDE if n.startswith(UNKNOWN) else n for n in effects}))
 
 
 def _instrument(task: Task, base: tuple[bc.Effect, ...], scatter: float) -> bc.Instrument:

@@ -25,6 +25,7 @@ import pandas as pd
 from scipy.linalg import cholesky, solve_triangular
 from scipy.stats import t as student
 
+from missing_effect import prior
 from missing_effect.regression import grid
 from missing_effect.task import OUTSIDE, Task, Term
 
@@ -34,10 +35,6 @@ FINE = 4  # frequencies tried for each that the readings tell from others
 NEAR = 12.0  # nats behind the best noise law, up to which one's pairs are weighed
 SHOWN = 1e-4  # probability of a hypothesis that counts in the prediction
 DEGREES = 4.0  # of Student-t noise, by the data sheet
-ALIKE = 0.9  # correlation of two laboratory quantities in the track "confounded", at least
-# Tasks of the data sheet's 600, by kind of noise and number of effects.
-SHARES = {"white": (90, 84, 36), "coloured": (90, 63, 27), "outside": (0, 60)}
-FLEETS = {"white": (20, 42, 18)}
 MIDDLES = np.array([0.39, 0.60, 0.93, 1.43, 2.21])  # of normal distributions that tile 1/3 to 3
 WIDTH = 0.27  # of each, in its middle
 SPREADS = np.array([0.4, 0.7, 1.2, 2.1])  # of several coefficients together
@@ -166,22 +163,21 @@ def solve(task: Task) -> dict[str, Any]:
     if not fleet:
         left = _residuals(y, base, terms)
         laws += [Products(law, y, base, terms) for law in _coloured(task, left)]
-    shares = FLEETS if fleet else SHARES
-    pair = _alike(task)
-    found = list(_weighed(laws, terms, shares, pair))
+    count, pair = len(task.candidates), prior.rivals(task)
+    found = list(_weighed(laws, terms, count, pair))
     if not fleet and not pair:
         for some in _outside(task):
             products = Products(white, y, base, some)
-            prior = shares["outside"][1] / (4 * len(some))
-            found += [(prior, products.weigh((c,))) for c in some]
+            each = prior.weight("outside", 0, count) / (4 * len(some))
+            found += [(each, products.weigh((c,))) for c in some]
     return _answer(found, scale, extra)
 
 
 def _weighed(
-    laws: Sequence[Products], terms: Sequence[Columns], shares: Any, pair: tuple[str, ...]
+    laws: Sequence[Products], terms: Sequence[Columns], count: int, pair: tuple[str, ...]
 ) -> Iterator[tuple[float, Weighed]]:
     """Prior and evidence of noise laws with sets: pairs only under laws that are not far behind."""
-    count = len(terms) + any(p.law.named for p in laws)
+    fleet = any(p.law.named for p in laws)
     weighed = []
     for p in laws:  # the best candidate alone, and with each other
         of_law = {(): p.weigh(()), **{(c,): p.weigh((c,)) for c in terms}}
@@ -196,18 +192,15 @@ def _weighed(
             of_law |= {c: p.weigh(c) for c in combinations(terms, 2) if c not in of_law}
         for w in of_law.values():
             names = {*p.law.named, *(c.name for c in w.chosen)}
-            number = len(names)
-            if number < 3:
-                each = shares[p.law.kind][number] / (1, count, count * (count - 1) / 2)[number]
-                if pair:  # one of two is missing, under white noise
-                    one = p.law.kind == "white" and number == 1 and names <= {*pair}
-                    each = float(one) + 1e-4 * each
-                yield each * p.law.weight, w
+            each = prior.weight(p.law.kind, len(names), count, fleet)
+            if pair and not (p.law.kind == "white" and len(names) == 1 and names <= {*pair}):
+                each *= prior.ELSE
+            yield each * p.law.weight, w
 
 
 def _answer(found: Sequence[tuple[float, Weighed]], scale: float, extra: float) -> dict[str, Any]:
     """Probabilities of sets, and the average over all hypotheses that have some."""
-    total = [np.log(max(prior, 1e-300)) + w.evidence for prior, w in found]
+    total = [np.log(max(weight, 1e-300)) + w.evidence for weight, w in found]
     top = max(t.max() for t in total)
     weights = [np.exp(t - top) for t in total]
     mass = sum(w.sum() for w in weights)
@@ -381,15 +374,3 @@ def _even(train: Array, later: Array) -> Columns:
     train, later = (a.reshape(*a.shape[:2], -1).astype(float) for a in (train, later))
     size = np.sqrt(np.mean(train**2, axis=1, keepdims=True)) + 1e-6
     return Columns(OUTSIDE, train / size, later / size)
-
-
-def _alike(task: Task) -> tuple[str, ...]:
-    """Two candidates that are linear in columns whose courses correlate; none where there are not exactly two."""
-    linear = [t for t in task.candidates if t.formula == "power" and t.arguments["order"] == 1]
-    pairs = [
-        (a.name, b.name)
-        for a, b in combinations(linear, 2)
-        if a.arguments["column"] != b.arguments["column"]
-        and abs(np.corrcoef(*(task.train[t.arguments["column"]] for t in (a, b)))[0, 1]) > ALIKE
-    ]
-    return pairs[0] if len(pairs) == 1 else ()

@@ -1,0 +1,41 @@
+"""What the data sheet says of the simulated tracks, as a prior: for entries that take it.
+
+Weights are numbers of tasks of its 600. They are not normalised.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from math import comb
+
+import numpy as np
+
+from missing_effect.task import Task
+
+MOST = 2  # effects missing at once
+LAWS = 5  # of noise that is not white
+# By kind of noise: tasks with so many effects missing. "outside" is what no candidate describes; it acts alone.
+TASKS = {"white": (90, 84, 36), "coloured": (90, 63, 27), "outside": (60, 0, 0)}
+FLEETS = {"white": (20, 42, 18)}  # by the shares of one and two effects in the others
+ELSE = 1e-3  # of all else, where two candidates are rivals
+ALIKE = 0.9  # correlation of the courses of two rivals, at least
+
+
+def weight(kind: str, missing: int, candidates: int, fleet: bool = False) -> float:
+    """Of a set of so many missing effects under a kind of noise: a set has its part of those that are as large."""
+    if missing > MOST:
+        return 0.0
+    tasks = (FLEETS if fleet else TASKS).get(kind, (0, 0, 0))
+    return tasks[missing] / comb(candidates, missing)
+
+
+def rivals(task: Task) -> tuple[str, ...]:
+    """The two candidates of a confounded task, of which one is missing, under white noise; none of another task."""
+    linear = [t for t in task.candidates if t.formula == "power" and t.arguments["order"] == 1]
+    alike = [
+        (a.name, b.name)
+        for a, b in combinations(linear, 2)
+        if a.arguments["column"] != b.arguments["column"]
+        and abs(np.corrcoef(*(task.train[t.arguments["column"]] for t in (a, b)))[0, 1]) > ALIKE
+    ]
+    return alike[0] if len(alike) == 1 else ()
