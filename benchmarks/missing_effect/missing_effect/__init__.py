@@ -3,4 +3,4 @@
 An entry is one file with `solve(task)`; see README.md. Needs numpy, pandas and scipy.
 """
 
-__version__ = "1.0.0"
+__version__ = "1.1.0"
