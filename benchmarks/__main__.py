@@ -43,6 +43,7 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "scaling": "speed.scaling.rows",
     "fleet": "fleet.measurement",
     "workbench": "speed.workbench",
+    "open_benchmark": "open_benchmark",
     "cores": "cores",
 }
 

@@ -7,12 +7,13 @@ import math
 import re
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from missing_effect import leaderboard, run
+from missing_effect import leaderboard, prior, run
 from missing_effect.__main__ import main
 from missing_effect.draws import Draws
 from missing_effect.entries import bic, bma, exhaustive, mbic
@@ -140,6 +141,7 @@ def test_the_time_of_a_start_counts_for_every_entry_alike(tasks: Path, tmp_path:
 
 TRUTH: dict[str, Any] = {
     "track": "linear",
+    "instrument": "mems_gyro",
     "set": ["a", "b"],
     "equivalent": [["a", "c"]],
     "decided": 20.0,
@@ -263,6 +265,56 @@ def test_what_stands_outside_is_told_from_candidates(tmp_path: Path) -> None:
         said = exhaustive.solve(Task.read(tmp_path))
         assert sum(p for s, p in said["sets"].items() if set(s) <= {"outside"}) > 0.5
         assert np.all(said["sd"] > 0) and sum(said["sets"].values()) == pytest.approx(1.0)
+
+
+def test_rivals_are_the_two_quantities_of_a_confounded_task(tmp_path: Path) -> None:
+    for track, count in (("confounded", 2), ("linear", 0)):
+        made = make("task", Case(track, 1), edition=77)
+        write(made, tmp_path)
+        found = prior.rivals(Task.read(tmp_path))
+        assert len(found) == count and (not found or {*made.truth["set"]} <= {*found})
+
+
+def test_sets_have_the_data_sheets_shares() -> None:
+    """Of white, coloured and outside together they are those of the tracks, whatever the number of candidates."""
+    for count in (7, 10):
+        whole = [
+            sum(prior.weight(kind, k, count) * math.comb(count, k) for k in range(5))
+            for kind in ("white", "coloured", "outside")
+        ]
+        assert whole == pytest.approx([210, 180, 60])
+    assert prior.weight("white", 3, 7) == 0.0
+
+
+def test_a_searchs_evidence_is_weighed_by_the_data_sheet(tmp_path: Path) -> None:
+    """Equal evidence: pairs have less than singles, three have nothing, a curve beside an effect next to nothing."""
+    from missing_effect.entries import bayescal
+
+    write(make("task", Case("linear", 0), edition=77), tmp_path)
+    task = Task.read(tmp_path)
+    a, b, c = (t.name for t in task.candidates[:3])
+    curve = "unknown(temperature, kink)"
+    effects = [(), (a,), (a, b), (a, b, c), (curve,), (a, curve), ("unknown(supply)",)]
+    structures = [SimpleNamespace(effects=e, noise="", log_evidence=-3.0) for e in effects]
+    said = bayescal._restated(task, structures)
+    assert sum(said.values()) == pytest.approx(1.0)
+    assert said[()] > said[(a,)] > said[tuple(sorted((a, b)))] > said[tuple(sorted((a, "outside")))]
+    assert said[tuple(sorted((a, b, c)))] == 0.0 < said[("outside",)] < said[(a,)]
+
+
+def test_a_fleets_findings_are_exclusive_within_and_free_among_each_other() -> None:
+    """One of two is missing with 0.9; a third with 0.2; what stands outside is no fleet's."""
+    from missing_effect.entries import bayescal
+
+    each = {"a": 0.6, "b": 0.3, "c": 0.2, "unknown(time)": 0.1}
+    found = SimpleNamespace(
+        sets=[SimpleNamespace(effects=("a", "b"), probability=0.9)],
+        candidates=[SimpleNamespace(effect=n, probability=p) for n, p in each.items()],
+    )
+    said = bayescal._sets(found)  # pyright: ignore[reportArgumentType]
+    assert sum(said.values()) == pytest.approx(1.0)
+    assert said[("a",)] == pytest.approx(0.6 * 0.8) and said[("b", "c")] == pytest.approx(0.3 * 0.2)
+    assert ("a", "b") not in said
 
 
 @pytest.mark.slow

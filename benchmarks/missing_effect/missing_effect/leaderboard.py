@@ -51,12 +51,15 @@ def tables(entries: Entries) -> dict[str, list[list[str]]]:
         for t in (*TRACKS, "real")
         if any(t == s.track for e in entries.values() for s in e.values())
     ]
-    logs, crps = [["entry", *tracks]], [["entry", *tracks]]
+    logs, crps = [["entry", *tracks, "all but fleets", "fleets"]], [["entry", *tracks]]
     bands = [["entry", "band", "tasks", "mean stated", "share true (95 % interval)"]]
     for name, s in ranked:
         if not math.isnan(s.log[0]):
             found = by_track(entries[name], lambda e: e.log)
-            logs.append([name, *(_plain(found.get(t)) for t in tracks)])
+            each = [(e.fleet, e.log) for e in entries[name].values() if e.log is not None]
+            parts = ([log for fleet, log in each if fleet is which] for which in (False, True))
+            both = (float(np.mean(p)) if p else None for p in parts)
+            logs.append([name, *(_plain(v) for v in (*map(found.get, tracks), *both))])
             bands += [[name, *row] for row in _bands(calibration(entries[name]))]
         found = by_track(entries[name], lambda e: e.crps)
         crps.append([name, *(_plain(found.get(t)) for t in tracks)])

@@ -53,6 +53,7 @@ class Score:
         covered: share of them inside the stated 95 % interval.
         seconds: of processor.
         failed: why there is no answer.
+        fleet: whether the task is one of many devices; some of these are empty.
     """
 
     track: str
@@ -67,6 +68,7 @@ class Score:
     covered: float
     seconds: float
     failed: str = ""
+    fleet: bool = False
 
 
 @dataclass(frozen=True)
@@ -139,6 +141,7 @@ def score(answer: dict[str, Any], truth: dict[str, Any], folder: Path) -> Score:
         covered=float(np.mean(np.abs(z) <= Z95)),
         seconds=answer["seconds"],
         failed=failed,
+        fleet=truth["instrument"] == "fleet",
     )
 
 
