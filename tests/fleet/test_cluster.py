@@ -54,15 +54,6 @@ def test_a_client_writes_to_a_folder_and_reads_files(client, readings) -> None:
 
 @pytest.mark.nightly
 @needs_installation
-def test_the_command_takes_a_scheduler(client, lot_folder, tmp_path) -> None:
-    address = client.scheduler.address
-    ran = run("batch", lot_folder, *GYRO, "-o", tmp_path / "out", "--scheduler", address)
-    assert ran.status == 0, ran.err
-    assert "24 devices, 24 fitted" in ran.out
-
-
-@pytest.mark.nightly
-@needs_installation
 def test_the_workers_get_effects_of_the_users_own(client, lot_folder, tmp_path) -> None:
     file = tmp_path / "effects_of_mine.py"
     file.write_text(OWN_EFFECTS, encoding="utf-8")

@@ -9,7 +9,6 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import bayescal as bc
-from bayescal._fleet import fit_devices
 from bayescal_models import mems_gyro
 from tests.support.made_up.gyro_lot import MODEL, NOISE
 
@@ -41,17 +40,6 @@ def test_each_device_is_as_if_it_were_alone(readings, result) -> None:
         np.testing.assert_allclose(one.mean[:2], x, rtol=1e-7)
         np.testing.assert_allclose(one.covariance[:2, :2], covariance, rtol=1e-5)
         assert one["noise.white"][0] == pytest.approx(sd, rel=5e-6)
-
-
-def test_the_quick_way_is_least_squares(readings, monkeypatch) -> None:
-    few = {name: readings[name].select(np.arange(12)) for name in readings.names[:3]}
-    fast = bc.fit_batch(MODEL, few)
-    monkeypatch.setattr(fit_devices, "has_closed_form", lambda *_: False)
-    ordinary = bc.fit_batch(MODEL, few)
-    assert ordinary.ok.all()
-    for one, other in zip(fast, ordinary, strict=True):
-        np.testing.assert_allclose(one.mean, other.mean, rtol=2e-4)
-        np.testing.assert_allclose(one.covariance[:2, :2], other.covariance[:2, :2], rtol=5e-4)
 
 
 def test_offsets_of_a_narrow_record_are_at_the_temperature_of_its_fit() -> None:
