@@ -12,7 +12,7 @@ import pytest
 import bayescal as bc
 from bayescal._use.plain_correction import plain_correction
 from bayescal._use.vector_parameters import autopilot_parameters, left_out
-from tests.deliver.test_one_program import AT, GRAVITY, triad
+from tests.deliver.test_one_program import AT, triad
 from tests.support.inside import text_of
 
 yaml = pytest.importorskip("yaml")
@@ -153,11 +153,3 @@ def test_axes_that_an_autopilot_mirrors_are_said() -> None:
     assert "The axes keep a reflection and a rotation of " in left_out(
         replace(c, terms=terms), "px4-params"
     )
-
-
-def test_one_thing_beside_is_held_by_kalibr() -> None:
-    c = triad("gyro_triad")
-    found = yaml.safe_load(text_of(c, "yaml"))["imu0"]
-    by_gravity = np.array(found["Tg"]) * 9.80665 @ GRAVITY
-    wanted = np.deg2rad(c.terms[0, -9:].reshape(3, 3) @ GRAVITY)
-    assert by_gravity == pytest.approx(wanted, rel=1e-6)

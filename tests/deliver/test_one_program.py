@@ -195,6 +195,8 @@ def test_two_of_one_instrument_are_no_unit(tmp_path: Path) -> None:
     for suffix in ("h", "py", "yaml"):
         with pytest.raises(bc.InputError, match="two of these are of accelerometer_triad"):
             bc.export_vector(one, tmp_path / f"unit.{suffix}", others=[one])
+    with pytest.raises(bc.InputError, match="write the others to files of their own"):
+        bc.export_vector(one, tmp_path / "unit.json", others=[triad("gyro_triad")])
     path = bc.export_vector(one, tmp_path / "u.h", name="left", others=[triad("gyro_triad")])
     assert "left_gyro_triad_correct" in path.read_text("utf-8")
 

@@ -219,6 +219,16 @@ def test_autopilots(instrument: str, matrix: np.ndarray, format: str, read: Read
     np.testing.assert_allclose(read(text_of(c, format), measured(c)), corrected(c), **CLOSE)
 
 
+@pytest.mark.parametrize(
+    ("format", "read"), [("px4-params", px4_magnetometer), ("ardupilot-params", ardupilot_compass)]
+)
+def test_a_compass_of_an_autopilot_keeps_the_magnitude(format: str, read: Reader) -> None:
+    """Its matrix is symmetric: axes of another one are turned, and no vector changes its length."""
+    field = triad("magnetometer_triad")
+    found = read(text_of(field, format), measured(field))
+    np.testing.assert_allclose(*(np.linalg.norm(v, axis=1) for v in (found, corrected(field))))
+
+
 def test_a_power_of_ten_is_a_number_to_yaml() -> None:
     """ "1e-05" is a word in YAML 1.1, "1.0e-05" a number."""
     offset = np.array([1e-5, -1e-5, 1e-20]) / STANDARD_GRAVITY

@@ -21,11 +21,9 @@ from bayescal_models.gyro_triad import MovesByHand, simulate_log
 from bayescal_models.gyro_triad.log_simulator import MOUNTED
 from bayescal_models.gyro_triad.simulator import BASELINE
 from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
-from bayescal_models.triad.simulator import OFF_DIAGONAL
 from tests.support.command_line import needs_installation, run
 from tests.support.coverage import assert_intervals_cover
-from tests.support.export_check import COMPILER, run_c
-from tests.support.triad_truth import TRUE
+from tests.support.triad_truth import TRUE, matrix_of
 
 FORCE, TURNS = accelerometer_triad.INSTRUMENT, gyro_triad.INSTRUMENT
 FIELD = magnetometer_triad.INSTRUMENT
@@ -44,21 +42,15 @@ def both(log: dict[str, np.ndarray]) -> tuple[bc.Measurements, bc.Measurements]:
 
 def exact() -> bc.VectorCorrection:
     """The correction of the simulated accelerometers, without uncertainty."""
-    matrix = np.eye(3) + 1e-6 * np.diag(ACCELEROMETERS["scale.constant"])
-    matrix[0, 1], matrix[0, 2], matrix[1, 2] = 1e-3 * np.array(
-        ACCELEROMETERS["misalignment.constant"]
-    )
     bias = 1e-3 * np.array(ACCELEROMETERS["bias.constant"])
-    terms = np.concatenate([bias, matrix.ravel()])[None]
+    terms = np.concatenate([bias, matrix_of(ACCELEROMETERS).ravel()])[None]
     names = ("output_x", "output_y", "output_z")
     return bc.VectorCorrection(names, "g", 25.0, 25.0, 25.0, terms, np.zeros((12, 12)), 0.0)
 
 
 def left(rows: bc.Measurements) -> np.ndarray:
     """Outputs less what the true gyroscopes give, °/s, by what the columns say."""
-    matrix = np.eye(3) + 1e-6 * np.diag(BASELINE["scale.constant"])
-    for angle, at in zip(BASELINE["misalignment.constant"], OFF_DIAGONAL, strict=True):
-        matrix[at] = 1e-3 * angle
+    matrix = matrix_of(BASELINE)
     expected = sum(
         rows[f"across_{a}"] * b for a, b in zip("xyz", BASELINE["bias.constant"], strict=True)
     )
@@ -155,25 +147,6 @@ def test_nothing_is_invented_and_all_is_determined() -> None:
 
 
 @pytest.mark.slow
-def test_both_leave_in_one_frame(tmp_path: Path) -> None:
-    yaml = pytest.importorskip("yaml")
-    _, correct, calibration = calibrated()
-    turned = bc.vector_correction(calibration)
-    text = bc.export_vector(correct, tmp_path / "imu.yaml", others=[turned]).read_text("utf-8")
-    found = yaml.safe_load(text)["imu0"]
-    ours = {n: np.array(v) for n, v in found["accelerometers"].items()}
-    theirs = {n: np.array(v) for n, v in found["gyroscopes"].items()}
-    rate = np.array([0.3, -0.2, 0.5])  # in the body's axes; Kalibr's are R times that
-    by_kalibr = theirs["M"] @ theirs["C_gyro_i"] @ ours["R"] @ rate
-    assert np.allclose(by_kalibr, turned.matrix @ rate, atol=1e-7)
-    assert np.allclose(
-        np.array(found["Tw"]) @ found["R_IMUtoGYRO"] @ rate, turned.matrix @ rate, atol=1e-7
-    )
-    with pytest.raises(bc.InputError, match="write the others to files of their own"):
-        bc.export_vector(correct, tmp_path / "imu.json", others=[turned])
-
-
-@pytest.mark.slow
 @needs_installation
 @pytest.mark.usefixtures("unpainted")
 def test_one_command_from_a_log_of_nine_channels(tmp_path: Path) -> None:
@@ -196,44 +169,12 @@ def test_one_command_from_a_log_of_nine_channels(tmp_path: Path) -> None:
         *("--magnetometers", "mx,my,mz", "--baseline", "--out", tmp_path / "unit"),
     )
     assert done.status == 0, done.err
-    for name in ("imu.yaml", "imu.py", "report.html", "magnetometer/poses.csv"):
+    for name in ("imu.yaml", "imu.py", "imu.h", "report.html", "magnetometer/poses.csv"):
         assert (tmp_path / "unit" / name).is_file()
-    if COMPILER is not None:
-        check_unit_header(tmp_path / "unit")
     correct = bc.load_vector_correction(tmp_path / "unit" / "gyroscope" / "correction.json")
     true = 1 + 1e-6 * np.array(BASELINE["scale.constant"])
     sd = correct.uncertainty[0, [3, 7, 11]]
     assert np.all(np.abs(np.diag(correct.matrix) - true) < 4 * sd)
-
-
-def check_unit_header(folder: Path) -> None:
-    """imu.h beside the headers of its sensors, in one program: each is corrected by its own numbers."""
-    sensors = {
-        "accelerometer": "accelerometer",
-        "gyroscope": "gyro",
-        "magnetometer": "magnetometer",
-    }
-    includes = "".join(f'#include "{folder}/{s}/correction.h"\n' for s in sensors)
-    calls = "".join(f"{n}_triad_correct(y, y[3], 0.0, f, c); PUT\n" for n in sensors.values())
-    source = f"""
-#include "{folder}/imu.h"
-{includes}
-#include <stdio.h>
-#define PUT fwrite(f, sizeof(double), 3, stdout); fwrite(c, sizeof(double), 9, stdout);
-int main(void)
-{{
-    double y[4], f[3], c[3][3];
-    while (fread(y, sizeof(double), 4, stdin) == 4) {{ {calls} }}
-    return 0;
-}}
-"""
-    y = np.array([0.3, -0.2, 0.8, 20.0])
-    found = run_c(source, y, folder).reshape(3, 12)
-    for sensor, row in zip(sensors, found, strict=True):
-        own = bc.load_vector_correction(folder / sensor / "correction.json")
-        wanted = own(y[:3], y[3], noise=0.0)
-        assert row[:3] == pytest.approx(wanted.vector[0], abs=1e-12)
-        assert row[3:] == pytest.approx(wanted.covariance.ravel(), rel=1e-9)
 
 
 def magnetometers(seed: int) -> tuple[bc.Measurements, bc.VectorCorrection, bc.VectorCorrection]:
@@ -253,9 +194,7 @@ def test_magnetometers_are_turned_into_the_axes_of_the_accelerometers() -> None:
         _, own, turned = magnetometers(70 + seed)
         found = re.search(r"by a field ([\d.]+)° below", turned.notes[0])
         assert found is not None and abs(float(found[1]) - 65.0) < 0.5
-        true = np.eye(3) + 1e-6 * np.diag(MAGNETOMETERS["scale.constant"])
-        true[0, 1], true[0, 2], true[1, 2] = 1e-3 * np.array(MAGNETOMETERS["misalignment.constant"])
-        true = true @ Rotation.from_rotvec(MOUNTED).as_matrix()
+        true = matrix_of(MAGNETOMETERS) @ Rotation.from_rotvec(MOUNTED).as_matrix()
         apart = (turned.matrix - true).ravel()
         assert np.max(np.abs(own.matrix - true)) > 0.02  # it is turned by more than it is unsure of
         chi.append(apart @ np.linalg.solve(turned.covariance[3:12, 3:12], apart) / 9)

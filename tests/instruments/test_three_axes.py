@@ -20,14 +20,15 @@ from bayescal_models.gyro_triad.campaign import MovesByHand
 from bayescal_models.gyro_triad.log_simulator import simulate_log
 from tests.support.compilations import compiled
 from tests.support.coverage import assert_intervals_cover
-from tests.support.export_check import check_vector_exports
-from tests.support.inside import result_of, text_of
+from tests.support.inside import result_of
 from tests.support.references import shared
 from tests.support.tiers import slow_but
+from tests.support.triad_truth import matrix_of
 
 Campaign = accelerometer_triad.Campaign
 MODEL = accelerometer_triad.INSTRUMENT.baseline()
 NAMES = [f"{n}[{p}]" for n in BASELINE for p in (("xy", "xz", "yz") if n[0] == "m" else "xyz")]
+MATRIX, BIAS = matrix_of(BASELINE), 1e-3 * np.array(BASELINE["bias.constant"])
 TRUE = np.concatenate([np.asarray(v) for v in BASELINE.values()])
 THERMAL = Campaign(poses=14, temperatures=(-20.0, 0.0, 25.0, 50.0, 70.0))
 
@@ -312,10 +313,8 @@ def test_a_corrected_vector_is_what_acts_within_its_uncertainty() -> None:
     random = np.random.default_rng(3)
     force = random.standard_normal((200, 3))
     force /= np.linalg.norm(force, axis=1)[:, None]
-    bias = 1e-3 * (np.array([12.0, -20.0, 35.0]) + 0.3 * 15.0 * np.array([1.0, -0.6, 0.8]))
-    matrix = np.eye(3) + np.diag([8e-3, -5e-3, 12e-3])
-    matrix[0, 1], matrix[0, 2], matrix[1, 2] = 4e-3, -6e-3, 3e-3
-    y = force @ matrix.T + bias + 1e-3 * np.array([1.0, -0.6, 0.8]) * force**2
+    bias = BIAS + 1e-3 * 0.3 * 15.0 * np.array([1.0, -0.6, 0.8])
+    y = force @ MATRIX.T + bias + 1e-3 * np.array([1.0, -0.6, 0.8]) * force**2
     found = correct(y, temperature=40.0, noise=0.0)
     apart = found.vector - force
     chi = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(found.covariance), apart)
@@ -381,9 +380,7 @@ def test_third_order_is_measured_and_taken_out() -> None:
     assert np.all(draws.std(axis=1) < 0.5)  # of a prior of 1
     correct = bc.vector_correction(bent())
     force = np.array([[0.6, 0.0, 0.8], [0.0, -1.0, 0.0], [0.48, 0.64, -0.6]])
-    matrix = np.eye(3) + np.diag([8e-3, -5e-3, 12e-3])
-    matrix[0, 1], matrix[0, 2], matrix[1, 2] = 4e-3, -6e-3, 3e-3
-    y = force @ matrix.T + [12e-3, -20e-3, 35e-3]
+    y = force @ MATRIX.T + BIAS
     y = y + 1e-3 * np.array([1.0, -0.6, 0.8]) * (2 * force**2 + 3 * force**3)
     found = correct(y, noise=0.0)
     apart = found.vector - force
@@ -402,46 +399,6 @@ def test_slopes_of_tilt_and_heading() -> None:
         assert one.tilt[name][1][0] == pytest.approx(many.tilt[name][0].std(), rel=0.03)
     assert one.heading[1][0] == pytest.approx(many.heading[0].std(), rel=0.03)
     assert one.magnitude[1][0] == pytest.approx(many.magnitude[0].std(), rel=0.03)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("made", "order"), [(thermal, 2), (bent, 3)])
-def test_exports_compute_the_same(made: Any, order: int, tmp_path: Path) -> None:
-    correct = bc.vector_correction(made())
-    assert correct.order == order
-    check_vector_exports(correct, np.array([0.3, -0.5, 0.8]), 40.0, tmp_path)
-
-
-@pytest.mark.slow
-def test_kalibrs_matrix_and_ours_give_one_magnitude() -> None:
-    correct = bc.vector_correction(thermal())
-    yaml = pytest.importorskip("yaml")
-    from bayescal._use.vector_parameters import autopilot_parameters
-
-    found = yaml.safe_load(text_of(correct, "yaml"))["imu0"]
-    m, turn = (np.array(found["accelerometers"][n]) for n in ("M", "R"))
-    assert np.allclose(m, np.tril(m))
-    assert np.allclose(m @ turn, correct.matrix, atol=1e-8)  # which second order adds nothing to
-    assert np.allclose(turn @ turn.T, np.eye(3), atol=1e-8)
-    values, left = autopilot_parameters(correct, "ardupilot-params")
-    squares = correct.terms[0, 12:15].sum() * correct.reach**2 / 3  # over all directions
-    nearest = correct.offset[0] + squares  # T0 is the middle of the temperatures
-    assert values["INS_ACCOFFS_X"] == pytest.approx(9.80665 * nearest)
-    assert "misalignments" in left and "second order" in left
-
-
-def test_a_compass_of_an_autopilot_is_symmetric_and_keeps_the_magnitude() -> None:
-    from bayescal._use.vector_parameters import autopilot_parameters
-
-    readings = magnetometer_triad.simulate(seed=5)
-    correct = bc.vector_correction(bc.fit(magnetometer_triad.INSTRUMENT.baseline(), readings))
-    p, _ = autopilot_parameters(correct, "ardupilot-params")
-    offset = np.array([p[f"COMPASS_OFS_{a}"] for a in "XYZ"])
-    d, o = ([p[f"COMPASS_{n}_{a}"] for a in "XYZ"] for n in ("DIA", "ODI"))
-    matrix = np.array([[d[0], o[0], o[1]], [o[0], d[1], o[2]], [o[1], o[2], d[2]]])
-    field = (10 * outputs(readings) + offset) @ matrix.T  # mG: 10 a µT
-    size = correct(outputs(readings)).magnitude[0]
-    assert np.allclose(np.linalg.norm(field, axis=1), 10 * size, rtol=1e-9)
 
 
 # from a log to poses --------------------------------------------------------------------------------------------

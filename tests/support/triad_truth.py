@@ -1,6 +1,13 @@
-"""What the simulated gyroscopes of three axes are made with, coefficient by coefficient."""
+"""What the simulated sensors of three axes are made with: coefficients by name, and the matrix that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
 
 from bayescal_models.gyro_triad.simulator import BASELINE
+from bayescal_models.triad.simulator import OFF_DIAGONAL
 
 TRUE = {
     f"{name}[{part}]": value
@@ -11,3 +18,11 @@ TRUE = {
     )
     for part, value in zip(parts, BASELINE[name], strict=True)
 }
+
+
+def matrix_of(baseline: Mapping[str, Sequence[float]]) -> np.ndarray:
+    """Of the outputs by what acts, of scale factors in ppm and misalignments in mrad."""
+    matrix = np.eye(3) + 1e-6 * np.diag(baseline["scale.constant"])
+    for angle, at in zip(baseline["misalignment.constant"], OFF_DIAGONAL, strict=False):
+        matrix[at] = 1e-3 * angle
+    return matrix
