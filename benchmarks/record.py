@@ -8,7 +8,7 @@ import json
 import os
 import platform
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -101,9 +101,37 @@ def lines_of(kind: str) -> dict[str, list[dict[str, Any]]]:
     return {path.stem.removeprefix(f"{kind}_"): read_lines(path) for path in files}
 
 
-def add_line(path: Path, row: dict[str, Any]) -> None:
-    """Add a row to a file, with the digest of the code, so that a benchmark that is stopped goes on where it was."""
+def measured(path: Path, fields: Sequence[str]) -> set[tuple[Any, ...]]:
+    """Cases of a file, by the fields that tell them apart, that need no measuring.
+
+    Those that have a row; where BAYESCAL_ANEW is set, as for a release, a row of the code as it is.
+    """
+    anew = bool(os.environ.get("BAYESCAL_ANEW"))
+    rows = (r for r in read_lines(path) if not anew or r.get("core") == core())
+    return {tuple(row[field] for field in fields) for row in rows}
+
+
+def add_line(path: Path, row: dict[str, Any], fields: Sequence[str] = ()) -> None:
+    """Add a row to a file, with the digest of the code, so that a benchmark that is stopped goes on where it was.
+
+    Args:
+        path: of the file.
+        row: of one case.
+        fields: that tell cases apart: a row of the same case, of an older code, gives place. None keeps all rows.
+    """
     path.parent.mkdir(exist_ok=True)
     row = {**row, "core": row.get("core", core())}
+    case = [row[field] for field in fields]
+    former = read_lines(path) if fields else []
+    kept = [one for one in former if [one[field] for field in fields] != case]
+    if len(kept) < len(former):
+        draft = path.with_suffix(".part")
+        draft.write_text("".join(map(_line, (*kept, row))), encoding="utf-8")
+        draft.replace(path)
+        return
     with path.open("a", encoding="utf-8") as out:
-        out.write(json.dumps(row, ensure_ascii=False) + "\n")
+        out.write(_line(row))
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    return json.dumps(row, ensure_ascii=False) + "\n"

@@ -26,7 +26,7 @@ from benchmarks.hidden_effects.bank import instrument_named
 from benchmarks.hidden_effects.resume import chosen, go_on
 from benchmarks.hidden_effects.searched import Searched, noise_of
 from benchmarks.intervals import proportion
-from benchmarks.record import RESULTS, lines_of, read_lines, write
+from benchmarks.record import RESULTS, lines_of, write
 
 CAMPAIGNS = 40  # of each kind for each instrument
 FIRST_SEED = 7000
@@ -70,7 +70,6 @@ def _summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
 def _run(name: str) -> None:
     """One instrument's campaigns, resumed."""
     path = RESULTS / f"false_discoveries_{name}.jsonl"
-    done = {(r["how"], r["seed"]) for r in read_lines(path)}
     part, parts = map(int, os.environ.get("BAYESCAL_PART", "0/1").split("/"))
     instrument = instrument_named(name)
 
@@ -78,13 +77,13 @@ def _run(name: str) -> None:
         row = _one(instrument, *case)
         return row, f"{row['seed']} {row['how']}: {row['added']}"
 
-    missing = (
-        (how, seed)
+    cases = (
+        ((how, seed), (how, seed))
         for seed in range(FIRST_SEED, FIRST_SEED + CAMPAIGNS)
         for how in SPOILT
-        if (how, seed) not in done and seed % parts == part
+        if seed % parts == part
     )
-    go_on(path, missing, measure)
+    go_on(path, ("how", "seed"), cases, measure)
 
 
 def _one(instrument: bc.Instrument, how: str, seed: int) -> dict[str, Any]:

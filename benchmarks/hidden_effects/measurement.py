@@ -41,7 +41,7 @@ from benchmarks.hidden_effects.bank import (
 from benchmarks.hidden_effects.customary import SELECTIONS, select
 from benchmarks.hidden_effects.resume import chosen, go_on
 from benchmarks.hidden_effects.searched import Later, Searched
-from benchmarks.record import DOCS, RESULTS, ROOT, lines_of, read, read_lines
+from benchmarks.record import DOCS, RESULTS, ROOT, lines_of, read
 
 ENUMERATED = 8.0  # oracle from which the exact set is computed, by the evidence of every candidate,
 EVERY = 4  # in one of so many campaigns, for it takes as long as the search
@@ -67,7 +67,6 @@ def run(name: str) -> None:
     """One instrument's bank, resumed."""
     instrument = instrument_named(name)
     path = RESULTS / f"hidden_effects_{name}.jsonl"
-    done = {row["seed"] for row in read_lines(path)}
     kinds = os.environ.get("BAYESCAL_KINDS", "").split()
 
     def measure(case: Case) -> tuple[dict[str, Any], str]:
@@ -75,12 +74,8 @@ def run(name: str) -> None:
         what = f"{case.kind} {list(case.hidden) or case.shape or row['hidden']} -> {row['final']}"
         return row, f"{case.seed} {row['seconds']:.1f} s {what}"
 
-    missing = (
-        case
-        for case in plan(instrument)
-        if case.seed not in done and (not kinds or case.kind in kinds)
-    )
-    go_on(path, missing, measure)
+    asked = (((c.seed,), c) for c in plan(instrument) if not kinds or c.kind in kinds)
+    go_on(path, ("seed",), asked, measure)
 
 
 def stated(instrument: bc.Instrument, case: Case) -> dict[str, Any]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
-from benchmarks.record import add_line, read_lines
+from benchmarks.record import add_line, measured
 
 SECONDS = 3300.0  # of one instrument's part, unless BAYESCAL_SECONDS says otherwise
 T = TypeVar("T")
@@ -23,22 +23,25 @@ def chosen(names: Iterable[str]) -> list[str]:
 
 def go_on(
     path: Path,
-    cases: Iterable[T],
+    fields: Sequence[str],
+    cases: Iterable[tuple[tuple[Any, ...], T]],
     measure: Callable[[T], tuple[dict[str, Any], str]],
     workers: int = 1,
 ) -> None:
-    """Measure cases and add a line for each to a file; after `SECONDS`, say so and stop.
+    """Measure the cases that have no row yet, a line each; after `SECONDS`, say so and stop.
 
     Args:
         path: of the file.
-        cases: those that do not stand in it yet.
-        measure: from a case to its line, and what is told of it.
-        workers: processes that measure at once; lines of two or more come in the order in which they end.
+        fields: of a row, that tell cases apart.
+        cases: each beside the values of these.
+        measure: from a case to its row, and what is told of it.
+        workers: processes that measure at once; rows of two or more come in the order in which they end.
     """
     seconds = float(os.environ.get("BAYESCAL_SECONDS", SECONDS))
-    begun = time.perf_counter()
-    for row, told in _measured(cases, measure, workers):
-        add_line(path, row)
+    begun, done = time.perf_counter(), measured(path, fields)
+    missing = (case for key, case in cases if key not in done)
+    for row, told in _measured(missing, measure, workers):
+        add_line(path, row, fields)
         print(f"{path.stem} {told}", file=sys.stderr)
         if time.perf_counter() - begun > seconds:
             print(f"{path.stem}: stopped after {seconds:.0f} s; run again to go on")
@@ -48,9 +51,8 @@ def go_on(
 def go_on_by_seed(
     path: Path, seeds: Iterable[int], measure: Callable[[int], tuple[dict[str, Any], str]]
 ) -> None:
-    """The same of campaigns that a seed tells apart: those of them that have no line yet."""
-    done = {row["seed"] for row in read_lines(path)}
-    go_on(path, (seed for seed in seeds if seed not in done), measure)
+    """The same of campaigns that a seed tells apart."""
+    go_on(path, ("seed",), (((seed,), seed) for seed in seeds), measure)
 
 
 def _measured(

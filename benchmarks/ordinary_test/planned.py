@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.hidden_effects.resume import go_on
-from benchmarks.record import read_lines
 
 ORDER = 20261126  # seed of every order, drawn before anything was measured
 TOLD = ("crash", "status", "final", "sets", "reason", "seconds")
@@ -45,11 +44,10 @@ def go_through(
     asked.add_argument("--workers", type=int, default=1)
     asked.add_argument("--out", type=Path, default=path)
     given = asked.parse_args(arguments)
-    fields = type(cells[0])._fields
-    done = {tuple(row[f] for f in fields) for row in read_lines(given.out)}
     some = [c for c in cells if given.readings is None or c.readings in given.readings]
-    missing = [c for c in some[: given.count] if tuple(c) not in done]
-    go_on(given.out, missing, partial(_row, measure=measure), given.workers)
+    cases = ((tuple(c), c) for c in some[: given.count])
+    row = partial(_row, measure=measure)
+    go_on(given.out, type(cells[0])._fields, cases, row, given.workers)
     return given.out
 
 

@@ -70,15 +70,14 @@ def render() -> None:
 def run(name: str, kinds: Mapping[str, Kind] = KINDS, label: str = "gauntlet") -> None:
     """One instrument's part, resumed."""
     subject, path = SUBJECTS[name], RESULTS / f"{label}_{name}.jsonl"
-    done = {(row["kind"], row["seed"]) for row in read_lines(path)}
 
     def measure(case: tuple[Kind, int]) -> tuple[dict[str, Any], str]:
         row = judged(subject, *case)
         what = f"{row['verdict']} {row.get('added', '')} {' '.join(row['says'])[:100]}"
         return row, f"{row['kind']}, {row['seed']}: {row['seconds']:.1f} s {what}"
 
-    missing = (case for case in plan(name, kinds) if (case[0].name, case[1]) not in done)
-    go_on(path, missing, measure)
+    cases = (((kind.name, seed), (kind, seed)) for kind, seed in plan(name, kinds))
+    go_on(path, ("kind", "seed"), cases, measure)
 
 
 def plan(name: str, kinds: Mapping[str, Kind] = KINDS) -> Iterator[tuple[Kind, int]]:

@@ -17,7 +17,7 @@ import bayescal as bc
 import bayescal_models.inclinometer
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 from benchmarks.hidden_effects.resume import chosen, go_on
-from benchmarks.record import RESULTS, read_lines
+from benchmarks.record import RESULTS
 from benchmarks.wrong_model import page
 from benchmarks.wrong_model.worlds import World, gyro, inclinometer, quartz
 
@@ -66,9 +66,8 @@ def main() -> None:
     """Run what is missing, and render the page."""
     for name in chosen(WORLDS):
         path = RESULTS / f"wrong_model_{name}.jsonl"
-        done = {row["seed"] for row in read_lines(path)}
-        cases = ((name, seed) for seed in range(COUNT) if seed not in done)
-        go_on(path, cases, campaign)
+        cases = (((seed,), (name, seed)) for seed in range(COUNT))
+        go_on(path, ("seed",), cases, campaign)
     page.write()
 
 

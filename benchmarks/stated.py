@@ -1,0 +1,272 @@
+"""Figures that are written by hand in README.md and docs/limits.md, each from the committed rows that give it.
+
+    python -m benchmarks stated        names every figure, and every rendered page, that differs from the rows
+
+`make docs` builds no site while one does. A sentence stands here once more, with a place `{}` for each figure.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from typing import Any, NamedTuple
+
+from benchmarks.fleet import page as fleet_page
+from benchmarks.hidden_effects import measurement as hidden_effects
+from benchmarks.hidden_effects.outcomes import (
+    CLEAR,
+    FATES,
+    Banks,
+    Rows,
+    fate,
+    hidden_in,
+    names_outside,
+    of_kind,
+    strong_outside,
+    strong_pairs,
+)
+from benchmarks.hidden_effects.page import ALIKE, SURE
+from benchmarks.intervals import proportion
+from benchmarks.ordinary_test import page as ordinary_page
+from benchmarks.record import RESULTS, ROOT, lines_of, read, read_lines
+from benchmarks.speed import page as speed_page
+from benchmarks.spoilt_records import measurement as spoilt_records
+from benchmarks.wrong_model import page as wrong_model_page
+
+RENDERED: dict[str, Callable[[], None]] = {  # pages that are rendered from rows alone
+    "README.md": hidden_effects.render,
+    "docs/hidden_effects.md": hidden_effects.render,
+    "docs/ordinary_test.md": ordinary_page.write,
+    "docs/gauntlet.md": spoilt_records.render,
+    "docs/wrong_model.md": wrong_model_page.write,
+    "docs/fleet.md": fleet_page.render,
+    "docs/speed.md": speed_page.render,
+}
+
+
+class Stated(NamedTuple):
+    """A sentence of a page with its figures.
+
+    Attributes:
+        page: its path.
+        words: the sentence, `{}` for each figure; lines may be broken anywhere.
+        figures: what the rows say now.
+    """
+
+    page: str
+    words: str
+    figures: Callable[[], Iterable[Any]]
+
+
+def differing() -> Iterator[str]:
+    """What a page says otherwise than the rows, a sentence each."""
+    for one in STATED:
+        text = " ".join((ROOT / one.page).read_text("utf-8").split())
+        figures = [f"{f:,}" if isinstance(f, int) else str(f) for f in one.figures()]
+        expected = " ".join(one.words.split()).format(*figures)
+        if expected not in text:
+            there = ".{1,40}?".join(map(re.escape, " ".join(one.words.split()).split("{}")))
+            found = re.search(there, text)
+            yield f"{one.page}: the rows say {expected!r}, the page {found[0] if found else 'nothing of it'!r}"
+    for page, before, after in rendered_anew():
+        lines = zip(before.splitlines(), after.splitlines(), strict=False)
+        first = next(((b, a) for b, a in lines if b != a), ("its end", "more or fewer lines"))
+        yield f"{page}: it says {first[0][:200]!r}, rendered anew {first[1][:200]!r}"
+
+
+def rendered_anew() -> Iterator[tuple[str, str, str]]:
+    """Pages that their own rows give otherwise: the page, as it is and as it would be. None is left changed."""
+    paths = {page: ROOT / page for page in RENDERED}
+    before = {page: path.read_text("utf-8") for page, path in paths.items()}
+    try:
+        for render in dict.fromkeys(RENDERED.values()):
+            render()
+        after = {page: path.read_text("utf-8") for page, path in paths.items()}
+    finally:
+        for page, path in paths.items():
+            path.write_text(before[page], "utf-8")
+    yield from ((page, before[page], after[page]) for page in paths if before[page] != after[page])
+
+
+def main() -> None:
+    """Name what differs.
+
+    Raises:
+        SystemExit: something does.
+    """
+    if found := list(differing()):
+        sys.exit("\n".join(found))
+    print(f"{len(STATED)} sentences and {len(RENDERED)} pages are as the rows have them")
+
+
+# what the rows say ----------------------------------------------------------------------------------------------
+
+
+@cache
+def bank() -> Banks:
+    return lines_of("hidden_effects")
+
+
+def share(flags: Iterable[bool]) -> str:
+    """k/n with its interval, as tables have it."""
+    found = list(flags)
+    return proportion(sum(found), len(found))
+
+
+def interval(flags: Iterable[bool]) -> str:
+    """Its interval alone."""
+    return share(flags).partition("(")[2].removesuffix(")")
+
+
+def outside(*shapes: str) -> Rows:
+    return [r for shape in shapes for r in strong_outside(bank(), shape)]
+
+
+def explained_away() -> tuple[int, int]:
+    """Of those that looked like a listed effect: how many, and how many were explained by it."""
+    alike = [r for r in outside("column", "periodic", "step", "shock") if r["likeness"] >= ALIKE]
+    stated = ((n, p) for r in alike for n, p in r["probabilities"].items() if p > SURE)
+    return len(alike), sum(not n.startswith("unknown(") for n, _ in stated)
+
+
+def taken_for_noise(shape: str) -> int:
+    return sum(fate(r) in FATES[2:4] for r in outside(shape))
+
+
+def in_false_discoveries(*spoilt_by: str) -> list[dict[str, Any]]:
+    """Campaigns with nothing hidden whose noise is not as the model takes it."""
+    rows = (row for own in lines_of("false_discoveries").values() for row in own)
+    return [row for row in rows if row["how"] in spoilt_by]
+
+
+def spoilt(kind: str) -> list[Any]:
+    """Records, and how many were right, said and wrong."""
+    rows = [r for own in lines_of(kind).values() for r in own if r["kind"] != "nothing"]
+    count = Counter(r["verdict"] for r in rows)
+    return [len(rows), *(count[v] for v in ("right", "said", "wrong"))]
+
+
+def coefficients(repeats: bool) -> list[bool]:
+    """Of the ordinary test: whether intervals of 95 % held the truth."""
+    rows = [r for r in read_lines(RESULTS / "ordinary_test.jsonl") if "crash" not in r]
+    own = (c for r in rows if r["repeats"] == repeats for c in r["coefficients"].values())
+    return [c["inside"] for c in own if c["stated"]]
+
+
+def clear() -> Rows:
+    return [r for r in of_kind(bank(), "single") if r["oracle"] >= CLEAR]
+
+
+def otherwise(row: dict[str, Any]) -> bool:
+    return bool(set(row["final"]) - {hidden_in(row)})
+
+
+def faint() -> Rows:
+    return [r for r in of_kind(bank(), "single") if r["oracle"] < 5.0]
+
+
+def good() -> Rows:
+    return read_lines(RESULTS / "good_records.jsonl")
+
+
+def fleet() -> dict[str, Any]:
+    return read("fleet")["finding"]
+
+
+LIMITS = "docs/limits.md"
+STATED = (
+    Stated(
+        "README.md",
+        "[The whole bank](docs/hidden_effects.md), {} campaigns, names every miss.",
+        lambda: [sum(map(len, bank().values()))],
+    ),
+    Stated(
+        LIMITS,
+        "Of campaigns with something outside the catalogue, the right column was in the final model in {}",
+        lambda: [
+            share(names_outside(r, "final") for r in outside("column", "periodic", "step", "shock"))
+        ],
+    ),
+    Stated(
+        LIMITS,
+        "of {} in which an outside effect followed nearly the curve of a listed one (correlation ≥ 0.7), {} were "
+        "explained by that one",
+        explained_away,
+    ),
+    Stated(
+        LIMITS,
+        "Of {} hidden periodic disturbances {}, and of {} shocks {}, were taken for correlated noise",
+        lambda: [
+            f(shape)
+            for shape in ("periodic", "shock")
+            for f in (lambda s: len(outside(s)), taken_for_noise)
+        ],
+    ),
+    Stated(
+        LIMITS,
+        "nothing hidden, something added | {}",
+        lambda: [share(bool(r["final"]) for r in of_kind(bank(), "empty"))],
+    ),
+    Stated(
+        LIMITS,
+        "the same under correlated noise | {} |",
+        lambda: [share(bool(r["added"]) for r in in_false_discoveries("wandering noise"))],
+    ),
+    Stated(
+        LIMITS,
+        "the same with outliers | {} |",
+        lambda: [share(bool(r["added"]) for r in in_false_discoveries("outliers"))],
+    ),
+    Stated(
+        LIMITS,
+        "one effect hidden and well visible (log Bayes factor above 15), not in the final model | {} |",
+        lambda: [share(hidden_in(r) not in r["final"] for r in clear())],
+    ),
+    Stated(
+        LIMITS,
+        "the same, something else in the final model | {} |",
+        lambda: [share(map(otherwise, clear()))],
+    ),
+    Stated(
+        LIMITS,
+        "one hidden, log Bayes factor below 5: found | {} |",
+        lambda: [share(hidden_in(r) in r["final"] for r in faint())],
+    ),
+    Stated(
+        LIMITS,
+        "two effects hidden, one or both not in the final model | {} |",
+        lambda: [share(not set(r["hidden"]) <= set(r["final"]) for r in strong_pairs(bank()))],
+    ),
+    Stated(
+        LIMITS,
+        "a false effect in a device where nothing is hidden | {} |",
+        lambda: [proportion(fleet()["false"], fleet()["empty"])],
+    ),
+    Stated(
+        LIMITS, "Of {} records spoilt as laboratory files are, {} (", lambda: spoilt("gauntlet")[:2]
+    ),
+    Stated(
+        LIMITS, "a random {} records of six instruments: {} (", lambda: spoilt("covariates")[:2]
+    ),
+    Stated(
+        LIMITS,
+        "{} intervals of 95 % held the truth ({}), where profiles differ {}",
+        lambda: [
+            f"{sum(coefficients(True))} of {len(coefficients(True))}",
+            interval(coefficients(True)),
+            f"{sum(coefficients(False))} of {len(coefficients(False))}",
+        ],
+    ),
+    Stated(
+        LIMITS,
+        "Of {} records that are not spoilt, of six instruments, the gate shut on {}",
+        lambda: [len(good()), sum(r["status"] == 1 for r in good()) or "none"],
+    ),
+)
+
+
+if __name__ == "__main__":
+    main()
