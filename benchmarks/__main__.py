@@ -1,4 +1,7 @@
-"""`python -m benchmarks` runs every benchmark, `python -m benchmarks NAME …` those named; speeds become a page."""
+"""`python -m benchmarks` runs every benchmark, `python -m benchmarks NAME …` those named; speeds become a page.
+
+`python -m benchmarks release` measures anew what a release states: see `release.py`.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,9 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "workbench": "speed.workbench",
     "open_benchmark": "open_benchmark",
     "cores": "cores",
+    "stated": "stated",
 }
+RELEASE = "release"  # measures what those above do: not among all of them
 
 
 def main(names: list[str]) -> int:
@@ -54,6 +59,9 @@ def main(names: list[str]) -> int:
     Returns:
         The exit status: 2 for a name that is not known, else 0.
     """
+    if names[:1] == [RELEASE]:
+        importlib.import_module("benchmarks.release").main(names[1:])
+        return 0
     unknown = [name for name in names if name not in MODULES]
     if unknown:
         print(

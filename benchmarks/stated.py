@@ -64,17 +64,23 @@ class Stated(NamedTuple):
 def differing() -> Iterator[str]:
     """What a page says otherwise than the rows, a sentence each."""
     for one in STATED:
-        text = " ".join((ROOT / one.page).read_text("utf-8").split())
-        figures = [f"{f:,}" if isinstance(f, int) else str(f) for f in one.figures()]
-        expected = " ".join(one.words.split()).format(*figures)
-        if expected not in text:
-            there = ".{1,40}?".join(map(re.escape, " ".join(one.words.split()).split("{}")))
-            found = re.search(there, text)
-            yield f"{one.page}: the rows say {expected!r}, the page {found[0] if found else 'nothing of it'!r}"
+        if said := otherwise_than(one, (ROOT / one.page).read_text("utf-8")):
+            yield said
     for page, before, after in rendered_anew():
         lines = zip(before.splitlines(), after.splitlines(), strict=False)
         first = next(((b, a) for b, a in lines if b != a), ("its end", "more or fewer lines"))
         yield f"{page}: it says {first[0][:200]!r}, rendered anew {first[1][:200]!r}"
+
+
+def otherwise_than(one: Stated, page: str) -> str:
+    """How the text of a page differs from a sentence with its figures; empty if it does not."""
+    text, words = " ".join(page.split()), " ".join(one.words.split())
+    figures = [f"{f:,}" if isinstance(f, int) else str(f) for f in one.figures()]
+    if (expected := words.format(*figures)) in text:
+        return ""
+    found = re.search(".{1,40}?".join(map(re.escape, words.split("{}"))), text)
+    there = repr(found[0]) if found else "nothing of it"
+    return f"{one.page}: the rows say {expected!r}, the page {there}"
 
 
 def rendered_anew() -> Iterator[tuple[str, str, str]]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 from collections.abc import Callable
 from importlib import import_module
 from itertools import groupby
@@ -26,6 +27,17 @@ MODELS = HERE.parent / "models" / "bayescal_models"
 PART = re.compile(
     r"^<!-- (data sheet|in NumPyro|tour|commands|names)(?:: (.*?))? -->$", re.MULTILINE
 )
+
+
+def on_startup(command: str, **_: Any) -> None:
+    """No site is built while a page says another figure than the rows that it comes from."""
+    if command != "build":
+        return
+    sys.path.insert(0, str(HERE.parent))
+    from benchmarks.stated import differing  # starts JAX
+
+    if found := list(differing()):
+        raise SystemExit("\n".join(found))
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:

@@ -1,0 +1,115 @@
+"""Everything that a release states, measured by its code: `python -m benchmarks release [HOURS]`.
+
+Rows of an older code are measured anew, in the order of `HEADLINE`, each part for its share of the time that is left;
+stopped, the same command goes on. Pages are rendered from whatever rows stand, and say of each code how many. Six
+hours of two cores suffice, by the seconds that the rows themselves state: `python -m benchmarks release plan` adds
+them up.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import NamedTuple
+
+from benchmarks import stated
+from benchmarks.record import RESULTS, ROOT, core, read_lines
+
+HOURS = 6.0
+
+
+class Part(NamedTuple):
+    """A benchmark of the release.
+
+    Attributes:
+        name: as `python -m benchmarks NAME` has it.
+        rows: its files, by the begin of their names.
+        options: of its module, in `ordinary_test`, where it has processes of its own.
+    """
+
+    name: str
+    rows: str
+    options: tuple[str, ...] = ()
+
+    @property
+    def module(self) -> str:
+        return f"benchmarks.ordinary_test.{'measurement' if self.name == 'ordinary_test' else self.name}"
+
+
+PLANNED = ("--workers", "2")
+HEADLINE = (
+    Part(
+        "ordinary_test", "ordinary_test", ("--count", "60", "--readings", "200", "1600", *PLANNED)
+    ),
+    Part("good_records", "good_records", ("--count", "60", *PLANNED)),
+    Part("own_unit", "own_unit", ("--count", "12", *PLANNED)),
+    Part("no_family", "no_family", ("--count", "21", *PLANNED)),
+    Part("hidden_effects", "hidden_effects"),
+    Part("false_discoveries", "false_discoveries"),
+    Part("units", "units"),
+    Part("dividing_head", "dividing_head"),
+    Part("triad_coverage", "triad_coverage"),
+    Part("triads", "triads"),
+    Part("gauntlet", "gauntlet"),
+    Part("wrong_model", "wrong_model"),
+)
+
+
+def rows_of(part: Part) -> tuple[int, int, float]:
+    """How many rows there are, how many of them are of another code, and hours that these took."""
+    rows = [row for path in RESULTS.glob(f"{part.rows}*.jsonl") for row in read_lines(path)]
+    older = [row for row in rows if row.get("core") != core()]
+    return len(rows), len(older), sum(row.get("seconds", 0.0) for row in older) / 3600
+
+
+def plan() -> str:
+    """What is left to measure, a line each."""
+    counts = [rows_of(part) for part in HEADLINE]
+    lines = [
+        f"{part.name:20s} {older:5d} of {every:5d} rows to measure, {hours:5.2f} h of one core"
+        for part, (every, older, hours) in zip(HEADLINE, counts, strict=True)
+    ]
+    return "\n".join([*lines, f"{sum(h for *_, h in counts):.1f} h in all, of one core"])
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure until all rows are of this code, or the hours are over; then render and compare.
+
+    Raises:
+        SystemExit: a page says otherwise than its rows.
+    """
+    given = list(arguments or ())
+    if given == ["plan"]:
+        print(plan())
+        return
+    end = time.monotonic() + 3600 * (float(given[0]) if given else HOURS)
+    asked = [part for part in HEADLINE if rows_of(part)[1]]
+    for part in (part for part in asked if part.options):  # on two cores each
+        measure(part, end)
+    with ThreadPoolExecutor(2) as two:
+        list(two.map(partial(measure, end=end), (part for part in asked if not part.options)))
+    print(plan())
+    stated.main()
+
+
+def measure(part: Part, end: float) -> None:
+    """Measure what is left of a part, in a process of its own, until the time is over.
+
+    Raises:
+        subprocess.CalledProcessError: it ended in an error.
+    """
+    if (left := end - time.monotonic()) <= 0:
+        print(f"{part.name}: the time is over; run again to go on")
+        return
+    environment = os.environ | {"BAYESCAL_ANEW": "1", "BAYESCAL_SECONDS": f"{left:.0f}"}
+    what = (part.module, *part.options) if part.options else ("benchmarks", part.name)
+    subprocess.run([sys.executable, "-m", *what], cwd=ROOT, env=environment, check=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
