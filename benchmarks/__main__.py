@@ -48,6 +48,7 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "workbench": "speed.workbench",
     "open_benchmark": "open_benchmark",
     "cores": "cores",
+    "how_we_know": "how_we_know",
     "stated": "stated",
 }
 RELEASE = "release"  # measures what those above do: not among all of them

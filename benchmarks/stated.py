@@ -9,29 +9,32 @@ from __future__ import annotations
 
 import re
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from functools import cache
 from typing import Any, NamedTuple
 
+from benchmarks import how_we_know
+from benchmarks.counted import (
+    bank,
+    clear,
+    coefficients,
+    explained_away,
+    faint,
+    fleet,
+    in_false_discoveries,
+    interval,
+    otherwise,
+    outside,
+    share,
+    taken_for_noise,
+    verdicts,
+    whole,
+)
 from benchmarks.fleet import page as fleet_page
 from benchmarks.hidden_effects import measurement as hidden_effects
-from benchmarks.hidden_effects.outcomes import (
-    CLEAR,
-    FATES,
-    Banks,
-    Rows,
-    fate,
-    hidden_in,
-    names_outside,
-    of_kind,
-    strong_outside,
-    strong_pairs,
-)
-from benchmarks.hidden_effects.page import ALIKE, SURE
+from benchmarks.hidden_effects.outcomes import hidden_in, names_outside, of_kind, strong_pairs
 from benchmarks.intervals import proportion
 from benchmarks.ordinary_test import page as ordinary_page
-from benchmarks.record import RESULTS, ROOT, lines_of, read, read_lines
+from benchmarks.record import ROOT
 from benchmarks.speed import page as speed_page
 from benchmarks.spoilt_records import measurement as spoilt_records
 from benchmarks.wrong_model import page as wrong_model_page
@@ -44,6 +47,7 @@ RENDERED: dict[str, Callable[[], None]] = {  # pages that are rendered from rows
     "docs/wrong_model.md": wrong_model_page.write,
     "docs/fleet.md": fleet_page.render,
     "docs/speed.md": speed_page.render,
+    "docs/how_we_know.md": how_we_know.render,
 }
 
 
@@ -108,78 +112,10 @@ def main() -> None:
     print(f"{len(STATED)} sentences and {len(RENDERED)} pages are as the rows have them")
 
 
-# what the rows say ----------------------------------------------------------------------------------------------
-
-
-@cache
-def bank() -> Banks:
-    return lines_of("hidden_effects")
-
-
-def share(flags: Iterable[bool]) -> str:
-    """k/n with its interval, as tables have it."""
-    found = list(flags)
-    return proportion(sum(found), len(found))
-
-
-def interval(flags: Iterable[bool]) -> str:
-    """Its interval alone."""
-    return share(flags).partition("(")[2].removesuffix(")")
-
-
-def outside(*shapes: str) -> Rows:
-    return [r for shape in shapes for r in strong_outside(bank(), shape)]
-
-
-def explained_away() -> tuple[int, int]:
-    """Of those that looked like a listed effect: how many, and how many were explained by it."""
-    alike = [r for r in outside("column", "periodic", "step", "shock") if r["likeness"] >= ALIKE]
-    stated = ((n, p) for r in alike for n, p in r["probabilities"].items() if p > SURE)
-    return len(alike), sum(not n.startswith("unknown(") for n, _ in stated)
-
-
-def taken_for_noise(shape: str) -> int:
-    return sum(fate(r) in FATES[2:4] for r in outside(shape))
-
-
-def in_false_discoveries(*spoilt_by: str) -> list[dict[str, Any]]:
-    """Campaigns with nothing hidden whose noise is not as the model takes it."""
-    rows = (row for own in lines_of("false_discoveries").values() for row in own)
-    return [row for row in rows if row["how"] in spoilt_by]
-
-
-def spoilt(kind: str) -> list[Any]:
-    """Records, and how many were right, said and wrong."""
-    rows = [r for own in lines_of(kind).values() for r in own if r["kind"] != "nothing"]
-    count = Counter(r["verdict"] for r in rows)
-    return [len(rows), *(count[v] for v in ("right", "said", "wrong"))]
-
-
-def coefficients(repeats: bool) -> list[bool]:
-    """Of the ordinary test: whether intervals of 95 % held the truth."""
-    rows = [r for r in read_lines(RESULTS / "ordinary_test.jsonl") if "crash" not in r]
-    own = (c for r in rows if r["repeats"] == repeats for c in r["coefficients"].values())
-    return [c["inside"] for c in own if c["stated"]]
-
-
-def clear() -> Rows:
-    return [r for r in of_kind(bank(), "single") if r["oracle"] >= CLEAR]
-
-
-def otherwise(row: dict[str, Any]) -> bool:
-    return bool(set(row["final"]) - {hidden_in(row)})
-
-
-def faint() -> Rows:
-    return [r for r in of_kind(bank(), "single") if r["oracle"] < 5.0]
-
-
-def good() -> Rows:
-    return read_lines(RESULTS / "good_records.jsonl")
-
-
-def fleet() -> dict[str, Any]:
-    return read("fleet")["finding"]
+def spoilt(kind: str) -> tuple[int, int]:
+    """Records, and how many were right."""
+    count = verdicts(kind)
+    return sum(count.values()), count["right"]
 
 
 LIMITS = "docs/limits.md"
@@ -252,11 +188,9 @@ STATED = (
         lambda: [proportion(fleet()["false"], fleet()["empty"])],
     ),
     Stated(
-        LIMITS, "Of {} records spoilt as laboratory files are, {} (", lambda: spoilt("gauntlet")[:2]
+        LIMITS, "Of {} records spoilt as laboratory files are, {} (", lambda: spoilt("gauntlet")
     ),
-    Stated(
-        LIMITS, "a random {} records of six instruments: {} (", lambda: spoilt("covariates")[:2]
-    ),
+    Stated(LIMITS, "a random {} records of six instruments: {} (", lambda: spoilt("covariates")),
     Stated(
         LIMITS,
         "{} intervals of 95 % held the truth ({}), where profiles differ {}",
@@ -269,7 +203,10 @@ STATED = (
     Stated(
         LIMITS,
         "Of {} records that are not spoilt, of six instruments, the gate shut on {}",
-        lambda: [len(good()), sum(r["status"] == 1 for r in good()) or "none"],
+        lambda: [
+            len(whole("good_records")),
+            sum(r["status"] == 1 for r in whole("good_records")) or "none",
+        ],
     ),
 )
 

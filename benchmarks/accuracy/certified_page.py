@@ -27,7 +27,7 @@ of the parameters and 6 of their standard deviations.
 
 NONLINEAR = """## NIST, nonlinear: 27 sets from both starts
 
-By the one least-squares routine of the library (`_optimise.least_squares`), unknowns scaled by
+By `LeastSquares` as every fit has it (`bayescal/_inference/least_squares.py`), unknowns scaled by
 their start; standard deviations are Gauss–Newton, the noise Σr²/(n − p). No set gets a hint. The
 hard ones show: BoxBOD and MGH10 from start 1 are met by the second try, damped by the unknowns' own
 scales, after the first has run away or is still on its way after 1000 steps; MGH17 from start 1 and
