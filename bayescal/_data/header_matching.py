@@ -393,6 +393,11 @@ class MatchedFile:
                     replace(headers[i], name=ours, unit=None),
                     f"{ours}, as its values are labels",
                 )
+        dated = [i for i in sorted(free) if not headers[i].unit and self._goes_on(i, dates=True)]
+        if len(dated) == 1:
+            positions["time"] = dated[0]
+            free.discard(dated[0])
+            take(dated[0], replace(headers[dated[0]], name="time"), "time, as its values are dates")
         for i in sorted(free):
             reading = unit_behind(headers[i])
             if reading and reading.name not in self.expected:
@@ -421,12 +426,15 @@ class MatchedFile:
             return False
         return like_labels(load_whole(self.table, {position: False})[position].values, in_turn)
 
-    def _goes_on(self, position: int) -> bool:
-        """Whether a column may be the time that the file lacks: numbers that go on from reading to reading."""
+    def _goes_on(self, position: int, dates: bool = False) -> bool:
+        """Whether a column may be the time that the file lacks: numbers (or dates) that go on from one to the next."""
         if "time" in (*self.positions, *self.options.columns) or "time" not in self.expected:
             return False
-        steps = np.diff(load_whole(self.table, {position: True})[position].values)
-        return steps.size > 1 and bool(np.median(steps) > 0)
+        if self.options.leaves_out(self.table.headers[position]) or not self.table.readable:
+            return False
+        cells = load_whole(self.table, {position: True})[position]
+        steps = np.diff(cells.values)
+        return steps.size > 1 and cells.dates >= dates and bool(np.median(steps) > 0)
 
     def rule(self, name: str) -> ColumnRule:
         """How the header of a column of ours is known."""

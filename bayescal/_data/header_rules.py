@@ -23,6 +23,7 @@ from bayescal._data.unit_conversion import (
     SPELLINGS,
     WHERE_EXPECTED,
     alike,
+    parse,
     same_dimension,
     unit_in,
 )
@@ -85,6 +86,9 @@ _BRACKETS = [
 _BEHIND_SLASH = re.compile(r"([^/]*?[^/\s])\s*/\s*(.+)", re.DOTALL)
 _BEHIND_COMMA = re.compile(r"(.+?)\s*[,:;]\s*(.+)", re.DOTALL)
 _BEHIND_IN = re.compile(r"(.+?)\s+in\s+(.+)", re.DOTALL)
+_NUMBERED = re.compile(
+    r"[(\[{<]|\d+(?![\d/])"
+)  # no unit begins so: "Thermo 1 (°F)"; one may be 1/K
 _AXIS = re.compile(
     r"(?:^|[\W_\d])[xyzXYZ](?=$|[\W_])|(?<=[a-z])[XYZ](?=$|[\W_])|^[xyz](?=acc|gyr|mag)"
 )
@@ -100,11 +104,11 @@ def readings_of(header: Header) -> tuple[Header, ...]:
     for pattern in (*_BRACKETS, _BEHIND_SLASH, _BEHIND_COMMA, _BEHIND_IN):
         if parts := pattern.fullmatch(end):
             unit = parts[2].strip()
-            unit = unit[1:-1] if unit[:1] + unit[-1:] == "()" else unit
+            unit = unit[1:-1] if unit[:1] + unit[-1:] == "()" else unit.removeprefix("in ")
             found.append(Header(header.raw, (before + parts[1]).strip(), unit))
     for gap in re.finditer(r"[_\s.]+", end):
         name, unit = before + end[: gap.start()], end[gap.end() :]
-        if name and unit and unit[0] not in "([{<":
+        if name and unit and not _NUMBERED.match(unit):
             found.append(Header(header.raw, name, unit))
     return tuple(found)
 
@@ -113,12 +117,25 @@ def unit_behind(header: Header) -> Header | None:
     """The reading of a header that ends in a unit, whatever its quantity: in brackets, or of two letters behind _."""
     if header.unit:
         return None
+    reading = longest_unit(header)
+    unit = reading.unit if reading else ""
     brackets = header.raw[-1:] in tuple(")]}>")
-    for reading in readings_of(header):
-        unit = reading.unit or ""
-        if unit_in(unit, (ANY,)) and (brackets or (len(unit) > 1 and unit not in WORDS)):
-            return reading
-    return None
+    return reading if unit and (brackets or (len(unit) > 1 and unit not in WORDS)) else None
+
+
+def longest_unit(header: Header) -> Header | None:
+    """The reading of a header with the longest unit, whatever its quantity; None where that may be half of one.
+
+    So "Rate in deg/hr" is in °/h, not "Rate in deg" in h; "flow_L_min" is asked about.
+    """
+    known = [(r, unit) for r in readings_of(header) if (unit := unit_in(r.unit or "", (ANY,)))]
+    if not known:
+        return None
+    reading, unit = max(known, key=lambda one: len(one[0].unit or ""))
+    before = re.split(r"[\s_./]+", reading.name.strip())[1:]
+    divides = parse(unit).powers.keys() in ({"s"}, {"m"})  # as what is measured is divided by
+    half = divides and header.raw[-1:].isalnum() and any(unit_in(t, (ANY,)) for t in before[-1:])
+    return None if half else replace(reading, unit=unit)
 
 
 def like_a_unit(header: Header) -> str | None:
@@ -267,6 +284,8 @@ class ColumnRule:
 
     def fitting(self, header: Header, given: Mapping[str, str]) -> Header | None:
         """The reading of a header, whatever its name, with a unit of its kind, if it has just one."""
+        if ANY in self.kinds:
+            return None if header.raw in given else longest_unit(header)
         found = {
             unit: replace(reading, unit=unit)
             for reading in readings_of(header)

@@ -60,11 +60,11 @@ class Unit(NamedTuple):
 _DEGREE = math.pi / 180
 _PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "h": 1e2, "k": 1e3, "M": 1e6}
 REGISTRY = (
-    Unit("s", 1, "s", "n", "sec second seconds Sec Seconds", "s., sec., seconds", kind="time"),
+    Unit("s", 1, "s", "n", "sec second seconds Sec Seconds", "s., sec., seconds, Sek, Sek., Sekunden", kind="time"),
     Unit("ms", 1e-3, "s", also="msec"),
     Unit("us", 1e-6, "s", also="usec"),
-    Unit("min", 60, "s", also="minute minutes"),
-    Unit("h", 3600, "s", also="hr hour hours"),
+    Unit("min", 60, "s", also="minute minutes", here="Min, Min., min., Minuten"),
+    Unit("h", 3600, "s", also="hr hour hours", here="Std, Std., Stunden, heures"),
     Unit("day", 86400, "s", also="days"),
     Unit("K", 1, "K", "m", "kelvin Kelvin", zero=0.0, kind="temperature"),
     Unit("degC", 1, "K", "", "celsius Celsius DegC DEGC",
@@ -84,10 +84,10 @@ REGISTRY = (
     Unit("deg/h", 0, here="deg_h, deg_hr, deg_per_h, deg_per_hr, deg per h, deg per hr"),
     Unit("dps", _DEGREE, "rad/s", "m", shown="°/s"),
     Unit("dph", _DEGREE / 3600, "rad/s", shown="°/h"),
-    Unit("rpm", math.pi / 30, "rad/s"),
+    Unit("rpm", math.pi / 30, "rad/s", here="U/min, 1/min, tr/min"),
     Unit("ug", 1, "ug", here="micro_g, micro g", kind="acceleration in local g"),
     Unit("g", 1e6, "ug", "nm", "", "G, gee, gn"),
-    Unit("m/s^2", 0, here="m_s2, ms2, mps2, m_per_s2, m_s_2, mss, m per s2, m/s/s"),
+    Unit("m/s^2", 0, here="m_s2, ms2, ms-2, ms^-2, mps2, m_per_s2, m_s_2, mss, m per s2"),
     Unit("Gal", 1e-2, "m/s**2", "u", "gal"),
     Unit("mGal", 1e-5, "m/s**2", also="mgal"),
     Unit("m", 1, "m", "numck", kind="length"),
@@ -141,6 +141,13 @@ KNOWN = {name: (1.0, name) for name in BASE} | {
 }
 SPELLINGS = {text: unit.name for unit in REGISTRY for text in unit.also.split()}
 WHERE_EXPECTED = {unit.name: unit.here.split(", ") for unit in REGISTRY if unit.here}
+# Of products of units, what can be meant wherever it stands; "rads" and "degs" may be words.
+_COMPOUND = {
+    text: unit.name
+    for unit in REGISTRY
+    for text in unit.here.split(", ")
+    if not unit.size and text not in ("", "rads", "degs")
+}
 _ZEROS = {unit.name: unit.zero for unit in REGISTRY if unit.zero is not None}
 _SHOWN = {unit.name: unit.shown for unit in REGISTRY if unit.shown} | {"mdeg": "m°"}
 _REWRITTEN = {
@@ -237,7 +244,12 @@ def normalised(text: str) -> str:
     for seen, meant in _REWRITTEN.items():
         plain = plain.replace(seen, meant)
     plain = re.sub(r"(?:√|sqrt)\(?([A-Za-z]+)\)?", r"\1^0.5", plain)  # deg/√h
-    plain = re.sub(r"([A-Za-z])([2-4])\b", r"\1^\2", plain)  # m/s2
+    plain = re.sub(r"([A-Za-z])([2-4]|-[1-4])\b", r"\1^\2", plain)  # m/s2, m s-2
+    if re.search(r"\bms\^-?2", plain):
+        raise InputError(
+            f"[{text}] may be m/s² or of square milliseconds: write [m/s^2] or [1/s^2]"
+        )
+    plain = re.sub(r"(?<=[A-Za-z)])\.(?=[A-Za-z(])", "*", plain)  # rad.s-1
     plain = "1" if plain == "-" else plain
     plain = NAME.sub(lambda m: SPELLINGS.get(m[0], m[0]), plain)
     names = NAME.findall(plain)
@@ -276,7 +288,7 @@ def unit_in(text: str, kinds: tuple[str, ...]) -> str | None:
     if _is(text, kinds):
         return text
     if ANY in kinds:
-        return None
+        return _COMPOUND.get(text.translate(_SUPERSCRIPTS))
     lower, spellings = text.lower(), WHERE_EXPECTED.items()
     own = {u for u, texts in spellings if text in texts}
     loose = {u for u, texts in spellings if len(text) > 1 and lower in map(str.lower, texts)}

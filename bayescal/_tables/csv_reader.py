@@ -277,7 +277,7 @@ def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
             units, scan.separator = _labview_units(rows[:i]), separator
             break
     else:
-        scan.separator = _separators_of(texts[0])[0]
+        scan.separator = max(_separators_of(texts[0]), key=texts[0].count)
     row, text, end = there[found.first if found else 0]
     last, _, end = there[found.last] if found else (row, text, end)
     handle.seek(0)
@@ -307,8 +307,9 @@ def _labview_units(above: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _separators_of(line: str) -> list[str]:
-    """What may part the fields of a line, the most frequent first."""
-    return sorted(filter(line.count, (";", "\t", "|", ",")), key=line.count, reverse=True) or [","]
+    """What may part the fields of a line, the most frequent first; commas last: numbers and names hold them."""
+    there = filter(line.count, (";", "\t", "|", ","))
+    return sorted(there, key=lambda one: (one == ",", -line.count(one))) or [","]
 
 
 def _split_header(scan: CsvScan, row: int, line: str) -> None:

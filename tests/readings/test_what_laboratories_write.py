@@ -230,6 +230,39 @@ def test_a_column_that_may_be_one_of_the_instrument_s_is_said(put) -> None:
     assert any("--columns 'temperature=Room temp. (°C)'" in flag for flag in flags)
 
 
+@pytest.mark.parametrize(
+    ("head", "unit", "size"),
+    [("gyro_deg_s", "deg/s", 1.0), ("w_deg_h", "deg/s", 1 / 3600), ("Rate in deg/hr", "deg/s", 1 / 3600)]
+    + [("acc_m_s2", "ug", 1e6 / 9.80665), ("a (ms-2)", "ug", 1e6 / 9.80665), ("a m/s²", "ug", 1e6 / 9.80665)]
+    + [("v in km/h", "m/s", 1 / 3.6), ("p [N.m-2]", "N/m^2", 1.0), ("Thermo 1 (°F)", "degC", 5 / 9)],
+)  # fmt: skip
+def test_a_unit_is_all_of_what_a_header_ends_in(put, head, unit, size) -> None:
+    path = put("\n".join([f"time [s];{head}", *(f"{10 * i};{3 + i * 0.5}" for i in range(30))]))
+    found = bc.read(path, STILL, columns={"output": head})
+    assert found.unit("output") == unit
+    assert np.allclose(np.diff(found["output"]), 0.5 * size)
+
+
+@pytest.mark.parametrize("head", ["p_kg_m3", "flow_L_min", "temp_rate_degC_min"])
+def test_half_a_unit_is_none(put, head) -> None:
+    path = put("\n".join([f"time [s],{head}", *(f"{10 * i},{3 + i * 0.5}" for i in range(30))]))
+    with pytest.raises(bc.InputError, match="the header has no unit"):
+        bc.read(path, STILL, columns={"output": head})
+
+
+def test_dates_that_go_on_are_the_time_whatever_they_are_called(put) -> None:
+    dates = [f"2025-03-01 10:{i:02}:00" for i in range(60)]
+    of_test = ["2024-12-24"] * 60
+    path = put(at_rest(**{"Horodatage": dates, "Étalonné le": of_test}))
+    assert np.allclose(np.diff(bc.read(path, STILL)["time"]), 60.0)
+
+
+def test_commas_in_names_and_numbers_part_nothing_beside_semicolons(put) -> None:
+    rows = (f"{i},5;{20 + i},25;0,{i:02}" for i in range(30))
+    found = bc.read(put("\n".join(["time, s;temp, °C;output, deg/s", *rows])), GYRO)
+    assert np.allclose(found["temperature"][:2], [20.25, 21.25])
+
+
 def test_the_separator_is_what_parts_the_readings(put) -> None:
     rows = [f"{10 * i}\t{20 + i / 20}\t{0.1 * (i % 5):.1f}" for i in range(30)]
     found = bc.read(put("\n".join(["Time,s\tTemp,degC\toutput,deg/s", *rows])), GYRO)

@@ -162,7 +162,7 @@ def lab_exports() -> dict[str, Export]:
             "log.txt",
             "Time - Temperature\tAmplitude - Temperature (Deg C)\tAmplitude - Rate (deg/s)\n"
             + _rows(us, temperature, rate, separator="\t"),
-            "--columns 'time=Time - Temperature' --columns 'temperature=Amplitude - Temperature (Deg C)' "
+            "--columns 'temperature=Amplitude - Temperature (Deg C)' "
             "--columns 'output=Amplitude - Rate (deg/s)'",
         ),
         "Fluke Hydra": Export(
