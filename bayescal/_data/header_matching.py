@@ -628,11 +628,18 @@ class MatchedFile:
                 "or give units=)"
             )
             flags.append(Flag(said, "column.ignored", *without_unit))
-        return kept, [*flags, *self._unused(kept)]
+        return kept, [*flags, *self._unused(kept, without_unit)]
 
-    def _unused(self, kept: Mapping[str, Column]) -> list[str]:
-        """Which columns that are kept for themselves may be one that the instrument could use, by their unit alone."""
+    def _unused(self, kept: Mapping[str, Column], ignored: Sequence[str]) -> list[str]:
+        """Which columns that are kept for themselves, or left out, may be one that the instrument could use: by their
+        unit alone, or as they hold labels, each for a while."""
         said = []
+        if "run" not in self.positions:
+            names = {h.raw: i for i, h in enumerate(self.table.headers) if h.raw in ignored}
+            labels = [raw for raw, i in names.items() if self._holds_labels(i)]
+            if len(labels) == 1:
+                asked = option("--columns", f"run={labels[0]}")
+                said.append(f"{self.table.file}: may {labels[0]!r} name the runs? Say so: {asked}")
         for name, column in kept.items():
             alike = [n for n, c in kept.items() if c.unit == column.unit]
             meant = [

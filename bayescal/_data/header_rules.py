@@ -46,7 +46,7 @@ NAMES = {
 # says that it is counted, such as "no." or "id", is left out of a name before.
 LABELS = {
     "run": "run run_label test_run cycle zyklus lauf laufnummer messung messreihe versuch versuchsnummer durchgang "
-    "durchlauf essai passage sweep trial test repetition wiederholung mounting montage aufspannung setup",
+    "durchlauf essai passage sweep trial test repetition wiederholung mounting montage aufspannung einspannung setup",
     "device": "device dut unit sensor serial sensor_sn sn prufling pruefling seriennummer serien geraet gerat capteur "
     "serie",
     "axis": "axis achse axe",

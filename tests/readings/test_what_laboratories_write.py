@@ -166,6 +166,12 @@ def test_what_says_that_labels_are_counted_is_no_part_of_their_name(put, head, o
     assert bc.read(path, GYRO).groups(ours)[0] == ("0", "1", "2")
 
 
+def test_labels_that_may_be_runs_are_said(put) -> None:
+    labels = ["left"] * 30 + ["right"] * 30
+    flags = bc.read(put(at_rest(**{"time [s]": STEPS, "Side": labels})), STILL).flags
+    assert any("--columns run=Side" in flag for flag in flags)
+
+
 @pytest.mark.parametrize("head", ["Charge [#]", "Block [xyz]"])
 def test_labels_of_an_unknown_name_are_asked_about_and_never_left_out(put, head) -> None:
     path = put(at_rest(**{"time [s]": STEPS, head: (STEPS // 200).astype(int)}))
