@@ -140,9 +140,6 @@ REFUSED = {
         6,
         ("no such column", "4 fields", "has no unit", "is empty or NaN", "--missing drop"),
     ),
-    "commas that may part thousands": Bad(
-        "temperature [degC];output [deg/s]\n20,125;1,125\n30,125;2,125\n", 2, ("--decimal ,",)
-    ),
     "months and days that may be exchanged": Bad(
         dated(lambda m: f"{m - timedelta(days=20):%m/%d/%Y %H:%M:%S}", "time"), 1,
         ("which number is the day", "--date-order mdy", "mdy if it begins 2026-11-02, dmy if it begins 2026-02-11"),
@@ -155,15 +152,10 @@ REFUSED = {
         with_cell(5, 0, iso(BEGAN) + "+01:00", dated(iso, "time")), 1, ("with a zone everywhere",)
     ),
     "dates and numbers": Bad(with_cell(5, 0, "40.0", dated(iso, "time")), 1, ("reads '40.0'", "a date such as")),
-    "time that runs backwards": Bad(with_cell(5, 0, "5", ), 1, ("time runs backwards",)),
-    "mixed encodings": Bad(
-        text(("time [s]", "temperature [°C]", HEAD[2])).encode() + b"1,2,3 \xb0\n", 1, ("not UTF-8",)
-    ),
     "no header": Bad("0,20,1\n1,20,2\n", 1, ("has no header",)),
     "milliseconds called seconds": Bad(
         counted(1_000, "time [s]"), 1, ("Are the numbers in ms?", "--unit 'time [s]=ms'")
     ),
-    "nothing": Bad("", 1, ("is empty",)),
     "a missing reading in every row": Bad(
         text(HEAD, (TIME, TEMPERATURE, ["NaN"] * 12)), 1, ("no row without",), {"missing": "drop"}
     ),
