@@ -209,16 +209,6 @@ def test_a_digital_certificate_without_what_it_needs_is_refused(
     assert ran.status == 2 and "--certificate FILE.toml" in ran.err
 
 
-def test_no_digital_certificate_is_written_of_what_a_gate_was_shut_on(
-    calibration, tmp_path
-) -> None:
-    stated = tmp_path / "stated.toml"
-    stated.write_text(STATED, "utf-8")
-    doubted = calibration.judged(("The residuals still depend on run.",))
-    with pytest.raises(bc.InputError, match="not reliable: The residuals still depend on run"):
-        certificate.dcc_text(doubted, stated)
-
-
 def test_what_is_positive_and_skewed_has_an_interval_and_no_multiple_of_its_uncertainty() -> None:
     told = certificate.real(0.0172, "deg/s", 9.80665, 0.0141, (0.004, 0.056))
     assert told.form == "coverageInterval"

@@ -77,7 +77,6 @@ def test_what_a_form_leaves_out_is_said_on_the_screen_too(saved: Path) -> None:
     ("given", "said"),
     [
         (("gyro.nc", "--name", "9x"), "'9x' is no name in C and Python"),
-        (("triad.nc", "--name", "for"), "'for' is no name in C and Python"),
         (("gyro.nc", "triad.nc"), "is of one output, and others are of three axes"),
         (("triad.nc", "accelerometer_triad.json"), "two of these are of accelerometer_triad"),
         (("gyro.nc", "--format", "yaml"), "cannot be written as 'yaml'"),

@@ -37,7 +37,6 @@ from bayescal._core.quoting import (
 from bayescal._core.result_table import as_html, plain_table
 from bayescal._use.compensation_program import from_data
 from bayescal._use.correction_files import load_correction
-from bayescal_models import mems_gyro
 from tests.deliver.test_noise_at_rest import told
 from tests.support import references
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler
@@ -440,62 +439,3 @@ def test_a_hostile_file_of_three_axes_is_refused(text: str, tmp_path: Path) -> N
 def test_what_is_no_topic_is_refused(topic: str) -> None:
     with pytest.raises(bc.InputError, match="no name of ROS"):
         bc.kalibr_yaml({"x": told("rad/s")}, topic=topic)
-
-
-def hostile_file(name: str, folder: Path) -> Path:
-    """Two runs of a gyroscope in a file whose name, run labels and one column are hostile."""
-    found = mems_gyro.simulate(seed=1, campaign=mems_gyro.Campaign(runs=2))
-    numbers = [n for n in found.columns if found.unit(n)]
-    text = io.StringIO()
-    rows, label = csv.writer(text), name.replace("\udcff", "?").replace("\x1b", "")
-    rows.writerow(
-        [*(f"{n} [{found.unit(n)}]" for n in numbers), "run", f"{label.replace('/', '|')} [V]"]
-    )
-    for i, run in enumerate(found["run"]):
-        rows.writerow(
-            [*(repr(float(found[n][i])) for n in numbers), f"{label}{run}", 1e-3 * (i % 7)]
-        )
-    path = folder / f"{name.replace('/', '∕').replace(chr(0), '')[:60]}.csv"
-    path.write_text(text.getvalue(), "utf-8", newline="")
-    return path
-
-
-IN_A_FILE = [CODE[0], CODE[4], CODE[5]]
-IN_A_FILE += ["board\x1b[2J", "a\udcffb", "$\\frac{$ $$\\href{javascript:x}{y}$$"]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("unpainted")
-@pytest.mark.parametrize("name", IN_A_FILE)
-def test_a_hostile_name_in_a_file_reaches_no_deliverable_as_code(name, tmp_path) -> None:
-    """From the file to exports, report, certificate, tables and drafts."""
-    gyro = mems_gyro.INSTRUMENT
-    readings = bc.read(hostile_file(name, tmp_path), gyro)
-    (column,) = set(readings.columns) - {c.name for c in gyro.columns}
-    calibration = bc.fit(
-        gyro.baseline() + f"unknown({column})", readings, bc.LeastSquares(draws=60), strict=False
-    )
-    made = bc.compensator(calibration)
-    module = made.export(tmp_path / "made.py").read_text("utf-8")
-    assert [n.names[0].name for n in ast.parse(module).body if isinstance(n, ast.Import)] == [
-        "math"
-    ]
-    header = made.export(tmp_path / "made.h")
-    if COMPILER is not None:
-        command = [COMPILER, *FLAGS, "-fsyntax-only", "-x", "c", str(header)]
-        assert subprocess.run(command, capture_output=True, check=False).returncode == 0
-    bc.load_compensator(made.export(tmp_path / "made.json"))
-    page = Seen(bc.report(calibration, tmp_path / "report.html").read_text("utf-8"))
-    assert not {"script", "iframe", "object", "comment"} & set(page.tags)
-    assert not [tag for tag in page.tags if tag.startswith("on")]
-    assert page.tags.count("img") == 0
-    draft = ast.parse(bc.draft_effect(calibration, f"unknown({column})"))
-    assert [type(statement).__name__ for statement in draft.body] == [
-        "Import",
-        "Import",
-        "FunctionDef",
-        "Assign",
-    ]
-    for suffix in (".csv", ".parquet"):
-        again = bc.read(readings.write(tmp_path / f"written{suffix}"), gyro)
-        assert list(again["run"]) == list(readings["run"]) and again.columns == readings.columns
