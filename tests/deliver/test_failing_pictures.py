@@ -12,8 +12,8 @@ import bayescal as bc
 from bayescal._cli.output import ConsoleReporter
 from bayescal._report import plots, report
 from bayescal._report.save_search import draw_search, write_results
-from bayescal._report.whole_folder import MANIFEST, files_of, refuse_mixed, whole_folder
 from tests.support.command_line import GYRO, TABLE, needs_installation, run
+from tests.support.inside import MANIFEST, files_of, refuse_mixed, whole_folder
 from tests.support.reported import trail
 
 KEPT = {"result.json", "calibration.nc", "averaged.nc"}

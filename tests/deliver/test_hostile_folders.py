@@ -12,8 +12,9 @@ import pytest
 import bayescal as bc
 from bayescal._cli.saved import of_units
 from bayescal._report.section import of_folder
-from bayescal._report.whole_folder import channel_folders, whole_folder
+from bayescal._report.whole_folder import channel_folders
 from bayescal_models import mems_gyro
+from tests.support.inside import whole_folder
 from tests.support.reported import trail
 
 NASTY = "</script><script>alert(1)</script><img src=x onerror=alert(2)> $\\frac{$ \"'"

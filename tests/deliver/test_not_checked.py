@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 
 import bayescal as bc
-from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation, run
-from tests.support.inside import dcc_of, identity_of
+from tests.support.inside import Session, dcc_of, identity_of
 from tests.support.made_up import bent_sensor
 from tests.support.stated import STATED
 

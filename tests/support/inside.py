@@ -15,9 +15,15 @@ from bayescal._data.set_aside import not_new, said_of
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._report.certificate import Certificate, dcc_text
 from bayescal._report.result_json import result
+from bayescal._report.whole_folder import MANIFEST as MANIFEST
+from bayescal._report.whole_folder import files_of as files_of
+from bayescal._report.whole_folder import refuse_mixed as refuse_mixed
+from bayescal._report.whole_folder import whole_folder as whole_folder
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 from bayescal._tables.raw_table import in_one_line
 from bayescal._use.correction_files import as_text
+from bayescal._workbench.kept import Origin as Origin
+from bayescal._workbench.session import Session as Session
 
 
 def constants_of(readings: bc.Measurements) -> dict[str, Any]:

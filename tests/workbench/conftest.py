@@ -9,11 +9,10 @@ from typing import NamedTuple
 import pytest
 
 import bayescal as bc
-from bayescal._workbench.kept import Origin
-from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.support.browser import chromium
 from tests.support.command_line import GYRO
+from tests.support.inside import Origin, Session
 from tests.workbench.real_page import Bench, bench, write_campaign
 
 HIDDEN = {"bias.thermal_lag": 0.05, "bias.warm_up": 0.3}

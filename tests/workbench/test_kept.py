@@ -13,11 +13,9 @@ from pathlib import Path
 import pytest
 
 import bayescal as bc
-from bayescal._workbench.kept import Origin
-from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation, run
-from tests.support.inside import identity_of
+from tests.support.inside import Origin, Session, identity_of
 from tests.workbench.conftest import Campaign
 from tests.workbench.test_session import OWN
 
@@ -27,9 +25,7 @@ import sys
 from pathlib import Path
 from tests.support.spoilt_runs import killed_at
 import bayescal as bc
-from bayescal._calibration.description import identity
-from bayescal._workbench.kept import Origin
-from bayescal._workbench.session import Session
+from tests.support.inside import Origin, Session
 from bayescal_models import mems_gyro
 
 file, out, *counts = sys.argv[1:]
@@ -85,7 +81,7 @@ def test_a_file_read_with_every_option_is_gone_on_with(campaign: Campaign, tmp_p
         **{"missing": "drop", "decimal": ",", "date_order": "dmy", "unwrap": {"time": "2^32us"}},
     }
     read_by = set(inspect.signature(bc.read).parameters) - {"path_or_paths", "instrument"}
-    assert how.keys() == read_by - {"outputs", "allow_one_temperature", "max_bytes"}
+    assert how.keys() == read_by - {"outputs", "allow_one_temperature", "max_bytes", "like"}
     origin = Origin.of("mems_gyro", [campaign.file], read=how)
     model = mems_gyro.INSTRUMENT.baseline()
     begun = Session.begin(model, campaign.readings, folder=tmp_path / "out", origin=origin)

@@ -10,9 +10,8 @@ from typing import Any
 import pytest
 
 import bayescal as bc
-from bayescal._workbench.kept import Origin
-from bayescal._workbench.session import Session
 from tests.support.command_line import GYRO, needs_installation, run
+from tests.support.inside import Origin, Session, whole_folder
 from tests.workbench.conftest import Campaign
 
 pytest.importorskip("panel", reason="bayescal[workbench] is not installed")
@@ -124,8 +123,6 @@ def test_a_session_that_is_nested_or_none_is_refused(text, tmp_path) -> None:
 @pytest.mark.parametrize("told", [{"parent": 0}, {"number": 7}, {"parent": -1}, {"title": ["x"]}])
 def test_states_that_go_in_a_circle_are_refused(told, session: Session) -> None:
     """A state that is its own parent was a path without an end."""
-    from bayescal._report.whole_folder import whole_folder
-
     own = session.folder / "state_000"
     state = json.loads((own / "state.json").read_text("utf-8"))
     inner = {p.name: p.read_bytes() for p in own.iterdir() if p.name != "manifest.json"}

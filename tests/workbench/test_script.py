@@ -12,19 +12,17 @@ from typing import Any
 import pytest
 
 import bayescal as bc
-from bayescal._workbench.kept import Origin
-from bayescal._workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation
-from tests.support.inside import identity_of
+from tests.support.inside import Origin, Session, identity_of
 from tests.workbench.conftest import Campaign
 from tests.workbench.test_session import OWN
 
 ROOT = Path(__file__).resolve().parents[2]
 NUMBERS = """
 import json
-from bayescal._calibration.description import identity
-print(json.dumps({"identity": [identity(c) for c in calibrations], "rms": bc.check(calibration).rms,
+from tests.support.inside import identity_of
+print(json.dumps({"identity": [identity_of(c) for c in calibrations], "rms": bc.check(calibration).rms,
     "held_out": None if holdout is None else bc.predict(calibration, holdout).rmse}))
 """
 pytestmark = needs_installation
