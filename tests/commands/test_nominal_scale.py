@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._data.header_matching import ReadOptions
 from bayescal_models import mems_gyro, ng_accelerometer, quartz_beam_accelerometer
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
+from tests.support.inside import nominal_scale_of
 
 pytestmark = needs_installation
 G = 1e6  # µg
@@ -90,7 +90,7 @@ def test_a_mapping_keeps_it_and_a_calibration_remembers_it(tmp_path) -> None:
     ],
 )  # fmt: skip
 def test_it_is_read_as_data_sheets_write_it(instrument, scale, gain) -> None:
-    made = ReadOptions.of(instrument, nominal_scale=scale).nominal_scale
+    made = nominal_scale_of(instrument, scale)
     assert made is not None and made.offset == 0
     np.testing.assert_allclose(made.gain, gain, rtol=1e-12)
 

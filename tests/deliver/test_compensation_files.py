@@ -14,9 +14,9 @@ import pytest
 import xarray as xr
 
 import bayescal as bc
-from bayescal._use import compensate_file
 from bayescal_models import mems_gyro
 from tests.support.command_line import run
+from tests.support.inside import compensate_file
 from tests.support.made_up import bent_sensor
 
 pytestmark = pytest.mark.filterwarnings(
@@ -42,9 +42,7 @@ def saved(tmp_path_factory) -> Path:
 
 def test_every_line_of_a_csv_stays_as_it_was(gyro, tmp_path) -> None:
     (tmp_path / "in.csv").write_bytes(TEXT)
-    done = compensate_file.compensate_file(
-        gyro, tmp_path / "in.csv", tmp_path / "out.csv", columns=RENAMED
-    )
+    done = compensate_file(gyro, tmp_path / "in.csv", tmp_path / "out.csv", columns=RENAMED)
     before, after = TEXT.split(b"\n"), (tmp_path / "out.csv").read_bytes().split(b"\n")
     assert done.rows == 3 and done.columns == ("gyro x_compensated", "gyro x_uncertainty")
     assert (
@@ -66,12 +64,10 @@ def test_a_long_file_goes_through_in_stretches_with_the_same_result(
     record = bent_sensor.gyro().readings
     for suffix in (".csv", ".parquet"):
         record.write(tmp_path / f"in{suffix}")
-        compensate_file.compensate_file(gyro, tmp_path / f"in{suffix}", tmp_path / f"whole{suffix}")
+        compensate_file(gyro, tmp_path / f"in{suffix}", tmp_path / f"whole{suffix}")
         with monkeypatch.context() as patch:
-            patch.setattr(compensate_file, "ROWS", 7)
-            compensate_file.compensate_file(
-                gyro, tmp_path / f"in{suffix}", tmp_path / f"parts{suffix}"
-            )
+            patch.setattr("bayescal._use.compensate_file.ROWS", 7)
+            compensate_file(gyro, tmp_path / f"in{suffix}", tmp_path / f"parts{suffix}")
         load = pd.read_csv if suffix == ".csv" else pd.read_parquet
         pd.testing.assert_frame_equal(
             load(tmp_path / f"whole{suffix}"), load(tmp_path / f"parts{suffix}")
@@ -84,7 +80,7 @@ def test_all_formats_keep_their_columns_and_gain_two(suffix, tmp_path) -> None:
     bent, record = bc.compensator(bent_sensor.calibration()), bent_sensor.readings(2)
     path, out = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
     record.write(path)
-    done = compensate_file.compensate_file(bent, path, out)
+    done = compensate_file(bent, path, out)
     assert done.rows == len(record) and done.unsolved == 0
     want = bent(record)
     back = bc.read(out, bent_sensor.SENSOR)
@@ -102,7 +98,7 @@ def test_all_formats_keep_their_columns_and_gain_two(suffix, tmp_path) -> None:
 def test_raw_volts_pass_the_nominal_scale(gyro, tmp_path) -> None:
     table = pd.DataFrame({"temperature [degC]": [40.0], "output [V]": [1.2 + 0.83e-3 * 25.0]})
     table.to_csv(tmp_path / "in.csv", index=False)
-    compensate_file.compensate_file(gyro, tmp_path / "in.csv", tmp_path / "out.csv")
+    compensate_file(gyro, tmp_path / "in.csv", tmp_path / "out.csv")
     found = pd.read_csv(tmp_path / "out.csv")["output_compensated [deg/s]"][0]
     np.testing.assert_allclose(found, gyro(output=25.0, temperature=40.0).value[0], rtol=1e-9)
 
@@ -110,7 +106,7 @@ def test_raw_volts_pass_the_nominal_scale(gyro, tmp_path) -> None:
 def test_a_refused_file_leaves_the_old_one_whole(gyro, tmp_path, monkeypatch) -> None:
     out = tmp_path / "out.csv"
     out.write_text("precious")
-    monkeypatch.setattr(compensate_file, "ROWS", 2)
+    monkeypatch.setattr("bayescal._use.compensate_file.ROWS", 2)
     good = "temperature [degC],output [deg/s]\n" + "40,1\n" * 5
     cases = {
         good + "40,warm\n": r"row 7 of 'in.csv', column 'output \[deg/s\]': reads 'warm'",
@@ -122,11 +118,11 @@ def test_a_refused_file_leaves_the_old_one_whole(gyro, tmp_path, monkeypatch) ->
     for text, said in cases.items():
         (tmp_path / "in.csv").write_text(text)
         with pytest.raises(bc.InputError, match=said):
-            compensate_file.compensate_file(gyro, tmp_path / "in.csv", out)
+            compensate_file(gyro, tmp_path / "in.csv", out)
         assert out.read_text() == "precious"
         assert sorted(p.name for p in tmp_path.iterdir()) == ["in.csv", "out.csv"]
     with pytest.raises(bc.InputError, match=r"must be .csv like 'in.csv'"):
-        compensate_file.compensate_file(gyro, tmp_path / "in.csv", tmp_path / "out.parquet")
+        compensate_file(gyro, tmp_path / "in.csv", tmp_path / "out.parquet")
 
 
 # The commands.

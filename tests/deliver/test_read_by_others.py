@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._data.unit_conversion import STANDARD_GRAVITY
 from tests.deliver.test_noise_at_rest import told
 from tests.deliver.test_one_program import GRAVITY, triad
 from tests.support.inside import text_of
 
 yaml = pytest.importorskip("yaml")
+STANDARD_GRAVITY = 9.80665  # m/s²
 ACCELEROMETER, GYROSCOPE = triad("accelerometer_triad"), triad("gyro_triad")
 FACTOR = {"g": STANDARD_GRAVITY, "deg/s": np.pi / 180, "uT": 1e-2}  # to m/s², rad/s, gauss
 OUTPUTS = np.random.default_rng(4).standard_normal((20, 3))

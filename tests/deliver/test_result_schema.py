@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._core.as_json import as_json, write_json
 from bayescal_models import mems_gyro
 from tests.support import reported
 from tests.support.command_line import write_bent_table
-from tests.support.inside import result_of
+from tests.support.inside import result_of, write_plain_json
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "result_schema.md").read_text("utf-8")
 DOCUMENTED = dict(re.findall(r"^\| `([^`]+)` \| ([a-z ]+) \|", PAGE, re.MULTILINE))
@@ -70,7 +69,7 @@ def _refuse(token: str) -> None:
 
 
 def read_back(trail: bc.SearchPath, folder: Path) -> dict[str, Any]:
-    write_json(result_of(trail), folder / "result.json")
+    write_plain_json(result_of(trail), folder / "result.json")
     return json.loads((folder / "result.json").read_text("utf-8"), parse_constant=_refuse)
 
 
@@ -226,6 +225,6 @@ def test_a_direction_that_was_not_measured_is_named(sampled: dict[str, Any]) -> 
 
 def test_numbers_that_are_not_finite_become_null(tmp_path: Path) -> None:
     data = {"a": [np.float64("nan"), float("inf"), 1], "b": {"c": np.int64(3), "d": -np.inf}}
-    write_json(as_json(data), tmp_path / "r.json")
+    write_plain_json(data, tmp_path / "r.json")
     read = json.loads((tmp_path / "r.json").read_text("utf-8"), parse_constant=_refuse)
     assert read == {"a": [None, None, 1], "b": {"c": 3, "d": None}}

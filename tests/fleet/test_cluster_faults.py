@@ -18,6 +18,7 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
+from tests.support.inside import cluster_of
 from tests.support.made_up.gyro_lot import MODEL, table
 
 pytest.importorskip("distributed", reason="needs Dask: pip install 'bayescal[fleet]'")
@@ -62,10 +63,8 @@ def when(out: Path, count: int, act) -> threading.Thread:
 
 
 def test_killed_workers_change_nothing(folder, expected, tmp_path) -> None:
-    from bayescal._fleet.engine import open_cluster
-
     out = tmp_path / "out"
-    with open_cluster(2) as client:
+    with cluster_of(2) as client:
         own: Any = client.run(os.getpid)
 
         def kill() -> None:

@@ -15,8 +15,8 @@ pytest.importorskip("distributed", reason="needs Dask: pip install 'bayescal[fle
 
 from distributed import Client
 
-from bayescal._fleet.engine import open_cluster
 from tests.support.folder_of_strangers import ran, strangers_folder
+from tests.support.inside import cluster_of
 from tests.support.open_ports import listening, needs_proc
 
 
@@ -32,7 +32,7 @@ sealed = importlib.util.find_spec("cryptography") is not None
 @needs_proc
 def test_scheduler_and_workers_listen_on_this_computer_alone(capsys) -> None:
     before = listening(os.getpid())
-    with open_cluster(1) as client:
+    with cluster_of(1) as client:
         client.submit(abs, -1).result()
         ports = listening(os.getpid()) - before
         assert len(ports) >= 3, "scheduler, worker and its nanny"
@@ -54,7 +54,7 @@ def test_scheduler_and_workers_listen_on_this_computer_alone(capsys) -> None:
 def test_workers_run_nothing_of_the_current_folder(tmp_path, monkeypatch) -> None:
     folder = strangers_folder(tmp_path)
     monkeypatch.chdir(folder)
-    with open_cluster(1) as client:
+    with cluster_of(1) as client:
         settings = client.submit(importlib.import_module, "arviz_base.rcparams")
         assert client.submit(lambda m: m.rcParams["stats.ci_prob"], settings).result() == 0.89
     assert ran(folder) == ""
@@ -84,7 +84,7 @@ def stranger(address: str, kind: str) -> str:
 @pytest.mark.skipif(not sealed, reason="needs keys: pip install cryptography")
 def test_a_stranger_on_this_computer_is_refused() -> None:
     """One without keys, one who speaks plainly, and one who made keys of his own."""
-    with open_cluster(1) as client:
+    with cluster_of(1) as client:
         address = address_of(client)
         assert "refused: TypeError" in stranger(address, "none")
         assert "refused: OSError" in stranger(address.replace("tls://", "tcp://"), "none")

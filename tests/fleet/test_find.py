@@ -55,7 +55,6 @@ def test_each_device_gets_the_effects_it_lacks(fleet, tmp_path) -> None:
 
 def test_ctrl_c_ends_a_batch_and_not_one_device_s_search(fleet, tmp_path, monkeypatch) -> None:
     """The walk, which passes over it elsewhere, would leave a device that nobody had searched to its end."""
-    from bayescal._fleet import find_devices
 
     asked: list[int] = []
 
@@ -63,7 +62,7 @@ def test_ctrl_c_ends_a_batch_and_not_one_device_s_search(fleet, tmp_path, monkey
         asked.append(1)
         return "The search was interrupted."
 
-    monkeypatch.setattr(find_devices, "walk", interrupted)
+    monkeypatch.setattr("bayescal._fleet.find_devices.walk", interrupted)
     with pytest.raises(KeyboardInterrupt):
         bc.fit_batch(MODEL, fleet, out=tmp_path / "out", find=True)
     assert asked == [1]

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._model.model import testable as can_test
 from bayescal_models import inclinometer
 from bayescal_models.inclinometer import model, reference_problem
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
 from bayescal_models.inclinometer.simulator import WARM_UP_TIME
-from tests.support.inside import constants_of, frame_of
+from tests.support.inside import constants_of, frame_of, why_not_testable
 from tests.support.made_up.supply import AT_SUPPLY
 
 INSTRUMENT = inclinometer.INSTRUMENT
@@ -145,7 +144,7 @@ def test_simulated_laws_are_the_catalogues_but_for_their_physics(name: str) -> N
 
 def test_hysteresis_needs_both_directions() -> None:
     one_way = inclinometer.simulate(seed=1, campaign=Campaign(backward=False))
-    reason = can_test(INSTRUMENT.effect("zero.hysteresis"), one_way)
+    reason = why_not_testable(INSTRUMENT.effect("zero.hysteresis"), one_way)
     assert reason == "needs sweeps forward and backward; these readings have forward only"
 
 

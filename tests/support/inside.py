@@ -10,9 +10,12 @@ import numpy as np
 
 import bayescal as bc
 from bayescal._calibration.description import identity
+from bayescal._core.as_json import as_json, write_json
 from bayescal._data.column import overloads
+from bayescal._data.header_matching import ReadOptions
 from bayescal._data.set_aside import not_new, said_of
 from bayescal._model.frame import build_frame, reference_of
+from bayescal._model.model import testable
 from bayescal._report.certificate import Certificate, dcc_text
 from bayescal._report.result_json import result
 from bayescal._report.whole_folder import MANIFEST as MANIFEST
@@ -21,6 +24,7 @@ from bayescal._report.whole_folder import refuse_mixed as refuse_mixed
 from bayescal._report.whole_folder import whole_folder as whole_folder
 from bayescal._tables.mapping_file import load_mapping, save_mapping
 from bayescal._tables.raw_table import in_one_line
+from bayescal._use.compensate_file import compensate_file as compensate_file
 from bayescal._use.correction_files import as_text
 from bayescal._workbench.kept import Origin as Origin
 from bayescal._workbench.session import Session as Session
@@ -85,3 +89,25 @@ def mapping_of(path: Path) -> dict[str, Any]:
 def write_mapping(path: Path, said: Mapping[str, Any]) -> None:
     """Write a mapping file, as --save-mapping does."""
     save_mapping(path, said)
+
+
+def why_not_testable(effect: bc.Effect, readings: bc.Measurements) -> str | None:
+    """Why readings cannot test an effect; None where they can."""
+    return testable(effect, readings)
+
+
+def nominal_scale_of(instrument: bc.Instrument, said: str) -> bc.NominalScale | None:
+    """A nominal scale as it is said on the command line."""
+    return ReadOptions.of(instrument, nominal_scale=said).nominal_scale
+
+
+def write_plain_json(data: Any, path: Path) -> None:
+    """Write data as every JSON of bayescal is written: numbers that are not finite as null."""
+    write_json(as_json(data), path)
+
+
+def cluster_of(workers: int) -> Any:
+    """A Dask cluster as `bayescal batch --workers` opens one, for the length of a block."""
+    from bayescal._fleet.engine import open_cluster
+
+    return open_cluster(workers)

@@ -13,9 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bokeh.models import NoOverlap
 
-from bayescal._workbench.parts.pieces import new_figure
 from tests.support.command_line import needs_installation
 from tests.workbench.real_page import Bench, Seen, browser, opened
 
@@ -123,11 +121,6 @@ def test_nothing_is_clipped_and_nothing_overlaps(begun: Bench, width: int, groun
                 wrong[name] = {**found, "figures": small}
         assert not wrong
         seen.tab("The error").clean()
-
-
-def test_labels_of_ticks_give_way_to_each_other() -> None:
-    figure = new_figure("time [s]", "output [°/s]")
-    assert all(isinstance(axis.major_label_policy, NoOverlap) for axis in figure.axis)
 
 
 def serious(page: Any) -> list[tuple[str, str]]:

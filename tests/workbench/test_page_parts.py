@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bokeh.models import PlainText
+from bokeh.models import NoOverlap, PlainText
 
 import bayescal as bc
 from bayescal._search.candidate import Candidate
@@ -73,6 +73,11 @@ def test_a_label_is_never_a_formula() -> None:
     made = new_figure(name, name)
     assert isinstance(made.xaxis[0].axis_label, PlainText) and made.xaxis[0].axis_label.text == name
     assert not _use_mathjax({made})
+
+
+def test_labels_of_ticks_give_way_to_each_other() -> None:
+    figure = new_figure("time [s]", "output [°/s]")
+    assert all(isinstance(axis.major_label_policy, NoOverlap) for axis in figure.axis)
 
 
 def test_a_press_that_the_page_does_not_offer_is_not_taken() -> None:
