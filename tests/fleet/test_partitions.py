@@ -234,7 +234,7 @@ def test_a_folder_of_one_s_own_headers_is_asked_about_once(tmp_path) -> None:
     command = ("batch", folder, *GYRO, "--out", tmp_path / "out")
     refused = run(*command)
     assert refused.status == 2 and refused.err.count("Oven (C) looks like it") == 1
-    assert "N0.csv, N1.csv, N2.csv and 4 more" in refused.err.splitlines()[0]
+    assert "N0.csv, N1.csv, N2.csv and 4 more: 2 problems" in refused.err
     usual = ("--columns", "temperature=Oven (C)", "--columns", "output=Gyro (dps)")
     most = run(*command, *usual)
     assert "7 devices, 7 fitted" in most.out and "'output=w/(rad/s)'" in most.out
