@@ -45,19 +45,15 @@ MENTIONED_SHARE = 0.1  # of a standard uncertainty: what of the test is larger i
 OfTest = dict[str, dict[str, float]]  # of effects, the standard deviation of what they add to slots
 
 
-def vector_correction(
-    calibration: Calibration, *, draws: int | None = None, seed: int = 0
-) -> VectorCorrection:
+def vector_correction(calibration: Calibration) -> VectorCorrection:
     """The correction of a calibrated instrument of three axes.
 
     What leaves is for a run to come: the deviation of a run, a drift and what else belongs to the test are in the
-    uncertainty, and the notes say so.
+    uncertainty, and the notes say so. Mean and covariance are of all draws, as in every table.
 
     Args:
         calibration: of an instrument with `vector`, or an average over structures: over those that need no further
             input than the likely ones.
-        draws: of the posterior, at most, that mean and covariance are of; all if not given, as in every table.
-        seed: of what is drawn of a new run and of a moment of the test.
 
     Raises:
         ModelError: an instrument of one output.
@@ -77,7 +73,7 @@ def vector_correction(
     low, high, reference = float(np.min(warm)), float(np.max(warm)), float(np.round(np.mean(warm)))
     reference = float(calibration.reference.get("T0", reference))  # pyright: ignore[reportArgumentType]
     grid = np.linspace(low, high, 2 * ORDERS + 1) if high > low else np.array([low])
-    taylor, of_test = _taylor(calibration, grid, beside, draws, seed)  # (draws, grid, p)
+    taylor, of_test = _taylor(calibration, grid, beside)  # (draws, grid, p)
     powers = (grid - reference)[:, None] ** np.arange(ORDERS + 1)
     each = np.moveaxis(taylor, 1, 0).reshape(len(grid), -1)
     for order in range(min(ORDERS, len(grid) - 1) + 1):
@@ -202,11 +198,7 @@ def _notes(calibration: Calibration, made: VectorCorrection, of_test: OfTest) ->
 
 
 def _taylor(
-    calibration: Calibration,
-    grid: np.ndarray,
-    beside: tuple[str, ...],
-    draws: int | None,
-    seed: int,
+    calibration: Calibration, grid: np.ndarray, beside: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "s g p"], OfTest]:
     """Offset, matrix, second order and what acts beside at temperatures, of draws; and what of it is of the test."""
     each, grid = len(grid), np.tile(grid, 1 + len(beside))  # at none, then at one of each
@@ -218,7 +210,7 @@ def _taylor(
     for i, name in enumerate(beside):
         like = like.with_column(name, 1.0 * (np.arange(len(grid)) // each == 1 + i))
     problem = calibration.problem_on(calibration.frame_of(like))
-    slots, of_test = _slots(calibration, problem, draws, seed)
+    slots, of_test = _slots(calibration, problem)
     count = len(next(iter(slots.values())))
 
     found = np.asarray(_series(vector, slots, problem.record.frame))
@@ -254,7 +246,7 @@ def _series(
 
 
 def _slots(
-    calibration: Calibration, at: Problem, draws: int | None, seed: int
+    calibration: Calibration, at: Problem
 ) -> tuple[dict[str, Float[np.ndarray, "s g"]], OfTest]:
     """What the effects come to in use, of draws, and what those of the test have in it.
 
@@ -264,10 +256,10 @@ def _slots(
     """
     vector = calibration.model.instrument.vector
     assert vector is not None
-    x, v = calibration.draws(draws)
+    x, v = calibration.draws()
     x = x + at.layout.origin_of_x
     count, known = len(x), {TEMPERATURE, *vector.beside}
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)  # of a new run, and of a moment of the test
     # In even shares, so that no mean moves by the chance of a draw.
     picked = random.permutation(count) * len(calibration.readings) // count
     sign = np.where(random.permutation(count) % 2, 1.0, -1.0)
