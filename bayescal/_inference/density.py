@@ -271,7 +271,7 @@ class Density:
         problem, made, p = self.problem, np.zeros(len(v)), len(found.z)
         line, move = self._line(v, hyper)[0], found.mean - self.x
         extra = self.extra(line)
-        moved = [(i, problem.along(self.x, v, i)) for i in problem.moving]
+        moved = [(i, problem.along(self.x, v, i, line)) for i in problem.moving]
         # Beside J and the residuals at the mean: the slopes of J, and of what it leaves, by each coordinate.
         table = self._beside(line)
         table[:, -1] -= line.jacobian @ move
@@ -338,7 +338,7 @@ class Density:
         for i, log_sd in problem.log_sd_slopes(v, hyper):
             made[i] -= q @ (2 * prior.weight * tightness * log_sd)
         for i in problem.moving:
-            at, by_j, mean, _ = problem.along(self.x, v, i)
+            at, by_j, mean, _ = problem.along(self.x, v, i, line)
             output = mean + by_j @ move[at]
             weighted = terms.curvature * output
             made[i] += terms.slope @ output - np.sum(terms.curvature @ (across[:, at] * by_j))

@@ -497,15 +497,7 @@ def sloped_log_densities(
 def total_log_density(
     law: Noise, record: Record, left: Float[np.ndarray, "b n"], hyper: Each, extra: Any = 0.0
 ) -> Float[np.ndarray, "b"]:
-    """Log density of all readings together, at what the expected output leaves of them: in each draw, or (1, n).
-
-    Args:
-        law: the noise law.
-        record: the readings.
-        left: output unit.
-        hyper: φ by name, one value a draw.
-        extra: variance of each reading beside the law's (b, n), or a single zero.
-    """
+    """The sum of `log_densities` over readings; what is left may be one for all draws (1, n)."""
     names = list(law.parameters())
     count = max([*(np.size(hyper[n]) for n in names), len(left)])
     own = {n: np.broadcast_to(np.asarray(hyper[n], float), (count,)) for n in names}

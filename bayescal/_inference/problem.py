@@ -31,6 +31,7 @@ Values = dict[str, float]
 ABSENT, LARGEST_COORDINATE = -30.0, 100.0
 NUDGE = 1e-6  # of a coordinate, for derivatives of priors,
 SHIFT = 1e-4  # and of columns of the expected output
+STEP = 1e-6  # of the same on one side, where the error is half of it times their curvature
 
 
 class Moved(NamedTuple):
@@ -286,19 +287,16 @@ class Problem:
         """Variance that noise on inputs adds to each reading, output unit squared."""
         return variance_of_inputs(self.terms, line) if self.noisy else 0.0
 
-    def along(self, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"], i: int) -> Moved:
-        """What one coordinate of φ moves."""
-        ends = []
-        for step in (SHIFT, -SHIFT):
-            moved = v.copy()
-            moved[i] += step
-            made = self.composed(self._acting, x, self.hyper(moved), sloped=True)
-            ends.append(linearised(self.host, self._acting, made))
-        mean, columns, inputs = (
-            (above - below) / (2 * SHIFT) for above, below in zip(*ends, strict=True)
-        )
+    def along(
+        self, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"], i: int, here: Linearised
+    ) -> Moved:
+        """What one coordinate of φ moves, beside what is linearised at v."""
+        moved = v.copy()
+        moved[i] += STEP
+        there = self.linearise(x, self.hyper(moved))
+        mean, columns, inputs = ((b - a) / STEP for a, b in zip(here, there, strict=True))
         which = np.flatnonzero(np.any(columns != 0, axis=0))
-        return Moved(self._still[1][which], columns[:, which], mean, inputs)
+        return Moved(which, columns[:, which], mean, inputs)
 
     # joint draws: x (b, p), φ by name, one value a draw or one for all -----------------------------
 

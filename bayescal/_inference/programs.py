@@ -111,9 +111,10 @@ def fixed_columns(bases: tuple[Basis, ...], frame: Frame) -> list[Float[Array, "
 
 @program
 def shaped_columns(
-    basis: Basis, frame: Frame, shapes: ByName, moves: ByName
+    basis: Basis, frame: Frame, shapes: ByName, moves: ByName, held: ByName
 ) -> tuple[Array, dict[str, Array]]:
-    """Columns (n, k) at some shapes and with columns of the readings moved, and their derivatives by these moves."""
+    """Columns (n, k) at some shapes and with columns of the readings moved, and their derivatives by `moves` alone."""
+    frame = _moved(frame, held)
 
     def at(moves):
         return matrix(*basis, _moved(frame, moves), shapes)
@@ -131,7 +132,9 @@ def moved_columns_along(
     basis: Basis, frame: Frame, shapes: ByName, moves: ByName
 ) -> tuple[Array, dict[str, Array]]:
     """`shaped_columns` at several values of the shapes and moves, one after the other."""
-    return jax.lax.map(lambda one: shaped_columns.__wrapped__(basis, frame, *one), (shapes, moves))
+    return jax.lax.map(
+        lambda one: shaped_columns.__wrapped__(basis, frame, *one, {}), (shapes, moves)
+    )
 
 
 @program

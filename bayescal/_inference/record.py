@@ -251,11 +251,9 @@ class Record:
         self, effect: ColumnsOf, values: tuple[float, ...], moves: Mapping[str, np.ndarray]
     ) -> tuple[Float[np.ndarray, "n k"], dict[str, Float[np.ndarray, "n k"]]]:
         """Columns where columns of the readings are corrected by `moves`, and their slopes by these moves."""
-        moves = {**moves, **self._corrected(effect, values)}
         named = {name: np.float64(v) for name, v in zip(effect.own, values, strict=False)}
-        made, slopes = programs.shaped_columns(
-            effect.basis, self.padded, named, self._longer(moves)
-        )
+        both = self._longer(moves), self._longer(self._corrected(effect, values))
+        made, slopes = programs.shaped_columns(effect.basis, self.padded, named, *both)
         sloped = {name: np.asarray(a)[: self.size] for name, a in slopes.items()}
         return np.asarray(made)[: self.size], sloped
 
