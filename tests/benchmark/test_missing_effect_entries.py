@@ -286,7 +286,7 @@ def test_sets_have_the_data_sheets_shares() -> None:
     assert prior.weight("white", 3, 7) == 0.0
 
 
-def test_a_searchs_evidence_is_weighed_by_the_data_sheet(tmp_path: Path) -> None:
+def test_a_searchs_evidence_is_weighed_by_the_data_sheet(tmp_path: Path, monkeypatch) -> None:
     """Equal evidence: pairs have less than singles, three have nothing, a curve beside an effect next to nothing."""
     from missing_effect.entries import bayescal
 
@@ -296,7 +296,8 @@ def test_a_searchs_evidence_is_weighed_by_the_data_sheet(tmp_path: Path) -> None
     curve = "unknown(temperature, kink)"
     effects = [(), (a,), (a, b), (a, b, c), (curve,), (a, curve), ("unknown(supply)",)]
     structures = [SimpleNamespace(effects=e, noise="", log_evidence=-3.0) for e in effects]
-    said = bayescal._restated(task, structures)
+    monkeypatch.setattr(bayescal, "_of_range", lambda *_: 1.0)
+    said = bayescal._restated(task, Regression(task), structures)
     assert sum(said.values()) == pytest.approx(1.0)
     assert said[()] > said[(a,)] > said[tuple(sorted((a, b)))] > said[tuple(sorted((a, "outside")))]
     assert said[tuple(sorted((a, b, c)))] == 0.0 < said[("outside",)] < said[(a,)]

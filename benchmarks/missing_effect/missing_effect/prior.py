@@ -17,6 +17,7 @@ LAWS = 5  # of noise that is not white
 # By kind of noise: tasks with so many effects missing. "outside" is what no candidate describes; it acts alone.
 TASKS = {"white": (90, 84, 36), "coloured": (90, 63, 27), "outside": (60, 0, 0)}
 FLEETS = {"white": (20, 42, 18)}  # by the shares of one and two effects in the others
+SIZES = (1 / 3, 3.0)  # of a missing effect, in plausible ones, of either sign
 ELSE = 1e-3  # of all else, where two candidates are rivals
 ALIKE = 0.9  # correlation of the courses of two rivals, at least
 

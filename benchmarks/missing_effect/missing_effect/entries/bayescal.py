@@ -4,7 +4,9 @@ Terms become effects with the stated sizes as prior standard deviations and the 
 made by the task's own formulas, at fifteen values of a shape, and interpolated between. What the search calls
 unknown(…) is "outside". Probabilities are those of the structures it lists, all noise laws together: its evidence of
 each, with the data sheet's prior (`missing_effect.prior`) in place of its own, which expects any number of effects.
-Predictions are its average over structures.
+The data sheet's sizes begin at a third of the plausible one, normal priors at zero: a structure's evidence is taken
+times the posterior probability that its sizes lie in the range, by the prior one (I. Klugkist & H. Hoijtink, Comput.
+Stat. Data Anal. 51 (2007) 6367); the posterior is that of least squares. Predictions are the search's average.
 
 Of a fleet, thousands of readings, only the search is done, and a fit of what it finds: no checks of every step and no
 leaving out of each device in turn, which take `calibrate` five times as long. The noise law is held white unless
@@ -14,13 +16,14 @@ of which has one member missing or none.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import partial
 from math import exp
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.special import ndtr
 
 import bayescal as bc
 from missing_effect import prior
@@ -42,6 +45,7 @@ PLACES = (
 )  # of what the data sheet has outside
 CURVES = 30  # descriptions along these, about
 BESIDE = 0.03  # prior of each further effect beside such a description: the data sheet has none
+SELDOM = 0.01  # least probability of that, for a candidate's columns are not quite the effect
 SMALLEST = 1e-5  # probability of a set that is stated
 ALONG = {"power": "column", "rate": "", "warm_up": "elapsed"}
 
@@ -62,12 +66,15 @@ def solve(task: Task) -> dict[str, Any]:
     else:
         found = bc.calibrate(model, train, effects=candidates, ignore=tuple(columns), covariates=())
         predicted = bc.predict(found.calibration, later)
-        sets = _restated(task, found.search.structures) if found.search else {}
+        sets = _restated(task, regression, found.search.structures) if found.search else {}
     return {"sets": sets, "mean": predicted.mean, "sd": predicted.sd}
 
 
-def _restated(task: Task, structures: Sequence[Any]) -> dict[tuple[str, ...], float]:
+def _restated(
+    task: Task, regression: Regression, structures: Sequence[Any]
+) -> dict[tuple[str, ...], float]:
     """Sets by a search's evidences and the data sheet's prior."""
+    whitened = Regression(task, regression.correlated())
     pair, count = prior.rivals(task), len(task.candidates)
     top = max(s.log_evidence for s in structures)
     sets: dict[tuple[str, ...], float] = {}
@@ -75,6 +82,7 @@ def _restated(task: Task, structures: Sequence[Any]) -> dict[tuple[str, ...], fl
         named = {n for n in s.effects if not n.startswith(UNKNOWN)}
         curves = set(s.effects) - named
         weight = exp(s.log_evidence - top)
+        weight *= _of_range(whitened if s.noise else regression, named)
         if curves and (s.noise or curves != {TONE}):
             of_places = all(n[len(UNKNOWN) : -1].split(",")[0] in PLACES for n in curves)
             weight *= prior.weight("outside", 0, count) / CURVES * of_places
@@ -90,6 +98,37 @@ def _restated(task: Task, structures: Sequence[Any]) -> dict[tuple[str, ...], fl
     if total == 0.0:  # the search lists nothing that the data sheet has
         return {_named(s.effects): s.probability for s in structures[:1]}
     return {names: p / total for names, p in sets.items()}
+
+
+def _of_range(regression: Regression, named: Collection[str]) -> float:
+    """Posterior by prior probability that the sizes of some candidates lie in the data sheet's range.
+
+    Of candidates with one coefficient, each by itself, at the shape that fits best.
+    """
+    if not named:
+        return 1.0
+    chosen = [i for i, c in enumerate(regression.candidates) if c.name in named]
+    x = np.hstack([regression.projected[i] for i in chosen])
+    inverse = np.linalg.pinv(x.T @ x)
+    found = inverse @ (x.T @ regression.left)
+    free = regression.y.size - regression.parameters - x.shape[1]
+    variance = float(np.sum((regression.left - x @ found) ** 2)) / free
+    ratio, begin = 1.0, 0
+    for i in chosen:
+        at, width = begin, regression.projected[i].shape[1]
+        begin += width
+        if width == 1:
+            size = regression.task.candidates[i].size
+            mean, sd = found[at] / size, np.sqrt(variance * inverse[at, at]) / size
+            ratio *= max(_inside(mean, sd), SELDOM) / _inside(0.0, 1.0)
+    return ratio
+
+
+def _inside(mean: float, sd: float) -> float:
+    """Probability that a normal variate lies in the data sheet's range of sizes, of either sign."""
+    low, high = prior.SIZES
+    ends = np.array([[-high, -low], [low, high]])
+    return float(np.diff(ndtr((ends - mean) / sd), axis=1).sum())
 
 
 def _of_fleet(
