@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 
 EDITION = 113767  # drawn at random after the last change of any entry
 SIZE = 100
-ENTRIES = ("bayescal", "exhaustive", "bma", "bma_ar1", "bic", "mbic", "lasso", "susie")
+ENTRIES = ("bayescal", "exhaustive", "bma", "bma_ar1", "bic", "mbic", "susie")
+ISOLATED = (
+    "bayescal",
+    "exhaustive",
+)  # the others in this process: quick, and a start counted for each task
 REAL = ("bayescal", "exhaustive", "bma", "bma_ar1", "bic")
 PACKAGES = (
     ROOT / "benchmarks" / "missing_effect",
@@ -53,8 +57,9 @@ one's own, from the README's example, was on the leaderboard a minute later.
 """
 
 ABOUT = """\
-Each task was solved in a process of its own, without network, with 60 s of processor, start-up included for every
-entry. `oracle` knows the truth. ✗: the mean stated probability is outside the binomial interval of what was true.
+Every entry had 60 s of processor a task, start-up included. bayescal and exhaustive solved each task in a process of
+its own, without network; the others, ours too, all in one process, and a start was counted for each task. `oracle`
+knows the truth. ✗: the mean stated probability is outside the binomial interval of what was true.
 
 **Two entries take the data sheet as their prior**: the shares of the tracks, at most two effects, what stands
 outside acts alone, one of two rivals where two quantities correlate by more than 0.9. *exhaustive* was written from
@@ -91,7 +96,8 @@ def main() -> None:
     records = OUTPUT / "records"
     list(generate.generate(tasks, SIZE, EDITION))
     for name in ENTRIES:
-        for task, answer in run(entry_file(name), tasks, answers, SIZE):
+        trusted = name not in ISOLATED
+        for task, answer in run(entry_file(name), tasks, answers, SIZE, trusted=trusted):
             print(f"{name} {task} {answer['seconds']:.1f} s", flush=True)
     found = {n: scored(tasks, answers, n, SIZE) for n in (*ENTRIES, ORACLE)}
     results: dict[str, Any] = {"edition": EDITION, "tasks": SIZE, "bayescal_core": core()}

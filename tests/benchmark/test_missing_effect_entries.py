@@ -129,6 +129,20 @@ def test_the_time_counts_also_where_it_ends_nothing(tasks: Path) -> None:
     assert "more than 0" in run.here(entry["solve"], tasks / "task_000", 0.0)["failed"]
 
 
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("import soup_kitchen", "needs what is not installed: No module"),
+        ("a = 1", "has no function"),
+    ],
+)
+def test_a_trusted_entry_that_cannot_be_loaded_is_named(tasks, tmp_path, code, said) -> None:
+    entry = tmp_path / "entry.py"
+    entry.write_text(code, "utf-8")
+    with pytest.raises(InputError, match=said):
+        list(run.run(entry, tasks, tmp_path / "results", 1, trusted=True))
+
+
 def test_the_time_of_a_start_counts_for_every_entry_alike(tasks: Path, tmp_path: Path) -> None:
     """Of a second's work where an entry is loaded, all is in each task's seconds, isolated or not."""
     entry = tmp_path / "entry.py"
@@ -301,6 +315,25 @@ def test_a_searchs_evidence_is_weighed_by_the_data_sheet(tmp_path: Path, monkeyp
     assert sum(said.values()) == pytest.approx(1.0)
     assert said[()] > said[(a,)] > said[tuple(sorted((a, b)))] > said[tuple(sorted((a, "outside")))]
     assert said[tuple(sorted((a, b, c)))] == 0.0 < said[("outside",)] < said[(a,)]
+
+
+def test_sizes_below_the_data_sheets_count_against_a_set(tmp_path: Path) -> None:
+    """What the readings have at plausible size is in the range, what they do not have is not."""
+    from missing_effect.entries import bayescal
+
+    for number in range(12):
+        made = make("task", Case("linear", number), edition=77)
+        sizes = made.truth["sizes"].values()
+        if len(sizes) == 1 and 0.6 < abs(next(iter(sizes))) < 2 and made.truth["decided"] > 30:
+            break
+    write(made, tmp_path)
+    problem = Regression(Task.read(tmp_path))
+    true = made.truth["set"]
+    alone = bayescal._of_range(problem, true)
+    others = [c.name for c in problem.candidates if c.name not in true and c.train.shape[1] == 1]
+    beside = [bayescal._of_range(problem, [*true, name]) for name in others]
+    assert 1.2 < alone < 1.4 and bayescal._of_range(problem, []) == 1.0
+    assert min(beside) < 0.1 * alone and np.median(beside) < 0.7 * alone
 
 
 def test_a_fleets_findings_are_exclusive_within_and_free_among_each_other() -> None:

@@ -94,9 +94,9 @@ def run(
             counts for each task, as it would in a process of its own.
 
     Raises:
-        InputError: there are no such tasks.
+        InputError: there are no such tasks; or, of a trusted entry, it lacks `solve` or a package.
     """
-    solves = runpy.run_path(str(entry))["solve"] if trusted else None
+    solves = _loaded(entry) if trusted else None
     begin = started(entry) if trusted else 0.0
     for folder in task_folders(tasks, size):
         place = results / entry.stem / f"{folder.name}.json"
@@ -139,6 +139,17 @@ def solve(entry: Path, folder: Path, tasks: Path, limit: float = LIMIT) -> dict[
     isolation = "namespaces and audit hook" if hidden else "audit hook alone"
     told = {"failed": failed} if failed else found
     return {**told, "seconds": round(seconds, 2), "isolation": isolation}
+
+
+def _loaded(entry: Path) -> Callable[[Task], dict[str, Any]]:
+    try:
+        return runpy.run_path(str(entry))["solve"]
+    except ImportError as error:
+        raise InputError(
+            f"{entry.stem} needs what is not installed: {error} (README.md says what shipped entries need)"
+        ) from None
+    except KeyError:
+        raise InputError(f"{entry} has no function solve(task)") from None
 
 
 def started(entry: Path) -> float:
