@@ -52,6 +52,21 @@ LABELS = {
     "axis": "axis achse axe",
 }
 COUNTED = frozenset(["no", "nr", "n", "number", "num", "nummer", "numero", "id", "de", "du"])
+# What a chamber was told, which is no thermometer's reading: never proposed for one.
+COMMANDED = frozenset(
+    [
+        "setpoint",
+        "set",
+        "soll",
+        "sollwert",
+        "solltemperatur",
+        "consigne",
+        "target",
+        "command",
+        "commanded",
+        "demand",
+    ]
+)
 # What stands in place of a unit where there is none.
 NO_UNIT = frozenset(
     ["", "1", "-", "#", "no", "no.", "nr", "nr.", "n", "№", "id", "text", "label", "index", "none"]
@@ -296,6 +311,8 @@ class ColumnRule:
     def resembled(self, headers: Sequence[Header]) -> list[Header]:
         """Headers that may mean it: by a name nearly its own, by what is usual, or by their unit."""
         unit, word = self.column.unit, plain(self.column.name)
+        if word.startswith("temperature"):
+            headers = [h for h in headers if COMMANDED.isdisjoint(plain(h.name).split("_"))]
 
         def with_unit(accepted: Callable[[str], bool]) -> list[Header]:
             return [h for h in headers if any(accepted(r.unit or "") for r in readings_of(h))]

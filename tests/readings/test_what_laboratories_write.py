@@ -47,6 +47,14 @@ def options_said(path: Path, instrument: bc.Instrument) -> str:
     return " ".join(dict.fromkeys(p.option for p in refused.value.problems if p.option))
 
 
+def test_what_a_chamber_was_told_is_never_proposed_for_its_thermometer(tmp_path: Path) -> None:
+    path = tmp_path / "setpoint.csv"
+    text = table(**{"time [s]": STEPS, "Setpoint (°C)": 20 + STEPS, "output [deg/s]": STEPS / 1e4})
+    path.write_text(text, encoding="utf-8")
+    said = options_said(path, GYRO)
+    assert "temperature=HEADER" in said and "Setpoint" not in said
+
+
 # --- clocks and counters ----------------------------------------------------------------------------------------
 
 
