@@ -53,20 +53,7 @@ LABELS = {
 }
 COUNTED = frozenset(["no", "nr", "n", "number", "num", "nummer", "numero", "id", "de", "du"])
 # What a chamber was told, which is no thermometer's reading: never proposed for one.
-COMMANDED = frozenset(
-    [
-        "setpoint",
-        "set",
-        "soll",
-        "sollwert",
-        "solltemperatur",
-        "consigne",
-        "target",
-        "command",
-        "commanded",
-        "demand",
-    ]
-)
+COMMANDED = "setpoint set soll sollwert solltemperatur consigne target command commanded demand"
 # What stands in place of a unit where there is none.
 NO_UNIT = frozenset(
     ["", "1", "-", "#", "no", "no.", "nr", "nr.", "n", "№", "id", "text", "label", "index", "none"]
@@ -312,7 +299,8 @@ class ColumnRule:
         """Headers that may mean it: by a name nearly its own, by what is usual, or by their unit."""
         unit, word = self.column.unit, plain(self.column.name)
         if word.startswith("temperature"):
-            headers = [h for h in headers if COMMANDED.isdisjoint(plain(h.name).split("_"))]
+            told = {*COMMANDED.split()}
+            headers = [h for h in headers if told.isdisjoint(plain(h.name).split("_"))]
 
         def with_unit(accepted: Callable[[str], bool]) -> list[Header]:
             return [h for h in headers if any(accepted(r.unit or "") for r in readings_of(h))]
