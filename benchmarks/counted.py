@@ -17,7 +17,7 @@ from benchmarks.hidden_effects.outcomes import (
     of_kind,
     strong_outside,
 )
-from benchmarks.hidden_effects.page import ALIKE, SURE
+from benchmarks.hidden_effects.page import ALIKE, explained_away_by_one
 from benchmarks.intervals import proportion
 from benchmarks.record import RESULTS, lines_of, read, read_lines
 
@@ -45,8 +45,7 @@ def outside(*shapes: str) -> Rows:
 def explained_away() -> tuple[int, int]:
     """Of those that looked like a listed effect: how many, and how many were explained by it."""
     alike = [r for r in outside("column", "periodic", "step", "shock") if r["likeness"] >= ALIKE]
-    stated = ((n, p) for r in alike for n, p in r["probabilities"].items() if p > SURE)
-    return len(alike), sum(not n.startswith("unknown(") for n, _ in stated)
+    return len(alike), sum(map(explained_away_by_one, alike))
 
 
 def taken_for_noise(shape: str) -> int:

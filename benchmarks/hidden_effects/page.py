@@ -201,11 +201,12 @@ def _others(banks: Banks) -> str:
         ("≥ 0.7", [r for r in every if r["likeness"] >= ALIKE]),
     ):
         claim = f"outside, correlation with a catalogue effect {words}: explained away by one (probability > 0.9)"
-        claims.append((claim, [_explained_away(r) for r in chosen]))
+        claims.append((claim, [explained_away_by_one(r) for r in chosen]))
     return table(["claim", "count"], _counted(claims))
 
 
-def _explained_away(row: dict[str, Any]) -> bool:
+def explained_away_by_one(row: dict[str, Any]) -> bool:
+    """Whether an effect of the catalogue is said to be there that is not."""
     stated = row["probabilities"].items()
     return any(p > SURE for name, p in stated if not name.startswith("unknown("))
 
