@@ -450,9 +450,14 @@ class ColumnReader:
         if same_dimension(unit, target):
             if needs_gravity(unit, target):
                 self._flag(f"turned into local g by {gravity:g} m/s²")
-            with self.file.problems.collecting(self.file.table.file):  # a difference, say
+            try:
                 return convert(values, unit, target, local_gravity=gravity, difference=difference)
-            return None
+            except InputError as error:  # a difference of temperatures, say
+                where = f"{self.file.table.file!r}, column {self.header.raw!r}"
+                asked = option("--unit", f"{self.header.raw}=UNIT")
+                said = f"{where}: {error}"
+                self.file.problem(self.header.raw, str(error), option=asked, sentence=said)
+                return None
         raw_output = self.column.name == output_name(self.file.instrument) or difference
         if raw_output and scale is not None and same_dimension(unit, scale.unit):
             shifted = scale.offset and not difference

@@ -102,7 +102,7 @@ def drawn_one_by_one(
     for index, one in enumerate(data):
         found, of = drawn_once(model, one, method, seed + index)
         weights, k_hat = smoothed(found.log_weight)
-        names = named(*of, *(a[None] for a in (found.x, found.rows, found.v)))
+        names = named(*of, *(a[None] for a in (found.x, found.v)))
         made.append(Posterior(weights, {str(n): names[n].values[0] for n in names}))
         k_hats.append(k_hat)
     return made, k_hats
