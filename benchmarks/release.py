@@ -1,9 +1,8 @@
 """Everything that a release states, measured by its code: `python -m benchmarks release [HOURS]`.
 
-Rows of an older code are measured anew, in the order of `HEADLINE`, each part for its share of the time that is left;
-stopped, the same command goes on. Pages are rendered from whatever rows stand, and say of each code how many. Six
-hours of two cores suffice, by the seconds that the rows themselves state: `python -m benchmarks release plan` adds
-them up.
+Rows of an older code are measured anew, in the order of `HEADLINE`, until the hours are over; the same command goes on
+then. Pages are rendered from whatever rows stand, and say of each code how many. Six hours of two cores suffice, by the
+seconds that the rows themselves state: `python -m benchmarks release plan` adds them up.
 """
 
 from __future__ import annotations
@@ -27,13 +26,11 @@ class Part(NamedTuple):
     """A benchmark of the release.
 
     Attributes:
-        name: as `python -m benchmarks NAME` has it.
-        rows: its files, by the begin of their names.
+        name: as `python -m benchmarks NAME` has it; its files of rows begin so.
         options: of its module, in `ordinary_test`, where it has processes of its own.
     """
 
     name: str
-    rows: str
     options: tuple[str, ...] = ()
 
     @property
@@ -43,26 +40,24 @@ class Part(NamedTuple):
 
 PLANNED = ("--workers", "2")
 HEADLINE = (
-    Part(
-        "ordinary_test", "ordinary_test", ("--count", "60", "--readings", "200", "1600", *PLANNED)
-    ),
-    Part("good_records", "good_records", ("--count", "60", *PLANNED)),
-    Part("own_unit", "own_unit", ("--count", "12", *PLANNED)),
-    Part("no_family", "no_family", ("--count", "21", *PLANNED)),
-    Part("hidden_effects", "hidden_effects"),
-    Part("false_discoveries", "false_discoveries"),
-    Part("units", "units"),
-    Part("dividing_head", "dividing_head"),
-    Part("triad_coverage", "triad_coverage"),
-    Part("triads", "triads"),
-    Part("gauntlet", "gauntlet"),
-    Part("wrong_model", "wrong_model"),
+    Part("ordinary_test", ("--count", "60", "--readings", "200", "1600", *PLANNED)),
+    Part("good_records", ("--count", "60", *PLANNED)),
+    Part("own_unit", ("--count", "12", *PLANNED)),
+    Part("no_family", ("--count", "21", *PLANNED)),
+    Part("hidden_effects"),
+    Part("false_discoveries"),
+    Part("units"),
+    Part("dividing_head"),
+    Part("triad_coverage"),
+    Part("triads"),
+    Part("gauntlet"),
+    Part("wrong_model"),
 )
 
 
 def rows_of(part: Part) -> tuple[int, int, float]:
     """How many rows there are, how many of them are of another code, and hours that these took."""
-    rows = [row for path in RESULTS.glob(f"{part.rows}*.jsonl") for row in read_lines(path)]
+    rows = [row for path in RESULTS.glob(f"{part.name}*.jsonl") for row in read_lines(path)]
     older = [row for row in rows if row.get("core") != core()]
     return len(rows), len(older), sum(row.get("seconds", 0.0) for row in older) / 3600
 
@@ -81,13 +76,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Measure until all rows are of this code, or the hours are over; then render and compare.
 
     Raises:
-        SystemExit: a page says otherwise than its rows.
+        SystemExit: what was given is no number of hours, or a page says otherwise than its rows.
     """
-    given = list(arguments or ())
+    given = list(arguments or ()) or [str(HOURS)]
     if given == ["plan"]:
         print(plan())
         return
-    end = time.monotonic() + 3600 * (float(given[0]) if given else HOURS)
+    if len(given) > 1 or not given[0].replace(".", "", 1).isdigit():
+        print(f"release takes hours, such as 6, or plan; not {' '.join(given)!r}", file=sys.stderr)
+        sys.exit(2)
+    end = time.time() + 3600 * float(given[0])
     asked = [part for part in HEADLINE if rows_of(part)[1]]
     for part in (part for part in asked if part.options):  # on two cores each
         measure(part, end)
@@ -103,10 +101,11 @@ def measure(part: Part, end: float) -> None:
     Raises:
         subprocess.CalledProcessError: it ended in an error.
     """
-    if (left := end - time.monotonic()) <= 0:
+    if time.time() > end:
         print(f"{part.name}: the time is over; run again to go on")
         return
-    environment = os.environ | {"BAYESCAL_ANEW": "1", "BAYESCAL_SECONDS": f"{left:.0f}"}
+    environment = os.environ | {"BAYESCAL_ANEW": "1", "BAYESCAL_SECONDS": "inf"}
+    environment |= {"BAYESCAL_UNTIL": str(end)}  # of all its files together
     what = (part.module, *part.options) if part.options else ("benchmarks", part.name)
     subprocess.run([sys.executable, "-m", *what], cwd=ROOT, env=environment, check=True)
 

@@ -36,6 +36,7 @@ def draw_prior(layout: Layout, key: Array) -> tuple[Array, Array]:
     Raises:
         ValueError: a prior is flat.
     """
+    # One more than is needed: a seed stands for the data set that it always gave.
     keys = jax.random.split(key, len(layout.hypers) + 2)
     v = jnp.stack([h.prior.sample(keys[i]) for i, h in enumerate(layout.hypers)] or [jnp.zeros(())])
     v = v[: len(layout.hypers)]

@@ -28,7 +28,7 @@ def go_on(
     measure: Callable[[T], tuple[dict[str, Any], str]],
     workers: int = 1,
 ) -> None:
-    """Measure the cases that have no row yet, a line each; after `SECONDS`, say so and stop.
+    """Measure the cases that have no row yet, a line each; after `SECONDS`, or at BAYESCAL_UNTIL, say so and stop.
 
     Args:
         path: of the file.
@@ -37,14 +37,15 @@ def go_on(
         measure: from a case to its row, and what is told of it.
         workers: processes that measure at once; rows of two or more come in the order in which they end.
     """
-    seconds = float(os.environ.get("BAYESCAL_SECONDS", SECONDS))
-    begun, done = time.perf_counter(), measured(path, fields)
-    missing = (case for key, case in cases if key not in done)
+    begun, done = time.time(), measured(path, fields)
+    end = begun + float(os.environ.get("BAYESCAL_SECONDS", SECONDS))
+    end = min(end, float(os.environ.get("BAYESCAL_UNTIL", "inf")))  # of the epoch, as `begun` is
+    missing = (case for key, case in cases if key not in done and time.time() < end)
     for row, told in _measured(missing, measure, workers):
         add_line(path, row, fields)
         print(f"{path.stem} {told}", file=sys.stderr)
-        if time.perf_counter() - begun > seconds:
-            print(f"{path.stem}: stopped after {seconds:.0f} s; run again to go on")
+        if time.time() > end:
+            print(f"{path.stem}: stopped after {time.time() - begun:.0f} s; run again to go on")
             return
 
 
