@@ -300,8 +300,8 @@ class Density:
             made[i] += white[:, p] @ output - np.sum(across[:, m.at] * by_j)
             end += len(m.at) + 1
             if np.any(m.inputs):  # and the variance that noise on inputs adds
-                ends = (line._replace(inputs=line.inputs + step * m.inputs) for step in (1, -1))
-                further = 0.5 * (problem.extra(next(ends)) - problem.extra(next(ends)))  # quadratic
+                up, down = (line._replace(inputs=line.inputs + s * m.inputs) for s in (1, -1))
+                further = 0.5 * (problem.extra(up) - problem.extra(down))  # exact of a square
                 squares = np.sum(across * white[:, :p], axis=1) + white[:, p] ** 2
                 own = variance(problem.noise, hyper, problem.record) + extra
                 made[i] += 0.5 * np.sum((squares - 1) * further / own)

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from bayescal._inference.programs import program
 from bayescal._inference.record import Record
 from bayescal._model.frame import Frame
-from bayescal._model.noise_law import LOG_2PI, Noise, log_density_beside, scores_beside
+from bayescal._model.noise_law import LOG_2PI, Noise, log_density_beside, widened
 
 Values = Mapping[str, Any]  # φ by name, one number each
 Each = Mapping[str, Any]  # φ by name, one number a draw, or one for all
@@ -363,7 +363,7 @@ def _samples(law: Noise, frame: Frame, means, keys, values):
 
 @program
 def _scores(law: Noise, frame: Frame, left, extra, values):
-    return scores_beside(law, left, extra, values, frame)
+    return law.normal_scores(left, values, widened(frame, extra))
 
 
 def variance(law: Noise, values: Values, record: Record) -> Float[np.ndarray, "n"]:
@@ -414,7 +414,7 @@ def _keys(seed: np.uint32, count: int) -> Any:
 def normal_scores(
     law: Noise, values: Values, record: Record, left: Float[np.ndarray, "n"], extra: Any = 0.0
 ) -> Float[np.ndarray, "n"]:
-    """What is left of readings as independent standard normal numbers, if the law is right."""
+    """What is left of readings as independent standard normal numbers, if the law, which is not Gaussian, is right."""
     found = _of_readings(_scores, law, values, record, extra, _forth(law, record, left, 0))
     return _back(law, record, found)
 

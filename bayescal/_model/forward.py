@@ -129,9 +129,8 @@ def log_likelihood(
 ) -> Float[Array, "n"]:
     """Log density of each reading given every unknown; in the order of time under correlated noise."""
     noise, (expected, extra) = layout.model.noise, with_inputs(layout, frame, x, hyper)
-    ordered, y, expected = in_time(
-        noise, frame, y, expected
-    )  # where order matters there is no such noise
+    # Where the order matters there is no noise on inputs, which would have to follow it.
+    ordered, y, expected = in_time(noise, frame, y, expected)
     return log_density_beside(noise, y, expected, extra, hyper, ordered)
 
 

@@ -253,26 +253,9 @@ def log_density_beside(
 
     A law that is not Gaussian takes that part as it takes a known uncertainty of each reading.
     """
-    if extra is None:
-        return law.log_density(y, mean, parameters, frame)
-    if law.gaussian:
+    if law.gaussian and extra is not None:
         return _by_whitening(law, y - mean, extra, parameters, frame)
-    return law.log_density(y, mean, parameters, _widened(frame, extra))
-
-
-def scores_beside(
-    law: Noise,
-    left: Float[Array, "n"],
-    extra: Float[Array, "n"] | None,
-    parameters: Parameters,
-    frame: Frame,
-) -> Float[Array, "n"]:
-    """`law.normal_scores` of readings with such a part."""
-    if extra is None:
-        return law.normal_scores(left, parameters, frame)
-    if law.gaussian:
-        return law.whiten(left[:, None], extra, parameters, frame)[0][:, 0]
-    return law.normal_scores(left, parameters, _widened(frame, extra))
+    return law.log_density(y, mean, parameters, widened(frame, extra))
 
 
 def _by_whitening(
@@ -284,8 +267,10 @@ def _by_whitening(
     return -0.5 * white[:, 0] ** 2 - log_sd - 0.5 * LOG_2PI
 
 
-def _widened(frame: Frame, extra: Float[Array, "n"]) -> Frame:
-    """A frame in which each reading is uncertain by so much variance more."""
+def widened(frame: Frame, extra: Float[Array, "n"] | None) -> Frame:
+    """A frame in which each reading is uncertain by so much variance more; None: by none."""
+    if extra is None:
+        return frame
     known = frame.columns[UNCERTAINTY] ** 2 if UNCERTAINTY in frame.columns else 0.0
     return replace(frame, columns={**frame.columns, UNCERTAINTY: jnp.sqrt(known + extra)})
 

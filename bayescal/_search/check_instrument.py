@@ -244,8 +244,8 @@ class _CheckedInstrument:
     def _round(self, model: Model, of: Sequence[Effect], kind: str) -> None:
         model.require(self.readings)
         one = _Simulated(model, self.readings, of, self.seed)
-        keys = jax.random.split(jax.random.fold_in(jax.random.key(self.seed), len(self.rows)), 2)
-        drawn = forward.draw_readings(one.layout, one.frame, one.x, one.v, keys[1])
+        key = jax.random.fold_in(jax.random.key(self.seed), len(self.rows))
+        drawn = forward.draw_readings(one.layout, one.frame, one.x, one.v, key)
         output, names = np.asarray(drawn), ", ".join(one.mine)
         variance = np.asarray(model.noise.variance(one.hyper, one.frame))
         self.noise = float(np.median(np.sqrt(variance)))
