@@ -244,7 +244,8 @@ class _CheckedInstrument:
     def _round(self, model: Model, of: Sequence[Effect], kind: str) -> None:
         model.require(self.readings)
         one = _Simulated(model, self.readings, of, self.seed)
-        key = jax.random.fold_in(jax.random.key(self.seed), len(self.rows))
+        # The second of two: a seed stands for the readings that it always gave.
+        key = jax.random.split(jax.random.fold_in(jax.random.key(self.seed), len(self.rows)))[1]
         drawn = forward.draw_readings(one.layout, one.frame, one.x, one.v, key)
         output, names = np.asarray(drawn), ", ".join(one.mine)
         variance = np.asarray(model.noise.variance(one.hyper, one.frame))
