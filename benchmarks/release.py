@@ -92,6 +92,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with ThreadPoolExecutor(2) as two:
         list(two.map(partial(measure, end=end), (part for part in asked if not part.options)))
     print(plan())
+    for render in dict.fromkeys(stated.RENDERED.values()):
+        render()
     stated.main()
 
 
