@@ -76,6 +76,7 @@ from ._model.prior import Flat as Flat
 from ._model.prior import Normal as Normal
 from ._model.prior import HalfNormal as HalfNormal
 from ._model.prior import HalfCauchy as HalfCauchy
+from ._model.prior import LogNormal as LogNormal
 
 # methods of fitting
 from ._inference.marginal import Marginal as Marginal

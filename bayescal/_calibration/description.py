@@ -203,7 +203,7 @@ def noise_from(path: Path, described: dict[str, Any]) -> Noise:
 
 def _tailored(path: Path, instrument: Instrument, settings, readings: Measurements) -> Instrument:
     """The installed instrument as the calibration's was tailored."""
-    if instrument.tailor is None and not settings:
+    if not settings:
         return instrument
     try:
         if instrument.tailor is None:

@@ -97,6 +97,7 @@ def triad(
     with result_folder(asked.out) as folder:
         if not poses:
             readings = bc.poses(readings, chosen, shortest=asked.shortest)
+            model = chosen.for_readings(readings).baseline()
             print_notes(readings.flags)
         untold = bc.undetermined(model, readings)
         if dry_run:
@@ -152,7 +153,7 @@ def imu(
     with result_folder(asked.out) as folder:
         poses = bc.poses(forces, force, **long)
         print_notes(poses.flags)
-        (trail, first) = _calibrated(force.baseline(), poses, asked)
+        (trail, first) = _calibrated(force.for_readings(poses).baseline(), poses, asked)
         found = {"accelerometer": (trail, first, poses)}
         moves = bc.moves(rates, turns, forces, first, **long)
         print_notes(moves.flags)
@@ -164,7 +165,8 @@ def imu(
                 return bc.in_frame_of(own, log, first, forces, **long)
 
             its = bc.poses(log, field, **long)
-            found["magnetometer"] = (*_calibrated(field.baseline(), its, asked, turned), its)
+            model = field.for_readings(its).baseline()
+            found["magnetometer"] = (*_calibrated(model, its, asked, turned), its)
         if folder is not None:
             each = [correction for _, correction, _ in found.values()]
             named = names_in_unit(asked.name, each)

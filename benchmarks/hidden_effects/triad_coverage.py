@@ -2,11 +2,13 @@
 
     python -m benchmarks triad_coverage
 
-Of each kind 20 campaigns: logs of an inertial unit turned by hand between 24 rests, with the noise of an Xsens MTi and
+Of each kind 40 campaigns: logs of an inertial unit turned by hand between 24 rests, with the noise of an Xsens MTi and
 of an MPU-9150 (data sheets), and with rests of 1.4 to 3.4 s; accelerometers in 14 poses at each of five temperatures,
 their bias and scale following it; a log of accelerometers in six positions that are off by 2°, which tells of no
-misalignment. Each is calibrated as `calibrate` does; what is judged is what is delivered, the posterior averaged over
-structures. One JSON line a campaign in results/triad_coverage.jsonl: stopped, it goes on where it was.
+misalignment: once with the unit of the other kinds, whose misalignments are a fifth of what data sheets allow, and once
+with units whose misalignments are drawn as data sheets have them. Each is calibrated as `calibrate` does; what is
+judged is what is delivered, the posterior averaged over structures. One JSON line a campaign in
+results/triad_coverage.jsonl: stopped, it goes on where it was.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from benchmarks.hidden_effects.triads import TEMPERATURES
 from benchmarks.intervals import credible_interval, proportion
 from benchmarks.record import RESULTS, read_lines, write
 
-CAMPAIGNS = 20  # of each kind
+CAMPAIGNS = 40  # of each kind
 FORCE, TURNS = accelerometer_triad.INSTRUMENT, gyro_triad.INSTRUMENT
 MPU = {"force_noise": 4e-4, "gyro_noise": 5e-3}  # g/√Hz, °/s/√Hz
 LOGS = {
@@ -43,7 +45,9 @@ SHORT = 1.4, 3.4  # s, of rests
 ACCEL = ("accel_x", "accel_y", "accel_z")
 WARM = {"bias.temperature": (0.2, -0.1, 0.3), "scale.temperature": (60.0, -40.0, 80.0)}
 OFF = np.deg2rad(2.0)
-KINDS = (*LOGS, "ramp of temperature", "six positions")
+SIX, DRAWN = "six positions", "six positions, misalignments drawn"
+MISALIGNED = 20.0  # mrad, as data sheets have it: the plausible size of the instrument
+KINDS = (*LOGS, "ramp of temperature", SIX, DRAWN)
 MEMBERS = {"misalignment.constant": ("xy", "xz", "yz", "yx", "zx", "zy")}
 
 Judged = tuple[bc.Calibration, Mapping[str, Any]]  # with what is true, by effect
@@ -80,22 +84,26 @@ def _calibrated(kind: str, seed: int) -> Iterator[Judged]:
         still = np.random.default_rng([seed, 3]).uniform(*SHORT) if kind == "short rests" else 4.0
         log = simulate_log(seed=seed, campaign=MovesByHand(still=still, **LOGS[kind]))
         forces, turns = (_read(of, log, n) for of, n in ((FORCE, "accel"), (TURNS, "gyro")))
-        found = bc.calibrate(FORCE.baseline(), bc.poses(forces, FORCE), seed=seed).calibration
+        found = _in_poses(forces, seed)
         yield found, FORCES
         rows = bc.moves(turns, TURNS, forces, bc.vector_correction(found))
         yield bc.calibrate(gyro_triad.moved(), rows, seed=seed).calibration, RATES
         return
-    if kind == "six positions":
-        poses = bc.poses(_read(FORCE, _six(seed), "accel"), FORCE)
+    if kind in (SIX, DRAWN):
         told = {name: FORCES[name] for name in ("bias.constant", "scale.constant")}
-        yield bc.calibrate(FORCE.baseline(), poses, seed=seed).calibration, told
+        yield _in_poses(_read(FORCE, _six(seed, drawn=kind == DRAWN), "accel"), seed), told
         return
     plan = Campaign(poses=14, temperatures=TEMPERATURES)
     readings = accelerometer_triad.simulate(WARM, seed=seed, campaign=plan)
     yield bc.calibrate(FORCE.baseline(), readings, seed=seed).calibration, {**FORCES, **WARM}
 
 
-def _six(seed: int) -> dict[str, np.ndarray]:
+def _in_poses(log: bc.Measurements, seed: int) -> bc.Calibration:
+    poses = bc.poses(log, FORCE)
+    return bc.calibrate(FORCE.for_readings(poses).baseline(), poses, seed=seed).calibration
+
+
+def _six(seed: int, *, drawn: bool) -> dict[str, np.ndarray]:
     """A log, g, of accelerometers put down on each of their six sides for 4 s, and turned over in a second between."""
     rng, rate = np.random.default_rng(seed), 100
     sides = beside(directions("six", 6, rng), OFF, rng)
@@ -107,8 +115,10 @@ def _six(seed: int) -> dict[str, np.ndarray]:
         parts += [np.tile(here, (4 * rate, 1)), np.cos(done) * here + np.sin(done) * half]
         parts.append(np.cos(done) * half + np.sin(done) * there)
     force = np.concatenate(parts)
-    scale, angles = np.array(FORCES["scale.constant"]), FORCES["misalignment.constant"]
-    matrix = matrix_of(1e-6 * scale, 1e-3 * np.array(angles))
+    scale, angles = np.array(FORCES["scale.constant"]), np.array(FORCES["misalignment.constant"])
+    if drawn:
+        angles = MISALIGNED * np.random.default_rng([seed, 5]).standard_normal(len(angles))
+    matrix = matrix_of(1e-6 * scale, 1e-3 * angles)
     noise = MPU["force_noise"] * np.sqrt(rate) * rng.standard_normal(force.shape)
     output = force @ matrix.T + 1e-3 * np.array(FORCES["bias.constant"]) + noise
     return {"time": np.arange(len(force)) / rate, **dict(zip(ACCEL, output.T, strict=True))}

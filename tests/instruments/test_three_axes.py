@@ -472,6 +472,27 @@ def test_poses_that_leave_directions_open_need_no_chains() -> None:
 
 
 @pytest.mark.slow
+def test_six_positions_are_as_uncertain_as_their_rests_show() -> None:
+    sides = np.concatenate([np.eye(3), -np.eye(3)]) + 0.02 * np.random.default_rng(
+        4
+    ).standard_normal((6, 3))
+    sides /= np.linalg.norm(sides, axis=1)[:, None]
+    columns = dict(zip(accelerometer_triad.OUTPUTS, (sides @ MATRIX.T + BIAS).T, strict=True))
+    stated = {"output_uncertainty": np.full(6, 2e-4)}
+    general = accelerometer_triad.INSTRUMENT
+    poses = bc.Measurements.from_arrays(general, **columns, **stated)
+    own = general.for_readings(poses)
+    assert dict(own.settings) == {"scatter": 2e-4} and own.noise == bc.White(
+        bc.LogNormal(2e-4, 1.0)
+    )
+    biases = [f"bias.constant[{a}]" for a in "xyz"]
+    fits = {i: bc.fit(i.baseline(), poses) for i in (general, own)}
+    sd = {i: np.array([c.samples(b).std() for b in biases]) for i, c in fits.items()}
+    # 0.2 mg, and as much again: below 1 mg; ±20 mrad of misalignment in sides off by 20 mrad are 0.4 mg
+    assert np.all(sd[own] < 1.0) and np.all(sd[own] > 0.2) and np.all(sd[general] > 2 * sd[own])
+    assert general.for_readings(bc.Measurements.from_arrays(general, **columns)) is general
+
+
 def test_a_log_is_read_as_poses() -> None:
     time, y, force = raw_log()
     columns: dict[str, Any] = {f"output_{a}": y[:, i] for i, a in enumerate("xyz")}

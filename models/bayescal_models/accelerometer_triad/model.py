@@ -22,6 +22,8 @@ Noise: white, one standard deviation for all three axes.
 
 from __future__ import annotations
 
+from typing import Any
+
 import bayescal as bc
 from bayescal_models.accelerometer_triad import COLUMNS, OUTPUTS
 from bayescal_models.accelerometer_triad.simulator import simulated_columns
@@ -48,6 +50,7 @@ from bayescal_models.triad.families import (
     over_temperature,
     with_time,
 )
+from bayescal_models.triad.scatter import with_scatter
 
 VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation, common_scale=0.03)
 
@@ -87,6 +90,12 @@ EFFECTS = EffectTable.of(
     ),
 )
 
+
+def tailored(readings: bc.Measurements | None, **settings: Any) -> bc.Instrument:
+    """The instrument for poses that state their uncertainties: about as much scatter again is believed of them."""
+    return with_scatter(INSTRUMENT, readings, **settings)
+
+
 INSTRUMENT = bc.Instrument(
     name="accelerometer_triad",
     title="three accelerometers in poses at rest: bias, scale, misalignment",
@@ -99,6 +108,7 @@ INSTRUMENT = bc.Instrument(
     simulator=simulated_columns,
     experiments=experiments(1.0),
     vector=VECTOR,
+    tailor=tailored,
     source="IEEE Std 1293-2018; D. Tedaldi, A. Pretto and E. Menegatti, ICRA 2014 (poses at rest)",
 )
 simulate = readings_of(INSTRUMENT, simulated_columns)

@@ -16,6 +16,8 @@ Noise: white, one standard deviation for all three axes.
 
 from __future__ import annotations
 
+from typing import Any
+
 import bayescal as bc
 from bayescal_models.catalogue import EffectTable
 from bayescal_models.magnetometer_triad import COLUMNS, OUTPUTS
@@ -30,6 +32,7 @@ from bayescal_models.triad.families import (
     over_temperature,
     with_time,
 )
+from bayescal_models.triad.scatter import with_scatter
 
 # Sensitivities by data sheets of RM3100, LIS3MDL and BMM150; what iron adds differs from axis to axis.
 VECTOR = bc.Vector(outputs=OUTPUTS, equation=equation, common_scale=0.05)
@@ -64,6 +67,12 @@ EFFECTS = EffectTable.of(
     ),
 )
 
+
+def tailored(readings: bc.Measurements | None, **settings: Any) -> bc.Instrument:
+    """The instrument for poses that state their uncertainties: about as much scatter again is believed of them."""
+    return with_scatter(INSTRUMENT, readings, **settings)
+
+
 INSTRUMENT = bc.Instrument(
     name="magnetometer_triad",
     title="three magnetometers in a constant field: hard iron, soft iron",
@@ -76,6 +85,7 @@ INSTRUMENT = bc.Instrument(
     simulator=simulated_columns,
     experiments=experiments(50.0),
     vector=VECTOR,
+    tailor=tailored,
     source="D. Gebre-Egziabher et al., J. Aerosp. Eng. 19 (2006) 87 (calibration in the magnetic field domain)",
 )
 simulate = readings_of(INSTRUMENT, simulated_columns)
