@@ -1,6 +1,7 @@
 """`python -m benchmarks` runs every benchmark, `python -m benchmarks NAME …` those named; speeds become a page.
 
-`python -m benchmarks release` measures anew what a release states: see `release.py`.
+`python -m benchmarks release` measures anew what a release states, `python -m benchmarks shown PAGE …` prints pages of
+docs/ anew: see `release.py` and `shown.py`.
 """
 
 from __future__ import annotations
@@ -51,7 +52,10 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "how_we_know": "how_we_know",
     "stated": "stated",
 }
-RELEASE = "release"  # measures what those above do: not among all of them
+BESIDE = (
+    "release",
+    "shown",
+)  # take arguments, and are not among all: what those above measure; pages printed anew
 
 
 def main(names: list[str]) -> int:
@@ -60,8 +64,8 @@ def main(names: list[str]) -> int:
     Returns:
         The exit status: 2 for a name that is not known, else 0.
     """
-    if names[:1] == [RELEASE]:
-        importlib.import_module("benchmarks.release").main(names[1:])
+    if names and names[0] in BESIDE:
+        importlib.import_module(f"benchmarks.{names[0]}").main(names[1:])
         return 0
     unknown = [name for name in names if name not in MODULES]
     if unknown:

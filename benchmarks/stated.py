@@ -1,6 +1,7 @@
 """Figures that are written by hand in README.md and docs/limits.md, each from the committed rows that give it.
 
-    python -m benchmarks stated        names every figure, and every rendered page, that differs from the rows
+    python -m benchmarks stated        names every figure, and every rendered page, that differs from the rows, and
+                                       what docs/start.md shows otherwise than it is printed
 
 `make docs` builds no site while one does. A sentence stands here once more, with a place `{}` for each figure.
 """
@@ -12,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
-from benchmarks import how_we_know
+from benchmarks import how_we_know, shown
 from benchmarks.counted import (
     bank,
     clear,
@@ -51,6 +52,9 @@ RENDERED: dict[str, Callable[[], None]] = {  # pages that are rendered from rows
 }
 
 
+PRINTED = "start.md"  # the page that shows what is printed, and is run for it; the tests run every such page
+
+
 class Stated(NamedTuple):
     """A sentence of a page with its figures.
 
@@ -74,6 +78,7 @@ def differing() -> Iterator[str]:
         lines = zip(before.splitlines(), after.splitlines(), strict=False)
         first = next(((b, a) for b, a in lines if b != a), ("its end", "more or fewer lines"))
         yield f"{page}: it says {first[0][:200]!r}, rendered anew {first[1][:200]!r}"
+    yield from shown.differing(PRINTED)
 
 
 def otherwise_than(one: Stated, page: str) -> str:
@@ -109,7 +114,9 @@ def main() -> None:
     """
     if found := list(differing()):
         sys.exit("\n".join(found))
-    print(f"{len(STATED)} sentences and {len(RENDERED)} pages are as the rows have them")
+    print(
+        f"{len(STATED)} sentences and {len(RENDERED)} pages are as the rows have them, {PRINTED} as it is printed"
+    )
 
 
 def spoilt(kind: str) -> tuple[int, int]:

@@ -1,35 +1,30 @@
 """The site: its pages are all reachable, its links lead somewhere, its code and commands do what is shown.
 
-On a page, in order and in one folder: a `python` block is run, or written to a file where it has a `title`; each line
-of a `sh` block is a bayescal command, which exits with 0 or with the status that a comment names; a `text` block is
-what the block before it printed, "…" standing for lines left out. Indented and `console` blocks are only shown.
+How a page is run stands in `benchmarks/shown.py`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib.util
-import io
 import re
-import shlex
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 import bayescal as bc
 from bayescal_models import INSTRUMENTS, mems_gyro
+from benchmarks.shown import LAST_DIGITS, followed
 from tests.support.command_line import needs_installation, run
-from tests.support.shown_output import NUMBER, assert_as_shown, load_module
+from tests.support.shown_output import load_module
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = {str(p.relative_to(DOCS)): p.read_text("utf-8") for p in sorted(DOCS.rglob("*.md"))}
 NAV = (ROOT / "mkdocs.yml").read_text("utf-8").partition("\nnav:")[2]
-BLOCK = re.compile(
-    r'^```(python|sh|text)(?: title="([^"]+)")?\n(.*?)^```', re.DOTALL | re.MULTILINE
-)
 QUICK = ("how_to/readings.md",)  # the others fit and search: minutes
 SAMPLED = ("instruments/differential_pair.md",)  # by chains, whose draws depend on the processor
 TESTED_ELSEWHERE = ("own_effect.md",)  # by test_own_effects.py
@@ -137,49 +132,15 @@ def test_every_public_name_is_documented_once() -> None:
 
 def _follow(name: str, folder: Path) -> None:
     """Run a page from top to bottom in a folder, and compare what it prints with what it shows."""
-    page, digits = PAGES[name], 10 if name in SAMPLED else 2
-    names: dict[str, object] = {}
-    printed = ""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        for language, title, code in BLOCK.findall(page):
-            if language == "text":
-                _assert_shown(printed, code, digits)
-            elif title:
-                Path(title).write_text(code, encoding="utf-8")
-            elif language == "sh":
-                printed = "".join(_command(line) for line in code.replace("\\\n", " ").splitlines())
-            else:
-                caught = io.StringIO()
-                with contextlib.redirect_stdout(caught), contextlib.redirect_stderr(io.StringIO()):
-                    exec(compile(code, "page", "exec"), names)
-                printed = caught.getvalue()
 
+    def in_this_process(arguments: Sequence[str]) -> tuple[int, str]:
+        done = run(*arguments)
+        return done.status, done.out + "".join(f"{said}\n" for said in done.said)
 
-def _command(line: str) -> str:
-    command, _, comment = line.partition("  # exit status ")
-    name, *arguments = shlex.split(command)
-    assert name == "bayescal", line
-    done = run(*arguments)
-    assert done.status == int(comment or 0), f"{line}\n{done.err}"
-    return done.out + "".join(f"{said}\n" for said in done.said)
-
-
-def _assert_shown(printed: str, shown: str, digits: float) -> None:
-    """Each part between lines of "…" stands in what was printed, in order."""
-    lines = printed.splitlines()
-    for part in re.split(r"^…\n", shown, flags=re.MULTILINE):
-        wanted = part.strip("\n").splitlines()
-        if not wanted:
-            continue
-        start = next((i for i, line in enumerate(lines) if _shape(line) == _shape(wanted[0])), None)
-        assert start is not None, f"{wanted[0]!r} is not printed:\n{printed}"
-        assert_as_shown("\n".join(lines[start : start + len(wanted)]), "\n".join(wanted), digits)
-        lines = lines[start + len(wanted) :]
-
-
-def _shape(line: str) -> str:
-    return NUMBER.sub("#", re.sub(r"[<>] (?=\d)", "", " ".join(line.split())))
+    with contextlib.chdir(folder):
+        for shown in followed(PAGES[name], in_this_process):
+            if said := shown.difference(10 if name in SAMPLED else LAST_DIGITS):
+                pytest.fail(said)
 
 
 @pytest.mark.nightly
