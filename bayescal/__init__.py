@@ -18,4 +18,15 @@ import lazy_loader
 from bayescal._core import jax_setup as jax_setup  # before JAX: see the comment there
 from bayescal._core.version import __version__ as __version__
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    try:
+        return _load(name)
+    except ModuleNotFoundError as error:
+        if not str(error.name).startswith("bayescal._annexes"):
+            raise
+        raise ImportError(
+            f"bayescal.{name} is of an annex that is not there ({error}): install bayescal whole"
+        ) from None

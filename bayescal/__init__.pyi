@@ -46,7 +46,9 @@ from ._use.decide import decide as decide
 from ._use.firmware_parameters import firmware_parameters as firmware_parameters
 from ._report.report import report as report
 from . import plot as plot
-from ._workbench.start import workbench as workbench  # in a notebook; needs bayescal[workbench]
+from ._annexes.workbench.start import (
+    workbench as workbench,
+)  # in a notebook; needs bayescal[workbench]
 
 # what a model is made of
 from ._model.model import Instrument as Instrument  # with `baseline`, which model.py attaches
@@ -108,14 +110,14 @@ from ._use.decide import Decisions as Decisions
 from ._use.firmware_parameters import FirmwareParameters as FirmwareParameters
 
 # many devices at once
-from ._fleet.fit_batch import fit_batch as fit_batch
-from ._fleet.batch_result import FleetResult as FleetResult
-from ._fleet.find_devices import Find as Find
-from ._fleet.batch_result import load_fleet as load_fleet
-from ._fleet.devices import split_devices as split_devices
-from ._fleet.devices import Devices as Devices
-from ._fleet.batch_result import BatchResult as BatchResult
-from ._fleet.batch_result import load_batch as load_batch
+from ._annexes.fleet.fit_batch import fit_batch as fit_batch
+from ._annexes.fleet.batch_result import FleetResult as FleetResult
+from ._annexes.fleet.find_devices import Find as Find
+from ._annexes.fleet.batch_result import load_fleet as load_fleet
+from ._annexes.fleet.devices import split_devices as split_devices
+from ._annexes.fleet.devices import Devices as Devices
+from ._annexes.fleet.batch_result import BatchResult as BatchResult
+from ._annexes.fleet.batch_result import load_batch as load_batch
 
 # refusals
 from ._core.errors import BayescalError as BayescalError

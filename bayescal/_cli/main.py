@@ -19,8 +19,9 @@ from typing import NoReturn
 
 import typer
 
-from bayescal._cli import batch, commands, deliverables
+from bayescal._cli import commands, deliverables
 from bayescal._core import deadline
+from bayescal._core.annex import absent_annexes, annexes
 from bayescal._core.errors import BayescalError, NotConverged, NotDrawn, TimeIsUp
 from bayescal._core.folder_settings import obey_no_folder
 from bayescal._core.quoting import one_line
@@ -40,8 +41,9 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-for group in (commands, deliverables, batch):
-    app.add_typer(group.commands)
+for group in (commands.commands, deliverables.commands, *(one.commands() for one in annexes())):
+    if group is not None:
+        app.add_typer(group)
 
 
 def main() -> None:
@@ -75,6 +77,8 @@ def main() -> None:
         context = getattr(error, "ctx", None)
         command = context.command_path if context else "bayescal"
         said = (usage() or "Give a command, such as: bayescal demo").rstrip(".")
+        if context and context.parent is None and (absent := absent_annexes()):
+            said = f"{said}. {absent}"  # whose command it may be
         _fail(f"{said}. See: {command} --help", 2)
 
 

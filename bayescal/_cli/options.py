@@ -1,4 +1,4 @@
-"""What every option says, in one table by its parameter's name, and options that several commands share in groups.
+"""What options say, in one table by their parameters' names, and options that several commands share in groups.
 
 A command's parameters have a type and a default, no more; `answering` shows them to typer with their words, and in
 place of a parameter of a group (a data class) the fields of the group. Light: `bayescal --help` reads it.
@@ -110,12 +110,7 @@ def refuse_missing(files: list[Path] | None) -> list[Path] | None:
     return files
 
 
-def _refuse_missing_beside_folders(paths: list[Path]) -> list[Path]:
-    refuse_missing([path for path in paths if not path.is_dir()])
-    return paths
-
-
-def _refuse_unknown_method(name: str) -> str:
+def refuse_unknown_method(name: str) -> str:
     if name not in METHODS:
         raise InputError(f"--method {name!r} is not one of {', '.join(METHODS)}")
     return name
@@ -136,7 +131,6 @@ def _refuse_no_duration(text: str | None) -> str | None:
 
 
 BY_NAME = inspect.Parameter.KEYWORD_ONLY  # so that a required one may follow others
-ENDLESS = ("workbench",)  # commands that say themselves what they do
 ARGUMENTS = ("files", "file", "calibration", "calibrations")  # which are no options
 
 # By the parameter's name; as "command.name" where a command means something else by it.
@@ -144,17 +138,10 @@ HELP = {
     "accept_conflict": "bias.constant: may differ greatly from its plausible size; repeat for others.",
     "accelerometers": "Their three columns, as ax,ay,az; else by the usual names.",
     "add": "Effect to add to the baseline; repeat for more.",
-    "address": "Address of this computer to serve at; others may then reach it.",
     "at": "temperature=60: operating point, in fixed units; repeat for more.",
     "average": "1s, 0.5s or 2min: means over this time in place of single readings; spikes are set aside first.",
     "axis": "gyro_x=a.nc: calibration of an axis, where its readings do not name it.",
     "baseline": "Look for no effect beside bias, scale, misalignment.",
-    "batch.files": "Files of readings, or folders of them: a Parquet dataset, CSVs, logs.",
-    "batch.method": "least-squares or marginal.",
-    "batch.out": "Parquet file to write; or a folder, for results partition by partition.",
-    "batch.population": (
-        "Coefficient whose mean and standard deviation over the devices are estimated; 'all', or repeat."
-    ),
     "calibration": "A folder of results, or its calibration (.nc).",
     "capability": "Least T/(4u) with which 'shared-risk' decides.",
     "certificate": (
@@ -198,7 +185,6 @@ HELP = {
     "false_accept": "Probability of a false acceptance that 'guarded' allows.",
     "file": "Readings: text, .parquet, .nc, .xlsx or .mat.",
     "files": "CSV, Parquet, NetCDF, Excel or MATLAB files of readings, or logs: .ulg, .bin, .bag, .mcap, .db3.",
-    "find": "Search each device's missing effects: a second a device.",
     "first_order": "Propagate mean and covariance, as exports do, not draws.",
     "fix": "bias.temperature=0.041: hold an unknown at a value, in its unit; repeat.",
     "format_": (
@@ -227,7 +213,6 @@ HELP = {
         "of its instruments."
     ),
     "next_experiment": "Rank feasible campaigns by how well they tell rivals apart.",
-    "no_open": "Print the address, and open no browser.",
     "noise": "Noise law by name: student_t, ornstein_uhlenbeck, heteroscedastic(temperature), or one of --effects.",
     "noise.channels": "Columns that are outputs, one after another: gyro_x,acc_x.",
     "noise_law": "white, student_t or ornstein_uhlenbeck.",
@@ -259,7 +244,6 @@ HELP = {
         "noise that these show is given, in columns of its own."
     ),
     "save_mapping": "TOML file to keep these options in, for --mapping.",
-    "scheduler": "tcp://host:8786: a Dask cluster that does the work.",
     "seed": "Seed of every random number.",
     "shortest": "Shortest pose in a log, s; 2, or 1 where many still stretches are shorter.",
     "simple_noise": (
@@ -272,23 +256,18 @@ HELP = {
     "title": "Of the report.",
     "topic": "Of the messages, for Kalibr.",
     "triad.instrument": "Of three axes: accelerometer_triad, gyro_triad, magnetometer_triad.",
-    "trust": "Python file that a session kept in the folder may run, beside that of --effects; repeat for more.",
     "typed": "An effect of your own in one line, as a candidate: 'supply: s * (supply_voltage - 5); s = 0.1 V/V'.",
     "unit": "gyro_x=rad/s: unit of a column; repeat for more.",
     "unwrap": "time=2^32us: what a clock or counter held when it began anew; repeat for more.",
     "verbose": "With all candidates of every step, and drafts of effects.",
     "without_noise": "Leave the noise of each reading out.",
     "without_uncertainty": "C and Python that give the value alone, without the covariance of the coefficients.",
-    "workbench.out": "Folder that keeps every step; one that holds some is gone on with, as after a time limit.",
-    "workers": "Processes of this machine that share the work.",
     "yaml": "File to write for Kalibr: noise densities and random walks.",
 }
 
 # What typer is told beside the words; `names` where an option is not called after its parameter.
 MORE: dict[str, dict[str, Any]] = {
     "average": {"metavar": "TIME", "callback": _refuse_no_duration},
-    "batch.files": {"callback": _refuse_missing_beside_folders},
-    "batch.method": {"callback": _refuse_unknown_method},
     "channels": {"metavar": "NAME,NAME,…"},
     "check": {"metavar": "my.py:INSTRUMENT"},
     "covariates": {"metavar": "NAME,NAME,…"},
@@ -304,7 +283,7 @@ MORE: dict[str, dict[str, Any]] = {
     "local_field": {"metavar": "'48.2 uT'"},
     "local_gravity": {"min": 1.0},
     "max_effects": {"min": 1},
-    "method": {"callback": _refuse_unknown_method},
+    "method": {"callback": refuse_unknown_method},
     "missing": {"metavar": "refuse|drop"},
     "noise": {"metavar": "NAME"},
     "noise.channels": {"metavar": "NAME,NAME,…"},
@@ -315,10 +294,8 @@ MORE: dict[str, dict[str, Any]] = {
     "seed": {"min": 0},
     "time_limit": {"metavar": "SECONDS", "callback": _refuse_no_time},
     "typed": {"names": ["--effect"], "metavar": "'NAME: FORMULA; s = SIZE'"},
-    "workers": {"min": 1},
     **{
-        f"{c}.out": {"names": ["--out", "-o"]}
-        for c in ("batch", "compensate", "export", "decide", "report")
+        f"{c}.out": {"names": ["--out", "-o"]} for c in ("compensate", "export", "decide", "report")
     },
 }
 
@@ -454,36 +431,57 @@ class SearchRequest(ReadRequest):
 
 
 class Commands(typer.Typer):
-    """Commands, each with a line of its use, whose options have their words from the table here."""
+    """Commands, each with a line of its use, whose options have their words from the table here.
+
+    Args:
+        words, more: of options that these alone have, or of which they say something else, as `HELP` and `MORE`.
+    """
+
+    def __init__(
+        self,
+        words: Mapping[str, str] | None = None,
+        more: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
+        super().__init__()
+        self.words, self.more = {**HELP, **(words or {})}, {**MORE, **(more or {})}
 
     def example(
-        self, line: str, *, data: bool = True
+        self, line: str, *, data: bool = True, endless: bool = False
     ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         """A command, as `typer.Typer.command` takes it.
 
         Args:
             line: how it is called, for the end of its help.
             data: whether its answer is printed as JSON with --json, an option that it need not declare.
+            endless: whether it says itself what it does.
         """
-        return lambda command: self.command(epilog=f"Example: {line}")(answering(command, data))
+        return lambda command: self.command(epilog=f"Example: {line}")(
+            answering(command, data, endless, self.words, self.more)
+        )
 
 
-def answering(command: Callable[..., Answer | None], data: bool) -> Callable[..., None]:
+def answering(
+    command: Callable[..., Answer | None],
+    data: bool,
+    endless: bool,
+    words: Mapping[str, str],
+    more: Mapping[str, Mapping[str, Any]],
+) -> Callable[..., None]:
     """The command as typer is to see it: its options with their words, those of a group in place of the group.
 
     What it answers is printed; its time limit, if it has one, is that of everything.
     """
     declared = _parameters(command)
-    seen = [_told(p, command.__name__) for one in declared.values() for p in _single(one)]
-    if data and "json_" not in {p.name for p in seen}:
-        json_ = inspect.Parameter("json_", BY_NAME, default=False, annotation=bool)
-        seen.append(_told(json_, command.__name__))
+    shown = [p for one in declared.values() for p in _single(one)]
+    if data and "json_" not in {p.name for p in shown}:
+        shown.append(inspect.Parameter("json_", BY_NAME, default=False, annotation=bool))
+    seen = [_told(p, command.__name__, words, more) for p in shown]
 
     @functools.wraps(command)
     def run(**values: Any) -> None:
         name, limit = command.__name__, values.get("time_limit")
         with ExitStack() as during:
-            if name not in ENDLESS:
+            if not endless:
                 during.enter_context(stage(name, EVERY))
                 if "time_limit" in values:
                     during.enter_context(deadline.until(limit, apart=True))
@@ -510,15 +508,20 @@ def _single(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
         yield from _single(inner)
 
 
-def _told(parameter: inspect.Parameter, command: str) -> inspect.Parameter:
+def _told(
+    parameter: inspect.Parameter,
+    command: str,
+    words: Mapping[str, str],
+    more: Mapping[str, Mapping[str, Any]],
+) -> inspect.Parameter:
     """A parameter with its words, by name alone."""
-    name = own if (own := f"{command}.{parameter.name}") in HELP else parameter.name
-    how = {"names": [f"--{parameter.name.strip('_').replace('_', '-')}"], **MORE.get(name, {})}
+    name = own if (own := f"{command}.{parameter.name}") in words else parameter.name
+    how = {"names": [f"--{parameter.name.strip('_').replace('_', '-')}"], **more.get(name, {})}
     names, required = how.pop("names"), parameter.default is parameter.empty
     kind: Any = typer.Option
     if parameter.name in ARGUMENTS:
         kind, names = typer.Argument, []
-    told = kind(*names, help=HELP[name], show_default=not required, **how)
+    told = kind(*names, help=words[name], show_default=not required, **how)
     shown = Annotated[parameter.annotation, told]
     return parameter.replace(kind=BY_NAME, annotation=shown)
 

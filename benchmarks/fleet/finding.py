@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._fleet.engine import open_cluster
+from bayescal._annexes.fleet.engine import open_cluster
 from bayescal_models import mems_gyro
 
 DEVICES, EVERY, SEED = 10_000, 5, 4000  # every fifth reading of a campaign of 330

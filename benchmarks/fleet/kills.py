@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._fleet.engine import open_cluster
+from bayescal._annexes.fleet.engine import open_cluster
 from bayescal_models import mems_gyro
 from benchmarks.fleet.simulated import T0, write_partition
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
-from bayescal._fleet.population import chosen, estimates, learn
+from bayescal._annexes.fleet.population import chosen, estimates, learn
 from bayescal._model.effect import CENTRAL_95 as WIDE
 from bayescal_models import mems_gyro
 from benchmarks.fleet.simulated import T0, write_partition

@@ -20,8 +20,9 @@ pytestmark = needs_installation
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
     *("instruments", "effects", "simulate", "pairs", "demo", "calibrate"),
-    *("workbench", "fit", "check", "discover", "compare", "predict", "noise"),
-    *("triad", "imu", "compensate", "export", "budget", "decide", "report", "batch"),
+    *("fit", "check", "discover", "compare", "predict", "noise"),
+    *("triad", "imu", "compensate", "export", "budget", "decide", "report"),
+    *("batch", "workbench"),  # of annexes
 )
 
 

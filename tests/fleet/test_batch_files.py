@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import bayescal as bc
-from bayescal._fleet import batch_result
+from bayescal._annexes.fleet import batch_result
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.made_up.gyro_lot import MODEL, table

@@ -70,7 +70,7 @@ def test_wrong_clusters_are_refused(lot_folder, tmp_path, monkeypatch) -> None:
     command = ("batch", lot_folder, *GYRO, "-o", tmp_path / "out")
     ran = run(*command, "--workers", 2, "--scheduler", "tcp://127.0.0.1:1")
     assert ran.status == 2 and "give one of them" in ran.err
-    monkeypatch.setattr("bayescal._fleet.engine.ANSWER_SECONDS", 0.5)
+    monkeypatch.setattr("bayescal._annexes.fleet.engine.ANSWER_SECONDS", 0.5)
     ran = run(*command, "--scheduler", "tcp://127.0.0.1:1")
     assert ran.status == 2 and "no scheduler answers at 'tcp://127.0.0.1:1'" in ran.err
     find = importlib.util.find_spec

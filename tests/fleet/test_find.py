@@ -62,7 +62,7 @@ def test_ctrl_c_ends_a_batch_and_not_one_device_s_search(fleet, tmp_path, monkey
         asked.append(1)
         return "The search was interrupted."
 
-    monkeypatch.setattr("bayescal._fleet.find_devices.walk", interrupted)
+    monkeypatch.setattr("bayescal._annexes.fleet.find_devices.walk", interrupted)
     with pytest.raises(KeyboardInterrupt):
         bc.fit_batch(MODEL, fleet, out=tmp_path / "out", find=True)
     assert asked == [1]

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._fleet.batch_result import printed
-from bayescal._fleet.find_devices import Share
-from bayescal._fleet.odd_devices import Values, odd_effects, odd_values
+from bayescal._annexes.fleet.batch_result import printed
+from bayescal._annexes.fleet.find_devices import Share
+from bayescal._annexes.fleet.odd_devices import Values, odd_effects, odd_values
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.made_up.gyro_lot import MODEL, NOISE, table
 

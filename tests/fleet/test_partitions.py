@@ -15,8 +15,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import bayescal as bc
-from bayescal._fleet import fit_batch as fitting
-from bayescal._fleet.fit_batch import partitions_of
+from bayescal._annexes.fleet import fit_batch as fitting
+from bayescal._annexes.fleet.fit_batch import partitions_of
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.made_up.gyro_lot import MODEL, table
 

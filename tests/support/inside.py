@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
+from bayescal._annexes.workbench.kept import Origin as Origin
+from bayescal._annexes.workbench.session import Session as Session
 from bayescal._calibration.description import identity
 from bayescal._core.as_json import as_json, write_json
 from bayescal._data.column import overloads
@@ -26,8 +28,6 @@ from bayescal._tables.mapping_file import load_mapping, save_mapping
 from bayescal._tables.raw_table import in_one_line
 from bayescal._use.compensate_file import compensate_file as compensate_file
 from bayescal._use.correction_files import as_text
-from bayescal._workbench.kept import Origin as Origin
-from bayescal._workbench.session import Session as Session
 
 
 def constants_of(readings: bc.Measurements) -> dict[str, Any]:
@@ -108,6 +108,6 @@ def write_plain_json(data: Any, path: Path) -> None:
 
 def cluster_of(workers: int) -> Any:
     """A Dask cluster as `bayescal batch --workers` opens one, for the length of a block."""
-    from bayescal._fleet.engine import open_cluster
+    from bayescal._annexes.fleet.engine import open_cluster
 
     return open_cluster(workers)

@@ -10,15 +10,21 @@ import pytest
 from bokeh.models import NoOverlap, PlainText
 
 import bayescal as bc
+from bayescal._annexes.workbench.app import Workbench
+from bayescal._annexes.workbench.kept import path_to
+from bayescal._annexes.workbench.panes.fails import (
+    DRAWN_READINGS,
+    PIXELS,
+    CutAxis,
+    drawn_rows,
+    sentence,
+)
+from bayescal._annexes.workbench.panes.missing import candidate_rows
+from bayescal._annexes.workbench.panes.tabs import ERROR, in_order, safe_name
+from bayescal._annexes.workbench.parts.pieces import Rows, new_figure, words
+from bayescal._annexes.workbench.session import Session
 from bayescal._search.candidate import Candidate
 from bayescal._search.posterior import Found
-from bayescal._workbench.app import Workbench
-from bayescal._workbench.kept import path_to
-from bayescal._workbench.panes.fails import DRAWN_READINGS, PIXELS, CutAxis, drawn_rows, sentence
-from bayescal._workbench.panes.missing import candidate_rows
-from bayescal._workbench.panes.tabs import ERROR, in_order, safe_name
-from bayescal._workbench.parts.pieces import Rows, new_figure, words
-from bayescal._workbench.session import Session
 
 COUNT = 100_000
 

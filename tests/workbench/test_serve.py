@@ -20,8 +20,8 @@ from typing import Any
 import pytest
 
 import bayescal as bc
-from bayescal._workbench import start
-from bayescal._workbench.session import Session
+from bayescal._annexes.workbench import start
+from bayescal._annexes.workbench.session import Session
 from tests.support.command_line import GYRO, needs_installation
 from tests.support.open_ports import listening, needs_proc
 from tests.workbench.conftest import Campaign
@@ -241,7 +241,7 @@ def test_what_the_address_asks_for_is_text_on_the_page(asked: str, tmp_path: Pat
     import panel as pn
     from bokeh.document import Document
 
-    from bayescal._workbench.serve import Sessions, _open
+    from bayescal._annexes.workbench.serve import Sessions, _open
 
     def never(*_: object) -> Session:
         raise AssertionError("nothing is to be opened")
@@ -276,7 +276,7 @@ def test_an_address_that_others_reach_says_so() -> None:
 @pytest.mark.slow
 def test_sessions_of_a_server(session: Session, tmp_path: Path) -> None:
     """A tab without a name begins one; a name gives the same again; two at once begin two."""
-    from bayescal._workbench.serve import Sessions
+    from bayescal._annexes.workbench.serve import Sessions
 
     def begin(folder: Path) -> Session:
         return Session.begin(session.current.model, session.readings, folder=folder)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._workbench.kept import SearchOptions
-from bayescal._workbench.panes.model_pane import effect_rows
-from bayescal._workbench.parts.work import UnderWay
-from bayescal._workbench.session import Session
+from bayescal._annexes.workbench.kept import SearchOptions
+from bayescal._annexes.workbench.panes.model_pane import effect_rows
+from bayescal._annexes.workbench.parts.work import UnderWay
+from bayescal._annexes.workbench.session import Session
 from bayescal_models import mems_gyro
 from tests.workbench.conftest import HIDDEN, Campaign
 

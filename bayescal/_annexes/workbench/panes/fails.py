@@ -25,11 +25,7 @@ from bokeh.models import (
     Span,
 )
 
-from bayescal._calibration.check import covariates_of
-from bayescal._calibration.check_result import Check, place_in_words
-from bayescal._data.unit_conversion import unit_label
-from bayescal._report.plot_colours import RED
-from bayescal._workbench.parts.pieces import (
+from bayescal._annexes.workbench.parts.pieces import (
     MARKERS,
     Palette,
     Pane,
@@ -43,6 +39,10 @@ from bayescal._workbench.parts.pieces import (
     several,
     words,
 )
+from bayescal._calibration.check import covariates_of
+from bayescal._calibration.check_result import Check, place_in_words
+from bayescal._data.unit_conversion import unit_label
+from bayescal._report.plot_colours import RED
 
 # A step is a gap if it is longer than so many usual ones (their median), and than this share of the time in all shorter
 # steps: a pause within a run stays, and so do evenly spaced runs of one reading.

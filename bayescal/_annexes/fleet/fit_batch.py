@@ -28,16 +28,7 @@ import pyarrow.compute as pc
 import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 
-from bayescal._core.atomic_file import sha256_of
-from bayescal._core.errors import InputError
-from bayescal._core.json_shape import parsed_json
-from bayescal._core.progress import EVERY, note, stage, tell
-from bayescal._core.quoting import one_line
-from bayescal._core.settings import Settings, settings, use_settings
-from bayescal._core.version import __version__
-from bayescal._data.header_matching import ReadOptions
-from bayescal._data.measurements import Measurements
-from bayescal._fleet.batch_result import (
+from bayescal._annexes.fleet.batch_result import (
     ALONE,
     POOLED,
     WHOLE,
@@ -47,7 +38,7 @@ from bayescal._fleet.batch_result import (
     first_few,
     load_batch,
 )
-from bayescal._fleet.devices import (
+from bayescal._annexes.fleet.devices import (
     DEVICE,
     Devices,
     gathered,
@@ -55,9 +46,9 @@ from bayescal._fleet.devices import (
     split_devices,
     split_table,
 )
-from bayescal._fleet.engine import Engine
-from bayescal._fleet.find_devices import DeviceStructure, Find, effects_table, find_and_fit
-from bayescal._fleet.fit_devices import (
+from bayescal._annexes.fleet.engine import Engine
+from bayescal._annexes.fleet.find_devices import DeviceStructure, Find, effects_table, find_and_fit
+from bayescal._annexes.fleet.fit_devices import (
     CHUNK,
     FitOptions,
     common_reference,
@@ -67,10 +58,19 @@ from bayescal._fleet.fit_devices import (
     tailored_to_first,
     temperature_sums,
 )
-from bayescal._fleet.model_texts import model_texts, shown
-from bayescal._fleet.odd_devices import Values, odd_effects, odd_values
-from bayescal._fleet.partial_pooling import learn_population
-from bayescal._fleet.population import AskedPopulation, chosen
+from bayescal._annexes.fleet.model_texts import model_texts, shown
+from bayescal._annexes.fleet.odd_devices import Values, odd_effects, odd_values
+from bayescal._annexes.fleet.partial_pooling import learn_population
+from bayescal._annexes.fleet.population import AskedPopulation, chosen
+from bayescal._core.atomic_file import sha256_of
+from bayescal._core.errors import InputError
+from bayescal._core.json_shape import parsed_json
+from bayescal._core.progress import EVERY, note, stage, tell
+from bayescal._core.quoting import one_line
+from bayescal._core.settings import Settings, settings, use_settings
+from bayescal._core.version import __version__
+from bayescal._data.header_matching import ReadOptions
+from bayescal._data.measurements import Measurements
 from bayescal._inference.method import Method
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model

@@ -29,6 +29,10 @@ import pandas as pd
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
+from bayescal._annexes.fleet.batch_result import BatchPart, BatchResult
+from bayescal._annexes.fleet.devices import DEVICE, DeviceBlock, Devices, joined
+from bayescal._annexes.fleet.partial_pooling import pooled
+from bayescal._annexes.fleet.population import Named
 from bayescal._core.errors import BayescalError, InputError, ModelError
 from bayescal._core.importance_weights import smoothed
 from bayescal._core.jax_setup import spare_memory_maps
@@ -36,10 +40,6 @@ from bayescal._core.jit import compiled
 from bayescal._core.settings import unusual
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
-from bayescal._fleet.batch_result import BatchPart, BatchResult
-from bayescal._fleet.devices import DEVICE, DeviceBlock, Devices, joined
-from bayescal._fleet.partial_pooling import pooled
-from bayescal._fleet.population import Named
 from bayescal._inference import least_squares, sampled_products, trust
 from bayescal._inference.laplace import find_mode
 from bayescal._inference.least_squares import LeastSquares

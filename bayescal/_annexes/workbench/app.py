@@ -10,12 +10,12 @@ import panel as pn
 import param
 from panel.custom import JSComponent
 
-from bayescal._workbench.panes.fails import Fails
-from bayescal._workbench.panes.missing import Missing
-from bayescal._workbench.panes.model_pane import ModelPane
-from bayescal._workbench.panes.tabs import ERROR, ErrorPane, Tabs
-from bayescal._workbench.parts.pieces import CSS, DARK, INSIDE, LIGHT, choice, row, words
-from bayescal._workbench.parts.work import Work
+from bayescal._annexes.workbench.panes.fails import Fails
+from bayescal._annexes.workbench.panes.missing import Missing
+from bayescal._annexes.workbench.panes.model_pane import ModelPane
+from bayescal._annexes.workbench.panes.tabs import ERROR, ErrorPane, Tabs
+from bayescal._annexes.workbench.parts.pieces import CSS, DARK, INSIDE, LIGHT, choice, row, words
+from bayescal._annexes.workbench.parts.work import Work
 
 HERE = Path(__file__).parent
 

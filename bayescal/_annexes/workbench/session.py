@@ -21,6 +21,8 @@ from typing import Any
 
 import numpy as np
 
+from bayescal._annexes.workbench import kept
+from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_to, script
 from bayescal._calibration.compare import compare
 from bayescal._calibration.summary import unknown_rows
 from bayescal._core import deadline
@@ -55,8 +57,6 @@ from bayescal._use.budget import Budget, budget
 from bayescal._use.compensator import compensator
 from bayescal._use.decide import Decisions, decide
 from bayescal._use.firmware_parameters import axis_of, firmware_parameters
-from bayescal._workbench import kept
-from bayescal._workbench.kept import Origin, SearchOptions, State, path_to, script
 
 KINDS = {"add": 1, "take_out": 1, "fix": 2, "free": 1, "resize": 2, "noise": 1}
 

@@ -202,9 +202,9 @@ def workbench(
     refuse_without_panel()
     import panel  # here and below, because all this is heavy
 
+    from bayescal._annexes.workbench.app import Workbench
+    from bayescal._annexes.workbench.session import Session
     from bayescal._model.model import Model
-    from bayescal._workbench.app import Workbench
-    from bayescal._workbench.session import Session
 
     panel.extension(inline=True)
     given = instrument

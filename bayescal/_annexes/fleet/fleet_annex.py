@@ -1,4 +1,4 @@
-"""The command for many devices at once. Heavy modules load inside it."""
+"""What the annex of fleets offers: the command for many devices at once. Heavy modules load inside it."""
 
 from __future__ import annotations
 
@@ -10,14 +10,56 @@ from typing import TYPE_CHECKING
 import bayescal as bc
 from bayescal._cli import request
 from bayescal._cli.console import Answer
-from bayescal._cli.options import ColumnOptions, Commands, ModelOptions, named_numbers
+from bayescal._cli.options import (
+    ColumnOptions,
+    Commands,
+    ModelOptions,
+    named_numbers,
+    refuse_missing,
+    refuse_unknown_method,
+)
+from bayescal._core.annex import Annex
 from bayescal._core.errors import InputError
 from bayescal._search.own_files import in_a_file
 
 if TYPE_CHECKING:
     from distributed import Client
 
-commands = Commands()
+
+def _refuse_missing_beside_folders(paths: list[Path]) -> list[Path]:
+    refuse_missing([path for path in paths if not path.is_dir()])
+    return paths
+
+
+commands = Commands(
+    {
+        "files": "Files of readings, or folders of them: a Parquet dataset, CSVs, logs.",
+        "find": "Search each device's missing effects: a second a device.",
+        "method": "least-squares or marginal.",
+        "out": "Parquet file to write; or a folder, for results partition by partition.",
+        "population": (
+            "Coefficient whose mean and standard deviation over the devices are estimated; 'all', or repeat."
+        ),
+        "scheduler": "tcp://host:8786: a Dask cluster that does the work.",
+        "workers": "Processes of this machine that share the work.",
+    },
+    {
+        "files": {"callback": _refuse_missing_beside_folders},
+        "out": {"names": ["--out", "-o"]},
+        "method": {"callback": refuse_unknown_method},
+        "workers": {"min": 1},
+    },
+)
+
+
+class FleetAnnex(Annex):
+    """Many devices at once."""
+
+    def commands(self) -> Commands:
+        return commands
+
+
+ANNEX = FleetAnnex()
 
 
 @commands.example("bayescal batch lot.parquet --instrument mems_gyro -o results.parquet")
@@ -104,7 +146,7 @@ def _cluster(
         return
     if workers is not None and scheduler is not None:
         raise InputError("--workers and --scheduler: give one of them, a cluster here or elsewhere")
-    from bayescal._fleet.engine import open_cluster
+    from bayescal._annexes.fleet.engine import open_cluster
 
     with open_cluster(workers, scheduler) as client:
         for own in own_files:

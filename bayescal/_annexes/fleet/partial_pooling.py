@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal._fleet.batch_result import BatchPart, BatchResult, load_batch
-from bayescal._fleet.engine import Engine
-from bayescal._fleet.population import (
+from bayescal._annexes.fleet.batch_result import BatchPart, BatchResult, load_batch
+from bayescal._annexes.fleet.engine import Engine
+from bayescal._annexes.fleet.population import (
     DeviceEstimates,
     Learned,
     Named,
