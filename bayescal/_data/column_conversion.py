@@ -44,6 +44,7 @@ _TEXTS = 3  # of a column, that are quoted
 _OVERLOAD = "reads {:.4g}, an instrument's code for an overload or no reading at all (SCPI writes ±9.9E37 and 9.91E37)"
 _PLACEHOLDER = "reads {:g}, far from all other numbers: it stands for a missing reading"
 _MOST_AT_REST = 20.0  # g; a sensor that takes any unit is at rest, or nearly so
+_COLDEST = 100.0  # K; no inertial sensor is tested below, and no difference between two of its temperatures is above
 _SINCE_1904 = 2_082_844_800.0  # s, from 1904 to 1970
 _EARLIEST_1904 = 946_684_800.0 + _SINCE_1904  # s; the year 2000 counted from 1904
 _LIKELY_UNITS = (
@@ -453,6 +454,9 @@ class ColumnReader:
             try:
                 return convert(values, unit, target, local_gravity=gravity, difference=difference)
             except InputError as error:  # a difference of temperatures, say
+                if (absolute := _above_zero(values, unit, target)) is not None:
+                    self._flag(f"[{unit}] taken as temperatures above absolute zero")
+                    return absolute
                 where = f"{self.file.table.file!r}, column {self.header.raw!r}"
                 asked = option("--unit", f"{self.header.raw}=UNIT")
                 said = f"{where}: {error}"
@@ -539,3 +543,10 @@ def _number_in(unit: str | None) -> str:
 def _reading(value: float) -> str:
     """What a cell that holds no finite number reads."""
     return "is empty or NaN" if np.isnan(value) else f"reads {value:g}"
+
+
+def _above_zero(values: np.ndarray, unit: str, target: str) -> np.ndarray | None:
+    """Temperatures in parts of a kelvin, such as mK, that can only be absolute; None where they may be differences."""
+    kelvin = convert(values, unit, "delta_degC") if unit.endswith("K") else np.zeros(1)
+    found = kelvin[np.isfinite(kelvin)]
+    return convert(kelvin, "K", target) if found.size and found.min() > _COLDEST else None

@@ -22,6 +22,7 @@ from bayescal._data.unit_conversion import (
     spelled,
     unit_in,
 )
+from bayescal_models import mems_gyro
 
 
 def test_every_name_and_spelling_of_a_unit_has_one_meaning():
@@ -306,3 +307,17 @@ def test_a_unit_that_is_one_thing_only_where_it_stands_is_understood(text, kind,
 def test_units_of_mass_force_volume_amount_pressure_and_flow(unit, size, base) -> None:
     assert base_unit(unit) == base
     assert np.isclose(convert(1.0, unit, base), size, rtol=1e-9)
+
+
+@pytest.mark.parametrize("coldest, absolute", [(268_150, True), (25_000, False)])
+def test_millikelvin_are_temperatures_where_they_can_be_nothing_else(tmp_path, coldest, absolute):
+    rows = [f"{60 * i},{coldest + 1000 * i},{0.02 * (i % 3):.3f}" for i in range(40)]
+    path = tmp_path / "cold.csv"
+    path.write_text("\n".join(["time [s],temperature [mK],output [deg/s]", *rows]))
+    if not absolute:
+        with pytest.raises(bc.InputError, match="is a difference of temperatures"):
+            bc.read(path, mems_gyro.INSTRUMENT)
+        return
+    readings = bc.read(path, mems_gyro.INSTRUMENT)
+    assert readings["temperature"] == pytest.approx(np.arange(-5.0, 35.0))
+    assert any("[mK] taken as temperatures above absolute zero" in flag for flag in readings.flags)
