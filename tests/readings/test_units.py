@@ -309,7 +309,7 @@ def test_units_of_mass_force_volume_amount_pressure_and_flow(unit, size, base) -
     assert np.isclose(convert(1.0, unit, base), size, rtol=1e-9)
 
 
-@pytest.mark.parametrize("coldest, absolute", [(268_150, True), (25_000, False)])
+@pytest.mark.parametrize(("coldest", "absolute"), [(268_150, True), (25_000, False)])
 def test_millikelvin_are_temperatures_where_they_can_be_nothing_else(tmp_path, coldest, absolute):
     rows = [f"{60 * i},{coldest + 1000 * i},{0.02 * (i % 3):.3f}" for i in range(40)]
     path = tmp_path / "cold.csv"
