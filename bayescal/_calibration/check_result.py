@@ -166,16 +166,19 @@ def check_table(rows: Sequence[Mapping[str, Any]]) -> ResultTable:
 
 
 def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable]:
-    """Where a model fails, the worst covariate first: of so many covariates at most, the others by name."""
+    """Where a model fails, the worst covariate first.
+
+    Args:
+        check: of it.
+        most: covariates that are shown; then what always stands below them (neighbours in time, probabilities of single
+            readings, Allan deviation) is left out too. None: all.
+    """
     unit, rows = unit_label(check.unit), check.data()[:most]
     noise = f"judged against noise of {check.noise:.3g} {unit}"
     lines: list[str | ResultTable] = [f"residuals {check.rms:.3g} {unit} rms, {noise}"]
     if check.fixed:
         lines += [_fixed_text(check.fixed, unit), ""]
     lines.append(check_table(rows) if rows else "no covariate varies")
-    if others := check.entries[len(rows) :]:
-        named = ", ".join(e.against for e in others)
-        lines.append(textwrap.fill(f"less against {named} (--verbose)", WIDTH))
     strongest = max(
         settings().strong_evidence, *(e.log_bayes_factor for e in check.entries), -math.inf
     )
@@ -186,16 +189,18 @@ def check_parts(check: Check, most: int | None = None) -> list[str | ResultTable
         if p.log_bayes_factor > strongest
     ]
     coefficient, z = check.autocorrelation
-    lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
+    if most is None:
+        lines.append(f"neighbours in time: correlation {coefficient:.2f} (z = {z:.1f})")
     for name, p in check.scatter_with.items():
         lines.append(f"scatter changes with {name} (p = {p:.1g})")
     if check.outliers:
         shown = ", ".join(f"row {i + 1} ({z:+.1f} sd)" for i, z in check.outliers[:5])
         lines.append(f"outliers: {shown}{' …' if len(check.outliers) > 5 else ''}")
-    lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
+    if most is None:
+        lines.append(f"leave-one-out probabilities uniform: p = {check.pit_p:.2g}")
     if check.one_sided < SIGNIFICANT_P:
         lines.append(f"readings far from the model stand on one side (p = {check.one_sided:.1g})")
-    return [*lines, *_allan_parts(check)]
+    return [*lines, *(_allan_parts(check) if most is None else [])]
 
 
 def _allan_parts(check: Check) -> list[str | ResultTable]:

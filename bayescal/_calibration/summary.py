@@ -148,13 +148,14 @@ def _curve_row(calibration: Fitted, name: str) -> list[str]:
 
 
 def large_groups(calibration: Fitted) -> dict[str, list[str]]:
-    """Names of the members' coefficients, by coefficient, of groups with many members."""
+    """Names of members' coefficients, by coefficient: of groups with many members, of states where runs begin."""
     named = {
-        b.name: b.member_names(calibration.levels)
+        b: b.member_names(calibration.levels)
         for b in calibration.layout.blocks
         if b.place in ("x", "phi") and b.coefficient.per
     }
-    return {name: members for name, members in named.items() if len(members) > MOST_MEMBERS}
+    most = {b: 1 if b.coefficient.part == "start" else MOST_MEMBERS for b in named}
+    return {b.name: members for b, members in named.items() if len(members) > most[b]}
 
 
 def _group_row(name: str, members: list[dict[str, Any]]) -> list[str]:

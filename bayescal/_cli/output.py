@@ -123,7 +123,11 @@ def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effec
 def first_text(trail: SearchPath, verbose: bool = False) -> str:
     """`calibrate` as soon as the first model stands."""
     parts = check_parts(trail.steps[0].check, None if verbose else SHOWN_CHECKS)
-    return "\n".join(["WHERE THE FIRST MODEL FAILS", "", *map(str, parts)])
+    return _headed("WHERE THE FIRST MODEL FAILS", *parts)
+
+
+def _headed(head: str, *parts: object) -> str:
+    return "\n".join([head, *map(str, parts)])
 
 
 class ConsoleReporter:
@@ -171,28 +175,33 @@ def loop_text(
     """
     final = trail.final
     parts = [""] if begun else [first_text(trail, verbose)]
-    parts += _candidates_of_steps(trail) if verbose else [_findings_text(trail)]
+    parts += _candidates_of_steps(trail) if verbose else []
     unexplained = unexplained_text(final.calibration, final.check, own)
     parts += [unexplained] if unexplained else []
     unknown = [e.name for e in final.calibration.model.effects if covariate_in(e.name)]
     for name in unknown if verbose else ():
         draft = draft_effect(final.calibration, name)
         parts.append(
-            f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)\n\n{draft}"
+            _headed(
+                f"A FIRST DRAFT OF AN EFFECT IN PLACE OF {name} (edit it, give it with --effects)",
+                draft,
+            )
         )
-    parts.append(f"THE ERROR, STEP BY STEP\n\n{trail}")
-    parts.append(f"COEFFICIENTS\n\n{coefficients_text(trail, verbose)}")
-    if averaged := averaged_text(trail, verbose):
-        parts.append(averaged)
+    said = [] if verbose else _missing_lines(trail)
+    said += [_filled(f"end: {trail.ending}")] if trail.ending else []
+    parts.append(_headed("THE ERROR, STEP BY STEP", trail, *said))
+    said = [averaged_text(trail, verbose), _filled(f"gate: {trail.gate.reason}")]
+    parts.append(_headed("COEFFICIENTS", coefficients_text(trail, verbose), *filter(None, said)))
     if output_unit is not None:
         shown = in_output_unit(of_trail(trail), output_unit)
         over = ", over structures" * (trail.average is not None)
-        parts.append(f"IN {unit_label(output_unit)}{over}\n\n{shown}")
-    if trail.ending:
-        parts.append(textwrap.fill(f"end: {trail.ending}", WIDTH))
-    parts.append(textwrap.fill(f"gate: {trail.gate.reason}", WIDTH))
-    parts.append(f"IN SHORT\n\n{textwrap.fill(trail.in_short, WIDTH)}")
+        parts.append(_headed(f"IN {unit_label(output_unit)}{over}", shown))
+    parts.append(_headed("IN SHORT", textwrap.fill(trail.in_short, WIDTH)))
     return "\n\n".join(parts).removeprefix("\n")
+
+
+def _filled(line: str) -> str:
+    return textwrap.fill(line, WIDTH, subsequent_indent="  ")
 
 
 def coefficients_text(trail: SearchPath, verbose: bool = False) -> str:
@@ -211,16 +220,17 @@ def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
     """The structures that are averaged over; empty where one has it all."""
     if trail.average is None:
         return ""
-    added = [
-        [" + ".join(s.effects) or "nothing added", probability(s.probability)] for s in trail.shares
+    shares = [
+        (" + ".join(s.effects) or "nothing added", probability(s.probability)) for s in trail.shares
     ]
-    if not verbose and len(added) > SHOWN_STRUCTURES + 1:
+    if verbose:
+        return _headed("STRUCTURES", plain_table(["effects added", "probability"], shares, fold=60))
+    if len(shares) > SHOWN_STRUCTURES + 1:
         more = sum(s.probability for s in trail.shares[SHOWN_STRUCTURES:])
-        others = f"{len(added) - SHOWN_STRUCTURES} others (--verbose)"
-        added[SHOWN_STRUCTURES:] = [[others, probability(more)]]
-    said = "Coefficients, predictions and exports are averaged over these; --structure best uses the first."
-    shown = plain_table(["effects added", "probability"], added, fold=60)
-    return f"STRUCTURES\n\n{shown}\n{textwrap.fill(said, WIDTH)}"
+        others = f"{len(shares) - SHOWN_STRUCTURES} others"
+        shares[SHOWN_STRUCTURES:] = [(others, probability(more))]
+    named = ", ".join(f"{name} {share}" for name, share in shares)
+    return _filled(f"averaged over {named}; --structure best uses the first alone")
 
 
 def channels_in_short(found: Channels) -> str:
@@ -233,7 +243,7 @@ def _candidates_of_steps(trail: SearchPath) -> list[str]:
     parts = []
     for i, step in enumerate(trail.steps):
         said = str(step.discovery or _not_asked(step))
-        parts.append(f"WHAT IS MISSING FROM STEP {i} ({step.title})\n\n{said}")
+        parts.append(_headed(f"WHAT IS MISSING FROM STEP {i} ({step.title})", said))
     return parts
 
 
@@ -242,28 +252,25 @@ def _not_asked(step: Step) -> str:
     return f"no probabilities: {reasons or 'the search was ended before'}"
 
 
-def _findings_text(trail: SearchPath) -> str:
-    """A line for each step: what is missing from it, and what comes nearest; questions of units once."""
-    rows, asked = [], dict[Claim, None]()
+def _missing_lines(trail: SearchPath) -> list[str]:
+    """What is missing from each step, with its probability, but what was found alone; questions of units once."""
+    lines, asked = list[str](), dict[Claim, None]()
+    model, sure = trail.final.calibration.model, settings().found_probability
+    found_alone = {
+        (model.effect(n).reported,) for n, p in trail.added.items() if (p or 0.0) >= sure
+    }
     for i, step in enumerate(trail.steps):
-        found = step.discovery
-        if found is None:
-            rows.append([f"{i} {step.title}", "–", _not_asked(step)])
+        if (found := step.discovery) is None:
+            lines.append(f"missing from step {i}: {_not_asked(step)}")
             continue
         asked |= dict.fromkeys(found.off_scale)
-        missing = [f"{' or '.join(s.effects)} ({probability(s.probability)})" for s in found.sets]
-        named = {name for s in found.sets for name in s.effects}
-        tested = [
-            c for c in found.candidates if c.probability is not None and c.effect not in named
+        said = [
+            f"{' or '.join(s.effects)} ({probability(s.probability)})"
+            for s in found.sets
+            if tuple(s.effects) not in found_alone
         ]
-        nearest = max(tested, key=lambda c: c.probability or 0.0, default=None)
-        beside = f"next: {nearest.effect} ({probability(nearest.probability)})" if nearest else ""
-        said = "; ".join([*missing, beside] if beside else missing)
-        rows.append([f"{i} {step.title}", probability(found.nothing_missing), said or "–"])
-    head = ["step", "P(complete)", "missing, with its probability"]
-    lines = [f"WHAT IS MISSING (all candidates: --verbose)\n\n{plain_table(head, rows, fold=40)}"]
-    lines += [textwrap.fill(f"unit? {words}", WIDTH) for words in asked]
-    return "\n".join(lines)
+        lines += [f"missing from step {i}: {'; '.join(said)}"] if said else []
+    return [_filled(line) for line in (*lines, *(f"unit? {words}" for words in asked))]
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:

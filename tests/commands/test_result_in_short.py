@@ -56,7 +56,7 @@ def test_the_paragraph_says_what_is_true(found, name) -> None:
 def test_a_result_fits_on_a_screen(found, name) -> None:
     trail = found(name)
     text = loop_text(trail)
-    assert len(text.splitlines()) <= 80, text
+    assert len(text.splitlines()) <= 40, text
     assert trail.in_short.split(". ")[0] in " ".join(text.split())
     wide = [line for line in text.splitlines() if len(line) > 130]
     assert not wide

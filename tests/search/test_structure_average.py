@@ -104,7 +104,8 @@ def test_a_file_without_the_column_of_an_improbable_effect_is_predicted(average)
 
 def test_coefficients_are_printed_as_they_leave(trail, average) -> None:
     text = loop_text(trail)
-    assert "STRUCTURES" in text and "--structure best" in text
+    assert "averaged over bias.hysteresis" in text and "--structure best" in text
+    assert "STRUCTURES" in loop_text(trail, verbose=True)
     (row,) = (r for r in summary(average)[0] if r["name"] == "bias.constant")
     (own,) = (r for r in summary(trail.final.calibration)[0] if r["name"] == "bias.constant")
     assert with_error(row["mean"], row["sd"]) in text
