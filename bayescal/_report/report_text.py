@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,8 +41,9 @@ from bayescal._model.unknown_effect import FORMS, along_and_form, covariate_in
 from bayescal._report.section import Chapter
 from bayescal._search.discover import is_quiet, not_tested
 from bayescal._search.search_path import rises, steps_table
-from bayescal._use.decide import Decisions
-from bayescal._use.vector_correction import term_rows, terms_table
+
+if TYPE_CHECKING:
+    from bayescal._use.decide import Decisions
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
 GAUSSIAN = 0.9545  # what k = 2 covers of a Gaussian
@@ -316,6 +317,8 @@ def matrix(chapter: Chapter) -> ResultTable | None:
         found = averaged
     if not found or "terms" not in found:
         return None
+    from bayescal._use.vector_correction import term_rows, terms_table  # of three axes alone
+
     return terms_table(
         term_rows(found["terms"], found["uncertainty"], found["unit"], found["beside"])
     )

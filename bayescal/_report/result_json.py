@@ -34,7 +34,6 @@ from bayescal._search.discover import Discovery
 from bayescal._search.next_experiment import NextExperiment
 from bayescal._search.posterior import ShownStructure
 from bayescal._search.search_path import SearchPath, Step
-from bayescal._use.vector_series import vector_correction
 
 SCHEMA = "bayescal.result/2"
 # A step's key of the noise → the unknown of a law, where it has it.
@@ -125,6 +124,8 @@ def vector_data(
         return None
     averaged = None if average is None else vector_data(average)
     try:
+        from bayescal._use.vector_series import vector_correction  # of three axes alone
+
         correction = vector_correction(calibration)
     except ModelError as error:
         return {"unavailable": str(error), "averaged": averaged}
