@@ -26,8 +26,9 @@ from bayescal._core.folder_settings import obey_no_folder
 from bayescal._core.quoting import one_line
 from bayescal._search.own_files import in_one_line, own_file_line
 
-# New objects between two looks for unreachable ones: Python's own 700 look thirty times while modules load.
-OBJECTS = 50_000
+# New objects between two looks for unreachable ones: a look at a million takes a quarter of a second.
+# Python's own 700 look thirty times while modules load.
+OBJECTS = 1_000_000
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 app = typer.Typer(

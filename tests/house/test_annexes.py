@@ -18,16 +18,13 @@ class Removed:
 
 sys.meta_path.insert(0, Removed())
 import bayescal
-from bayescal._cli.main import main
+from bayescal._cli.main import command
 
 def called(*words):
     sys.argv[1:] = words
     said = io.StringIO()
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-        try:
-            main()
-        except SystemExit as left:
-            status = left.code
+        status = command()
     print(status, " ".join(said.getvalue().split()))
 
 called("{command}", "readings.csv")
