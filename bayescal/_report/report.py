@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, check_table
 from bayescal._calibration.description import identity, sources_of
+from bayescal._core.annex import annexes
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError, NotDrawn
 from bayescal._core.formatting import number, probability
@@ -383,7 +384,7 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "noise": c.model.noise.in_words,
         "reference": [(n, report_text.measured(v, "degC")) for n, v in c.hold_at.items()],
         "coefficients": replace(rows, rows=rows.rows[: 4 * MOST_ROWS]),
-        "matrix": report_text.matrix(chapter),
+        "further_tables": [pair for one in annexes() for pair in one.coefficient_tables(data)],
         "skewed": report_text.skewed(chapter),
         "check": chapter.check,
         "checks": [*zip(sorted({0, last}), map(check_table, checks), strict=True)],

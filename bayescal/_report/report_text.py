@@ -310,20 +310,6 @@ def _prior(prior: Any) -> str:
     return words.get(type(prior), repr)(prior)
 
 
-def matrix(chapter: Chapter) -> ResultTable | None:
-    """Of three axes, terms of the correction at T0 and by temperature, each ± u; None of one output."""
-    found = chapter.data.get("vector")
-    if found and "terms" in (averaged := found.get("averaged") or {}):
-        found = averaged
-    if not found or "terms" not in found:
-        return None
-    from bayescal._use.vector_correction import term_rows, terms_table  # of three axes alone
-
-    return terms_table(
-        term_rows(found["terms"], found["uncertainty"], found["unit"], found["beside"])
-    )
-
-
 def output_factor(unit: str, of: str, scale: NominalScale | None) -> float:
     """What one of the output's unit, in which a calibration keeps it, is in another; differences, all of them.
 

@@ -255,7 +255,7 @@ def triad_trail() -> bc.SearchPath:
     ],
 )
 def test_of_three_axes(made: Callable[[], bc.SearchPath]) -> None:
-    from bayescal._cli.deliverables import triad_text
+    from bayescal._annexes.imu.imu_annex import triad_text
 
     yaml, trail = pytest.importorskip("yaml"), made()
     correct = bc.vector_correction(trail.calibration)

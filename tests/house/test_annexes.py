@@ -34,7 +34,11 @@ try:
 except ImportError as error:
     print(error)
 """
-OFFERED = [("fleet", "batch", "fit_batch"), ("workbench", "workbench", "workbench")]
+OFFERED = [
+    ("fleet", "batch", "fit_batch"),
+    ("imu", "triad", "vector_correction"),
+    ("workbench", "workbench", "workbench"),
+]
 
 
 @pytest.mark.parametrize(("annex", "command", "name"), OFFERED)
