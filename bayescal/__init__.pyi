@@ -42,7 +42,7 @@ from ._annexes.imu.body_frame import in_frame_of as in_frame_of
 from ._annexes.imu.vector_files import export_vector as export_vector
 from ._annexes.imu.vector_files import load_vector_correction as load_vector_correction
 from ._use.budget import budget as budget
-from ._use.decide import decide as decide
+from ._annexes.metrology.decide import decide as decide
 from ._annexes.imu.firmware_parameters import firmware_parameters as firmware_parameters
 from ._report.report import report as report
 from . import plot as plot
@@ -106,7 +106,7 @@ from ._search.undetermined import Undetermined as Undetermined
 from ._use.compensator import Compensator as Compensator
 from ._annexes.imu.vector_correction import VectorCorrection as VectorCorrection
 from ._use.budget import Budget as Budget
-from ._use.decide import Decisions as Decisions
+from ._annexes.metrology.decide import Decisions as Decisions
 from ._annexes.imu.firmware_parameters import FirmwareParameters as FirmwareParameters
 
 # many devices at once

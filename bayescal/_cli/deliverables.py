@@ -1,4 +1,4 @@
-"""Commands for what the user takes away: compensate, export, budget, decide, report.
+"""Commands for what the user takes away: compensate, export, budget, report.
 
 Heavy modules load inside the commands.
 """
@@ -19,21 +19,11 @@ from bayescal._cli.options import (
     OwnParts,
     named_numbers,
 )
-from bayescal._core.annex import annexes
-from bayescal._core.as_json import write_json
-from bayescal._core.atomic_file import write_text
+from bayescal._core.annex import annexes, first_offered
 from bayescal._core.errors import InputError
 from bayescal._core.flag import code_of
 
 commands = Commands()
-DCC = "dcc"  # the format of a digital calibration certificate
-
-
-def not_shown(found: bc.Decisions | None) -> str:
-    """Which limits are not met, or undecided; empty where none is."""
-    decisions = () if found is None else found.decisions
-    open_ = [f"{d.limit} ({d.decision})" for d in decisions if d.decision != "accept"]
-    return f"not shown to conform: {', '.join(open_)}" * bool(open_)
 
 
 @commands.example("bayescal compensate result/calibration.nc flight.csv --out done.csv")
@@ -98,7 +88,7 @@ def export(
     from bayescal._use.correction_files import kinds
 
     offered = {name: write for one in annexes() for name, write in one.exports().items()}
-    known = [*dict.fromkeys((*(name for kind in kinds() for name in kind.writers), *offered)), DCC]
+    known = [*dict.fromkeys((*(name for kind in kinds() for name in kind.writers), *offered))]
     if format_ is None and out is None:
         raise InputError(f"say which format: --format {', '.join(known)}")
     if format_ not in (None, *known):
@@ -119,14 +109,6 @@ def export(
     )
     if format_ in offered:
         return offered[format_](asked)
-    if format_ == DCC:
-        asked.refuse_several()
-        text = saved.certified(
-            asked.calibrations[0], own, certificate, asked.local_gravity, limit, by
-        )
-        return Answer(
-            (text if out is None else f"written: {write_text(text, out)}").removesuffix("\n")
-        )
     given = [one for _, one in asked.loaded()]
     if not given or isinstance(given[0], bc.Compensator):
         asked.refuse_several()
@@ -155,40 +137,6 @@ def budget(
     return Answer(text, data, **saved.reliable({"": chosen}))
 
 
-@commands.example('bayescal decide result --limit "bias: ±0.5 °/s"')
-def decide(
-    *,
-    calibration: Path,
-    limit: list[str],
-    by: DecisionRule,
-    population: list[str] | None = None,
-    capability: float = 3.0,
-    conformity: float = 0.95,
-    out: Path | None = None,
-    local_gravity: float | None = None,
-    own: InUse,
-) -> Answer:
-    """Does it conform? Decisions about limits, with guard bands, risks and when to calibrate again.
-
-    Exit status: 0 where every limit is met; 1 where one is not, or is undecided.
-    """
-    from bayescal._data.unit_conversion import STANDARD_GRAVITY
-
-    found = bc.decide(
-        saved.load_saved(calibration, own),
-        limit,
-        **vars(by),
-        population=population or None,
-        capability=capability,
-        conformity=conformity,
-        members=own.members,
-        local_gravity=local_gravity or STANDARD_GRAVITY,
-    )
-    if out is not None:
-        write_json(found.data(), out, indent=1)
-    return Answer(found, doubt=not_shown(found))
-
-
 @commands.example("bayescal report result -o report.html")
 def report(
     *,
@@ -202,25 +150,26 @@ def report(
     own: OwnParts,
 ) -> Answer:
     """Write the report for sign-off: a one-page summary with appendices, in one HTML file."""
-    from bayescal._report.certificate import read_certificate
-
-    stated = read_certificate(certificate) if certificate else None
+    stated = decided = None
+    if certificate:
+        read = (one.certificate(certificate) for one in annexes())
+        stated = first_offered(read, "--certificate")
     given = saved.chapters_from(calibrations, own)
-    decided = None
     if limit:
         if len(given) != 1:
             raise InputError(
                 f"--limit decides about one result, {len(given)} were given: report each by itself"
             )
-        decided = bc.decide(given[0].used, limit, **vars(by))
+        made = (one.decided(given[0].used, limit, **vars(by)) for one in annexes())
+        decided = first_offered(made, "--limit")
     how = {"title": title, "certificate": stated, "output_unit": output_unit}
-    made = drawn(partial(bc.report, given, out, decisions=decided, **how))
+    whole = drawn(partial(bc.report, given, out, decisions=decided, **how))
     verdicts = [c.data["verdict"] for c in given]
     return Answer(
         f"written: {out}",
         {"file": str(out), "chapters": len(given)},
         ok=all(v["ok"] for v in verdicts),
         why=" ".join(reason for v in verdicts for reason in v["reasons"]),
-        doubt=not_shown(decided),
-        pictures=lambda: made,
+        doubt=decided.doubt if decided else "",
+        pictures=lambda: whole,
     )

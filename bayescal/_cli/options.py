@@ -141,7 +141,6 @@ HELP = {
     "average": "1s, 0.5s or 2min: means over this time in place of single readings; spikes are set aside first.",
     "axis": "gyro_x=a.nc: calibration of an axis, where its readings do not name it.",
     "calibration": "A folder of results, or its calibration (.nc).",
-    "capability": "Least T/(4u) with which 'shared-risk' decides.",
     "certificate": (
         "TOML file of what a certificate states: device, serial number, place, operator, conditions, "
         "standards, dates."
@@ -155,18 +154,12 @@ HELP = {
     ),
     "compensate.calibration": "Folder of results, its calibration (.nc), or a JSON export.",
     "compensate.out": "File to write, of the same format (Excel, MATLAB: .csv).",
-    "conformity": "Probability of which the next calibration is stated.",
     "covariates": (
         "Of the columns that the instrument does not know, those that may be causes; all but other channels of the "
         "unit if not given."
     ),
     "criterion": "residual, ratio-variance or ratio-variance-raw.",
     "date_order": "Of dates such as 05/06/2026, where no day above 12 shows it.",
-    "decide.limit": '"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.',
-    "decide.out": "JSON file to write the decisions to.",
-    "decide.population": (
-        'Devices of this kind, for global risks: "sd 0.2 °/s"; repeat, by name of a limit: "bias: sd 0.2 °/s".'
-    ),
     "decimal": "In numbers of text files, where they do not show it.",
     "demo.instrument": "Whose demonstration.",
     "demo.json_": "Print result.json on stdout, and the story on stderr.",
@@ -286,9 +279,7 @@ MORE: dict[str, dict[str, Any]] = {
     "seed": {"min": 0},
     "time_limit": {"metavar": "SECONDS", "callback": _refuse_no_time},
     "typed": {"names": ["--effect"], "metavar": "'NAME: FORMULA; s = SIZE'"},
-    **{
-        f"{c}.out": {"names": ["--out", "-o"]} for c in ("compensate", "export", "decide", "report")
-    },
+    **{f"{c}.out": {"names": ["--out", "-o"]} for c in ("compensate", "export", "report")},
 }
 
 

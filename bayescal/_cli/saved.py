@@ -185,34 +185,6 @@ def of_units(paths: list[Path], file: str = "") -> list[Path]:
     return found
 
 
-def certified(
-    path: Path,
-    own: InUse,
-    certificate: Path | None,
-    local_gravity: float,
-    limits: list[str] | None,
-    by: DecisionRule,
-) -> str:
-    """The digital calibration certificate of a saved calibration, as XML, with what is decided about limits, if any.
-
-    Raises:
-        InputError: no certificate is given, an export, or what `dcc_text` refuses.
-    """
-    from bayescal._report.certificate import dcc_text
-
-    if certificate is None:
-        raise InputError(
-            "a digital calibration certificate states device, laboratory and customer: --certificate FILE.toml"
-        )
-    if path.suffix.lower() == ".json":
-        raise InputError("an export is no calibration: give the saved calibration (.nc)")
-    calibration, decided = load_saved(path, own), None
-    if limits:
-        how = {"members": own.members, "local_gravity": local_gravity, **vars(by)}
-        decided = bc.decide(calibration, limits, **how)
-    return dcc_text(calibration, certificate, local_gravity, decided)
-
-
 def chapters_from(paths: list[Path], own: OwnParts) -> list[Chapter]:
     """What a report is of: saved calibrations, and folders with the search that led to one.
 

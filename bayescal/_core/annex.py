@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any, TypeVar
 
 from bayescal._core.errors import InputError
@@ -33,6 +34,12 @@ class Annex:
     def exports(self) -> Mapping[str, Callable[[Any], Any]]:
         """What `bayescal export` writes by formats of its own: of an `ExportRequest` an `Answer`."""
         return {}
+
+    def certificate(self, path: str | Path) -> Any:
+        """What a certificate's file states, as `bayescal.report` takes it."""
+
+    def decided(self, calibration: Any, limits: Sequence[str], **rule: Any) -> Any:
+        """What is decided about limits, as `bayescal.report` takes it, with a `doubt` where one is not met."""
 
     def noise_file(self, channels: Mapping[str, Any], topic: str, quantile: float) -> str | None:
         """The noise of channels as a file for another program: `bayescal noise --yaml`."""

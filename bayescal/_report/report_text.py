@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from itertools import chain, pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -41,9 +40,6 @@ from bayescal._model.unknown_effect import FORMS, along_and_form, covariate_in
 from bayescal._report.section import Chapter
 from bayescal._search.discover import is_quiet, not_tested
 from bayescal._search.search_path import rises, steps_table
-
-if TYPE_CHECKING:
-    from bayescal._use.decide import Decisions
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
 GAUSSIAN = 0.9545  # what k = 2 covers of a Gaussian
@@ -229,12 +225,6 @@ def convergence(chapter: Chapter) -> ResultTable:
         TableColumn("divergences", of("divergences"), lambda v: "–" if v is None else str(v)),
     )
     return ResultTable(columns, [*enumerate(chapter.data["steps"])])
-
-
-def decided(found: Decisions) -> ResultTable:
-    """Decisions about limits, with why, and when to calibrate again."""
-    why = TableColumn("why; next calibration", lambda d: f"{d.why}; {d.recalibration}")
-    return replace(found.table(), columns=(*found.table().columns, why), fold=1)
 
 
 def skewed(chapter: Chapter) -> list[str]:

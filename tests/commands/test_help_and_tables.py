@@ -21,8 +21,8 @@ ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
     *("instruments", "effects", "simulate", "pairs", "demo", "calibrate"),
     *("fit", "check", "discover", "compare", "predict", "noise"),
-    *("compensate", "export", "budget", "decide", "report"),
-    *("batch", "triad", "imu", "workbench"),  # of annexes
+    *("compensate", "export", "budget", "report"),
+    *("batch", "triad", "imu", "decide", "workbench"),  # of annexes
 )
 
 

@@ -37,6 +37,7 @@ except ImportError as error:
 OFFERED = [
     ("fleet", "batch", "fit_batch"),
     ("imu", "triad", "vector_correction"),
+    ("metrology", "decide", "decide"),
     ("workbench", "workbench", "workbench"),
 ]
 
