@@ -28,7 +28,7 @@ from ._search.check_instrument import InstrumentCheck as InstrumentCheck
 # a sensor's noise, as data sheets give it
 from ._calibration.sensor_noise import noise as noise
 from ._calibration.sensor_noise import SensorNoise as SensorNoise
-from ._use.kalibr_file import kalibr_yaml as kalibr_yaml
+from ._annexes.imu.kalibr_file import kalibr_yaml as kalibr_yaml
 from ._data.set_aside import set_aside as set_aside
 from ._data.allan_deviation import allan_deviation as allan_deviation
 from ._data.allan_deviation import AllanDeviation as AllanDeviation
@@ -36,14 +36,14 @@ from ._data.allan_deviation import AllanDeviation as AllanDeviation
 # what leaves: the compensation, its budget, pictures, the report for sign-off
 from ._use.compensator import compensator as compensator
 from ._use.compensator import load_compensator as load_compensator
-from ._use.vector_series import vector_correction as vector_correction
-from ._use.moves import moves as moves
-from ._use.body_frame import in_frame_of as in_frame_of
-from ._use.correction_files import export_vector as export_vector
-from ._use.correction_files import load_vector_correction as load_vector_correction
+from ._annexes.imu.vector_series import vector_correction as vector_correction
+from ._annexes.imu.moves import moves as moves
+from ._annexes.imu.body_frame import in_frame_of as in_frame_of
+from ._annexes.imu.vector_files import export_vector as export_vector
+from ._annexes.imu.vector_files import load_vector_correction as load_vector_correction
 from ._use.budget import budget as budget
-from ._use.decide import decide as decide
-from ._use.firmware_parameters import firmware_parameters as firmware_parameters
+from ._annexes.metrology.decide import decide as decide
+from ._annexes.imu.firmware_parameters import firmware_parameters as firmware_parameters
 from ._report.report import report as report
 from . import plot as plot
 from ._annexes.workbench.start import (
@@ -104,10 +104,10 @@ from ._report.save_search import (
 from ._search.next_experiment import NextExperiment as NextExperiment
 from ._search.undetermined import Undetermined as Undetermined
 from ._use.compensator import Compensator as Compensator
-from ._use.vector_correction import VectorCorrection as VectorCorrection
+from ._annexes.imu.vector_correction import VectorCorrection as VectorCorrection
 from ._use.budget import Budget as Budget
-from ._use.decide import Decisions as Decisions
-from ._use.firmware_parameters import FirmwareParameters as FirmwareParameters
+from ._annexes.metrology.decide import Decisions as Decisions
+from ._annexes.imu.firmware_parameters import FirmwareParameters as FirmwareParameters
 
 # many devices at once
 from ._annexes.fleet.fit_batch import fit_batch as fit_batch

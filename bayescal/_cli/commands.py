@@ -32,6 +32,7 @@ from bayescal._cli.options import (
 )
 from bayescal._cli.request import instrument_named
 from bayescal._core import deadline
+from bayescal._core.annex import annexes, first_offered
 from bayescal._core.as_json import as_json
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
@@ -480,7 +481,8 @@ def noise(
             print_result({name: one.data() for name, one in found.items()})
         written = []
         if yaml is not None:
-            written.append(write_text(bc.kalibr_yaml(found, topic, quantile), yaml))
+            texts = (one.noise_file(found, topic, quantile) for one in annexes())
+            written.append(write_text(first_offered(texts, "--yaml"), yaml))
         pictures = {f"noise_{place}.png": name for name, place in folders_of(found).items()}
 
         def draw() -> None:

@@ -136,14 +136,11 @@ ARGUMENTS = ("files", "file", "calibration", "calibrations")  # which are no opt
 # By the parameter's name; as "command.name" where a command means something else by it.
 HELP = {
     "accept_conflict": "bias.constant: may differ greatly from its plausible size; repeat for others.",
-    "accelerometers": "Their three columns, as ax,ay,az; else by the usual names.",
     "add": "Effect to add to the baseline; repeat for more.",
     "at": "temperature=60: operating point, in fixed units; repeat for more.",
     "average": "1s, 0.5s or 2min: means over this time in place of single readings; spikes are set aside first.",
     "axis": "gyro_x=a.nc: calibration of an axis, where its readings do not name it.",
-    "baseline": "Look for no effect beside bias, scale, misalignment.",
     "calibration": "A folder of results, or its calibration (.nc).",
-    "capability": "Least T/(4u) with which 'shared-risk' decides.",
     "certificate": (
         "TOML file of what a certificate states: device, serial number, place, operator, conditions, "
         "standards, dates."
@@ -157,24 +154,17 @@ HELP = {
     ),
     "compensate.calibration": "Folder of results, its calibration (.nc), or a JSON export.",
     "compensate.out": "File to write, of the same format (Excel, MATLAB: .csv).",
-    "conformity": "Probability of which the next calibration is stated.",
     "covariates": (
         "Of the columns that the instrument does not know, those that may be causes; all but other channels of the "
         "unit if not given."
     ),
     "criterion": "residual, ratio-variance or ratio-variance-raw.",
     "date_order": "Of dates such as 05/06/2026, where no day above 12 shows it.",
-    "decide.limit": '"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.',
-    "decide.out": "JSON file to write the decisions to.",
-    "decide.population": (
-        'Devices of this kind, for global risks: "sd 0.2 °/s"; repeat, by name of a limit: "bias: sd 0.2 °/s".'
-    ),
     "decimal": "In numbers of text files, where they do not show it.",
     "demo.instrument": "Whose demonstration.",
     "demo.json_": "Print result.json on stdout, and the story on stderr.",
     "device_id": "gyro=3670026: PX4's number of a sensor; repeat.",
     "discover.ignore": "A column that is no cause; repeat for more.",
-    "dry_run": "Say what these poses do not determine and which to add; fit nothing.",
     "effect": "name=size: an effect to hide; repeat for more.",
     "effects_file": "Python file with effects or a noise law of your own.",
     "export.calibrations": (
@@ -191,7 +181,6 @@ HELP = {
         "json, c, python or html (a page with sliders), else by the suffix of --out; of three axes yaml (Kalibr), "
         "openvins, realsense, ros; px4-params or ardupilot-params; dcc."
     ),
-    "gyroscopes": "Their three columns, as gx,gy,gz; else by the usual names.",
     "holdout": "Hold-out data, only read after the last step; repeat for more.",
     "ignore": "Column to leave out; repeat for more.",
     "instrument": "Name of an installed instrument, or my.py:INSTRUMENT.",
@@ -203,7 +192,6 @@ HELP = {
     "local_field": "Local magnetic field, '48.2 uT', that magnetometers are turned in; ratios of scales without it.",
     "local_gravity": "Local gravity, m/s², for files in m/s²; 9.80665 if not given.",
     "mapping": "TOML file that --save-mapping wrote; options on the command line take precedence.",
-    "magnetometers": "Their three columns, as mx,my,mz, where there are any.",
     "max_effects": "Most effects that may be missing.",
     "member": "device=A17: which device is used; repeat for more.",
     "method": "marginal, least-squares or nuts.",
@@ -230,7 +218,6 @@ HELP = {
         "scale. JSON stays as it is."
     ),
     "pairs.instrument": "Whose devices are chosen in pairs.",
-    "poses": "Each row is a pose or a rate; else steady stretches of a log.",
     "predict.out": "File to write: .csv, .parquet or .nc.",
     "prior_sensitivity": "Also how much the priors matter (psense).",
     "quantile": "Of the posterior, that the numbers for Kalibr are.",
@@ -245,7 +232,6 @@ HELP = {
     ),
     "save_mapping": "TOML file to keep these options in, for --mapping.",
     "seed": "Seed of every random number.",
-    "shortest": "Shortest pose in a log, s; 2, or 1 where many still stretches are shorter.",
     "simple_noise": (
         "Where noise is correlated, leave out sums of terms (random walk, flicker, two times, a tone): faster on "
         "long records."
@@ -255,7 +241,6 @@ HELP = {
     "time_limit": "End after this time with what there is, as Ctrl-C does at any time, and say what was left out.",
     "title": "Of the report.",
     "topic": "Of the messages, for Kalibr.",
-    "triad.instrument": "Of three axes: accelerometer_triad, gyro_triad, magnetometer_triad.",
     "typed": "An effect of your own in one line, as a candidate: 'supply: s * (supply_voltage - 5); s = 0.1 V/V'.",
     "unit": "gyro_x=rad/s: unit of a column; repeat for more.",
     "unwrap": "time=2^32us: what a clock or counter held when it began anew; repeat for more.",
@@ -294,9 +279,7 @@ MORE: dict[str, dict[str, Any]] = {
     "seed": {"min": 0},
     "time_limit": {"metavar": "SECONDS", "callback": _refuse_no_time},
     "typed": {"names": ["--effect"], "metavar": "'NAME: FORMULA; s = SIZE'"},
-    **{
-        f"{c}.out": {"names": ["--out", "-o"]} for c in ("compensate", "export", "decide", "report")
-    },
+    **{f"{c}.out": {"names": ["--out", "-o"]} for c in ("compensate", "export", "report")},
 }
 
 

@@ -1,16 +1,20 @@
-"""Saved calibrations, and what is made of them: compensators, an autopilot's parameters, chapters of a report.
+"""Saved calibrations, and what is made of them: compensators, exports, chapters of a report.
 
 Light: what is heavy loads with the first calibration.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
-from bayescal._cli.options import DecisionRule, InUse, OwnParts, UsedParts, named_values
+from bayescal._cli.console import Answer, print_notes
+from bayescal._cli.options import DecisionRule, InUse, OwnParts, UsedParts
+from bayescal._core.annex import annexes, first_offered
+from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._report.whole_folder import (
     AVERAGED,
@@ -24,6 +28,77 @@ from bayescal._search.own_files import instrument_named, user_effects
 
 if TYPE_CHECKING:
     from bayescal._report.section import Chapter
+    from bayescal._use.correction import CorrectionInUse
+
+
+@dataclass(frozen=True)
+class ExportRequest:
+    """What `bayescal export` is asked for, by the names of its options."""
+
+    calibrations: list[Path]
+    format_: str | None
+    out: Path | None
+    axis: list[str] | None
+    device_id: list[str] | None
+    local_gravity: float
+    certificate: Path | None
+    limit: list[str] | None
+    by: DecisionRule
+    own: InUse
+    name: str | None
+    uncertainty: bool
+
+    def loaded(self, paths: Sequence[Path] | None = None) -> list[tuple[Path, Any]]:
+        """Files and their corrections: all of one output, or none.
+
+        Raises:
+            InputError: there are of both kinds, or one cannot be loaded.
+        """
+        found = [(p, correction_from(p, self.own)) for p in paths or self.calibrations]
+        single = [path for path, one in found if isinstance(one, bc.Compensator)]
+        if 0 < len(single) < len(found):
+            raise InputError(
+                f"{single[0]} is of one output, and others are of three axes: give it alone"
+            )
+        return found
+
+    def refuse_several(self) -> None:
+        """Refuse more than one calibration.
+
+        Raises:
+            InputError: there are more, or none.
+        """
+        if len(self.calibrations) != 1 or self.axis or self.device_id:
+            raise InputError(
+                f"a program is of one calibration, {len(self.calibrations)} were given"
+                + (", and --axis or --device-id" if self.axis or self.device_id else "")
+                + ": several, by axis, make parameters (--format px4-params or ardupilot-params)"
+            )
+
+    def written(self, corrections: Sequence[Any]) -> Answer:
+        """Corrections in one file, or as text; what that has no place for is said."""
+        from bayescal._use import correction_files as files
+
+        first, *others = (getattr(one, "program", one) for one in corrections)
+        kind, format = files.kind_of(first), files.format_of(self.out, self.format_)
+        how = {"name": self.name, "others": others, "uncertainty": self.uncertainty}
+        text = files.as_text(first, format, **how)
+        if self.out is not None:
+            text = f"written: {write_text(text, self.out)}"
+        named = {one.about_it()[0]: one for one in (first, *others)}
+        left = ((name, kind.left_out(one, format)) for name, one in named.items())
+        print_notes([f"{name}: {words}" for name, words in left if words])
+        alone = isinstance(corrections[0], bc.Compensator)
+        judged = {
+            f"{name}:" * (not alone): one for name, one in zip(named, corrections, strict=True)
+        }
+        return Answer(text.removesuffix("\n"), **reliable(judged))
+
+
+def reliable(given: Mapping[str, bc.Compensator | CorrectionInUse]) -> dict[str, Any]:
+    """Of what was written, whether it is of results that may be used, as an `Answer` has it."""
+    told = [f"{name} {one.why_not}".strip() for name, one in given.items() if one.why_not]
+    return {"ok": not told, "why": "; ".join(told)}
 
 
 def _own(parts: OwnParts) -> dict[str, Any]:
@@ -66,20 +141,21 @@ def compensator_from(path: Path, own: InUse) -> bc.Compensator:
         InputError: it cannot be loaded, or members are chosen of an export.
     """
     found = correction_from(path, own)
-    if isinstance(found, bc.VectorCorrection):
+    if not isinstance(found, bc.Compensator):
         raise InputError(
             f"{path} is of three axes: `bayescal export` writes its correction, in Python bc.vector_correction makes it"
         )
     return found
 
 
-def correction_from(path: Path, own: InUse) -> bc.Compensator | bc.VectorCorrection:
+def correction_from(path: Path, own: InUse) -> bc.Compensator | CorrectionInUse:
     """What corrects readings, of one output or of three axes: of a saved calibration, or exported as JSON.
 
     Raises:
         InputError: it cannot be loaded, or members are chosen of an export.
     """
     if path.suffix.lower() == ".json":
+        from bayescal._use.compensation_program import CompensationProgram
         from bayescal._use.correction_files import load_correction
 
         if own.member:
@@ -87,12 +163,13 @@ def correction_from(path: Path, own: InUse) -> bc.Compensator | bc.VectorCorrect
                 f"{path.name} is an export, made for its members: give the calibration"
             )
         found = load_correction(path)
-        triad = isinstance(found, bc.VectorCorrection)
-        return found if triad else bc.Compensator(None, loaded=found)
+        one = isinstance(found, CompensationProgram)
+        return bc.Compensator(None, loaded=found) if one else found
     calibration = load_saved(path, own)
-    if calibration.model.instrument.vector is not None:
-        return bc.vector_correction(calibration)
-    return bc.compensator(calibration, members=own.members)
+    if calibration.model.instrument.vector is None:
+        return bc.compensator(calibration, members=own.members)
+    made = (one.corrected(calibration) for one in annexes())
+    return first_offered(made, f"{path} is of three axes: to correct them")
 
 
 def of_units(paths: list[Path], file: str = "") -> list[Path]:
@@ -106,78 +183,6 @@ def of_units(paths: list[Path], file: str = "") -> list[Path]:
         unit = (path / CHANNELS).is_file()
         found += [path / name / file for name in channel_folders(path)] if unit else [path]
     return found
-
-
-def by_axis(
-    given: Sequence[tuple[Path, bc.Compensator]], named: list[str] | None, own: InUse
-) -> dict[str, bc.Compensator]:
-    """Calibrations by their axis: as their readings name it, or as the user does.
-
-    Raises:
-        InputError: an axis is not known, or is given twice.
-    """
-    from bayescal._use.firmware_parameters import axis_of
-
-    found, files = dict[str, bc.Compensator](), dict[str, Path]()
-    given_names = [(None, path, one) for path, one in given]
-    for name, file in (
-        pair for one in named or [] for pair in named_values([one], "--axis").items()
-    ):
-        given_names.append((name, Path(file), compensator_from(Path(file), own)))
-    for name, path, chosen in given_names:
-        name = name or (axis_of(chosen.calibration) if chosen.calibration else None)
-        if name is None:
-            raise InputError(
-                f"{path}: its readings do not say of which axis it is: --axis gyro_x={path} in its place"
-            )
-        if name in found:
-            raise InputError(
-                f"{path} and {files[name]} are both of {name}: give one, or say of which axis each is "
-                f"(--axis gyro_y={path})"
-            )
-        found[name], files[name] = chosen, path
-    return found
-
-
-def device_numbers(given: list[str] | None) -> dict[str, int]:
-    """--device-id as `firmware_parameters` takes it.
-
-    Raises:
-        InputError: one is no number.
-    """
-    said = named_values(given, "--device-id")
-    for name, value in said.items():
-        if not value.isdecimal():
-            raise InputError(f"--device-id {name}={value}: {value!r} is not a whole number")
-    return {name: int(value) for name, value in said.items()}
-
-
-def certified(
-    path: Path,
-    own: InUse,
-    certificate: Path | None,
-    local_gravity: float,
-    limits: list[str] | None,
-    by: DecisionRule,
-) -> str:
-    """The digital calibration certificate of a saved calibration, as XML, with what is decided about limits, if any.
-
-    Raises:
-        InputError: no certificate is given, an export, or what `dcc_text` refuses.
-    """
-    from bayescal._report.certificate import dcc_text
-
-    if certificate is None:
-        raise InputError(
-            "a digital calibration certificate states device, laboratory and customer: --certificate FILE.toml"
-        )
-    if path.suffix.lower() == ".json":
-        raise InputError("an export is no calibration: give the saved calibration (.nc)")
-    calibration, decided = load_saved(path, own), None
-    if limits:
-        how = {"members": own.members, "local_gravity": local_gravity, **vars(by)}
-        decided = bc.decide(calibration, limits, **how)
-    return dcc_text(calibration, certificate, local_gravity, decided)
 
 
 def chapters_from(paths: list[Path], own: OwnParts) -> list[Chapter]:

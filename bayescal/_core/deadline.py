@@ -224,7 +224,6 @@ class Handover:
 
 
 _DOOR: ContextVar[Handover | None] = ContextVar("door", default=None)
-_threads: list[threading.Thread] = []
 _begun = threading.Event()  # work apart: Ctrl-C need not be raised, for its end is waited for
 
 
@@ -295,7 +294,6 @@ def _apart(work: Callable[[], T], end: Deadline, own: Handover | None) -> T:
             done.set()
 
     thread = threading.Thread(target=copy_context().run, args=(run,), name="bayescal")
-    _threads[:] = [t for t in _threads if t.is_alive()] + [thread]
     if threading.current_thread() is threading.main_thread():
         _begun.set()
     thread.start()
@@ -317,8 +315,3 @@ def _apart(work: Callable[[], T], end: Deadline, own: Handover | None) -> T:
     if failed:
         raise failed[0]
     return made[0]
-
-
-def unfinished() -> bool:
-    """Whether a thread is still at work that was left behind: the interpreter would wait for it when it ends."""
-    return any(t.is_alive() for t in _threads)

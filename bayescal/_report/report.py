@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check, check_table
 from bayescal._calibration.description import identity, sources_of
+from bayescal._core.annex import annexes, first_offered
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import BayescalError, InputError, NotDrawn
 from bayescal._core.formatting import number, probability
@@ -32,14 +33,12 @@ from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Effect
 from bayescal._model.frame import GROUPS
 from bayescal._report import plots, report_text
-from bayescal._report.certificate import Certificate, read_certificate
 from bayescal._report.result_json import RESULT
-from bayescal._report.section import Chapter, chapters
+from bayescal._report.section import Chapter, Foreword, Foreworded, chapters
 from bayescal._search.discover import candidates_table, confounded, not_tested
 from bayescal._search.search_path import SearchPath
 from bayescal._use.budget import Budget, budget
 from bayescal._use.compensation_program import averaged_over
-from bayescal._use.decide import Decisions
 
 SVG = {"svg.fonttype": "none", "svg.hashsalt": "bayescal", "font.size": 9.0}
 RESIDUAL_PANELS = 4  # of residuals
@@ -252,8 +251,8 @@ def report(
     *,
     title: str = "",
     effects: Iterable[Effect] = (),
-    certificate: str | Path | Certificate | None = None,
-    decisions: Decisions | None = None,
+    certificate: str | Path | Foreworded | None = None,
+    decisions: Foreworded | None = None,
     output_unit: str | None = None,
 ) -> Path:
     """Write the report for sign-off.
@@ -289,22 +288,16 @@ def report(
         )
     from jinja2 import TemplateError  # only a report needs it
 
-    stated = certificate
-    if stated is not None and not isinstance(stated, Certificate):
-        stated = read_certificate(stated)
+    if isinstance(certificate, str | Path):
+        read = (one.certificate(certificate) for one in annexes())
+        certificate = first_offered(read, "certificate=")
     several = given if isinstance(given, list | tuple) else [given]
     found = chapters(several, effects)
-    for chapter in found:  # whose search may know more against it than its own check
-        if (
-            decisions
-            and not report_text.ok(chapter)
-            and decisions.calibration == identity(chapter.used)
-        ):
-            decisions = decisions.withheld(" ".join(chapter.data["verdict"]["reasons"]))
+    before = [one.foreword(found) for one in (certificate, decisions) if one is not None]
     folders = [str(c.folder) for c in found if c.folder is not None]
     pictures = Pictures(OF_DAMAGE if folders else ())
     try:
-        text = page(found, pictures, title, stated, decisions, output_unit)
+        text = page(found, pictures, title, before, output_unit)
     except (TemplateError, *OF_DAMAGE) as e:
         if not folders:
             raise
@@ -322,8 +315,7 @@ def page(
     found: list[Chapter],
     pictures: Pictures,
     title: str = "",
-    certificate: Certificate | None = None,
-    decisions: Decisions | None = None,
+    before: Sequence[Foreword] = (),
     output_unit: str | None = None,
 ) -> str:
     """The report as HTML."""
@@ -340,13 +332,11 @@ def page(
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         chapters=[_chapter(c, pictures) for c in found],
         k=report_text.K,
-        certificate=certificate.rows() if certificate else [],
-        decisions=decisions,
+        before=before,
         output_unit=output_unit,
         in_output_unit=[
             report_text.in_output_unit(c, output_unit) if output_unit else None for c in found
         ],
-        decided=None if decisions is None else report_text.decided(decisions),
     )
 
 
@@ -383,7 +373,7 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "noise": c.model.noise.in_words,
         "reference": [(n, report_text.measured(v, "degC")) for n, v in c.hold_at.items()],
         "coefficients": replace(rows, rows=rows.rows[: 4 * MOST_ROWS]),
-        "matrix": report_text.matrix(chapter),
+        "further_tables": [pair for one in annexes() for pair in one.coefficient_tables(data)],
         "skewed": report_text.skewed(chapter),
         "check": chapter.check,
         "checks": [*zip(sorted({0, last}), map(check_table, checks), strict=True)],

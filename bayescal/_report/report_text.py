@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from itertools import chain, pairwise
 from typing import Any
 
@@ -41,8 +40,6 @@ from bayescal._model.unknown_effect import FORMS, along_and_form, covariate_in
 from bayescal._report.section import Chapter
 from bayescal._search.discover import is_quiet, not_tested
 from bayescal._search.search_path import rises, steps_table
-from bayescal._use.decide import Decisions
-from bayescal._use.vector_correction import term_rows, terms_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
 GAUSSIAN = 0.9545  # what k = 2 covers of a Gaussian
@@ -230,12 +227,6 @@ def convergence(chapter: Chapter) -> ResultTable:
     return ResultTable(columns, [*enumerate(chapter.data["steps"])])
 
 
-def decided(found: Decisions) -> ResultTable:
-    """Decisions about limits, with why, and when to calibrate again."""
-    why = TableColumn("why; next calibration", lambda d: f"{d.why}; {d.recalibration}")
-    return replace(found.table(), columns=(*found.table().columns, why), fold=1)
-
-
 def skewed(chapter: Chapter) -> list[str]:
     """Unknowns whose mean ± 2 u holds clearly more or less than a Gaussian's share of the draws."""
     found, c = [], chapter.used
@@ -307,18 +298,6 @@ def _prior(prior: Any) -> str:
         Flat: lambda p: "flat prior",
     }
     return words.get(type(prior), repr)(prior)
-
-
-def matrix(chapter: Chapter) -> ResultTable | None:
-    """Of three axes, terms of the correction at T0 and by temperature, each ± u; None of one output."""
-    found = chapter.data.get("vector")
-    if found and "terms" in (averaged := found.get("averaged") or {}):
-        found = averaged
-    if not found or "terms" not in found:
-        return None
-    return terms_table(
-        term_rows(found["terms"], found["uncertainty"], found["unit"], found["beside"])
-    )
 
 
 def output_factor(unit: str, of: str, scale: NominalScale | None) -> float:

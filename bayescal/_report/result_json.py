@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check_result import Check
 from bayescal._calibration.description import identity
 from bayescal._calibration.leave_group_out import groups_of
 from bayescal._calibration.summary import directions_data, summary
+from bayescal._core.annex import annexes
 from bayescal._core.as_json import as_json, write_json
-from bayescal._core.errors import InputError, ModelError
+from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
 from bayescal._core.settings import unusual
 from bayescal._data.measurements import Measurements
@@ -34,7 +34,6 @@ from bayescal._search.discover import Discovery
 from bayescal._search.next_experiment import NextExperiment
 from bayescal._search.posterior import ShownStructure
 from bayescal._search.search_path import SearchPath, Step
-from bayescal._use.vector_series import vector_correction
 
 SCHEMA = "bayescal.result/2"
 # A step's key of the noise → the unknown of a law, where it has it.
@@ -101,7 +100,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
             **found,
             "coefficients": coefficients,
             "hyperparameters": hyperparameters,
-            "vector": vector_data(final, trail.average),
+            **{k: v for one in annexes() for k, v in one.result(final, trail.average).items()},
             "identifiability": {"null_directions": directions_data(final)},
             "verdict": {
                 "ok": trail.ok,
@@ -110,26 +109,6 @@ def result(trail: SearchPath) -> dict[str, Any]:
             },
         }
     )
-
-
-def vector_data(
-    calibration: Calibration, average: Calibration | None = None
-) -> dict[str, Any] | None:
-    """Offset and 3 × 3 matrix over temperature, with standard uncertainties, of three axes; None of one output.
-
-    Args:
-        calibration: of the structure that is shown.
-        average: over the structures, under `averaged`: what exports hold.
-    """
-    if calibration.model.instrument.vector is None:
-        return None
-    averaged = None if average is None else vector_data(average)
-    try:
-        correction = vector_correction(calibration)
-    except ModelError as error:
-        return {"unavailable": str(error), "averaged": averaged}
-    whole = {k: v for k, v in correction.data().items() if k != "made_by"}
-    return {**whole, "uncertainty": correction.uncertainty.tolist(), "averaged": averaged}
 
 
 def search_data(trail: SearchPath) -> dict[str, Any] | None:

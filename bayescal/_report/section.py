@@ -6,10 +6,10 @@ given: the first is where it began, the last is what is signed for.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
@@ -18,6 +18,7 @@ from bayescal._calibration.description import identity, name_of_today
 from bayescal._calibration.fit import load
 from bayescal._core.errors import InputError, NotConverged
 from bayescal._core.json_shape import read_json
+from bayescal._core.result_table import ResultTable
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._report.result_json import FORMER, RESULT, SCHEMA, hashes, refuse_unfinished, result
@@ -29,6 +30,37 @@ from bayescal._search.search_path import SearchPath
 
 PICTURE = "loop.png"
 PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@dataclass(frozen=True)
+class Foreword:
+    """A section that stands before all chapters.
+
+    Attributes:
+        name: its id in the page.
+        title: above it.
+        note: in small print below it.
+        verdict: what it comes to, in a box, with what it rests on; empty for none.
+        bad: whether that is against what is reported of.
+        why: what the verdict rests on.
+        lists: headings, with labels and texts below each.
+        table: with its caption.
+    """
+
+    name: str
+    title: str
+    note: str
+    verdict: str = ""
+    bad: bool = False
+    why: str = ""
+    lists: tuple[tuple[str, list[tuple[str, str]]], ...] = ()
+    table: tuple[str, ResultTable] | None = None
+
+
+class Foreworded(Protocol):
+    """What has something to say before a report: what a laboratory states, what is decided about limits."""
+
+    def foreword(self, chapters: Sequence[Chapter]) -> Foreword: ...
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ from bayescal._use.compensation_program import (
     provenance_of,
     warn_outside,
 )
-from bayescal._use.correction_files import as_text, format_of, load_correction
+from bayescal._use.correction_files import as_text, format_of, kind_of, load_correction
 from bayescal._use.operating_equation import (
     OperatingEquation,
     PosteriorMoments,
@@ -338,7 +338,6 @@ def load_compensator(path: str | Path) -> Compensator:
     """
     found = load_correction(path)
     if not isinstance(found, CompensationProgram):
-        raise InputError(
-            f"{Path(path).name} is of three axes: bayescal.load_vector_correction loads it"
-        )
+        kind = kind_of(found)
+        raise InputError(f"{Path(path).name} is of {kind.axes}: bayescal.{kind.loader} loads it")
     return Compensator(None, loaded=found)

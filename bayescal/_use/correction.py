@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 NOT_RELIABLE = "RESULT NOT RELIABLE: "
 
@@ -30,6 +30,36 @@ class CorrectionInUse(ABC):
         """What to know but what stands against using it."""
         _, notes, why_not = self.about_it()
         return tuple(note for note in notes if note != f"{NOT_RELIABLE}{why_not}")
+
+
+Writer = Callable[[Mapping[str, Any], bool], str]
+"""Writes corrections by the names of their sensors, with or without uncertainty."""
+
+
+class CorrectionKind(NamedTuple):
+    """A kind of corrections: how they are told, written, read back and made.
+
+    Attributes:
+        of: their class.
+        axes: what they are of, in words, such as "three axes".
+        writers: by format.
+        suffixes: formats by the suffix of a file.
+        together: formats that hold several.
+        is_data: whether JSON is one of them.
+        read: one from JSON and the name of its file, for messages; `InputError` if it is damaged.
+        loader: the public function that does.
+        left_out: what a format has no place for, in a sentence; empty for nothing.
+    """
+
+    of: type[CorrectionInUse]
+    axes: str
+    writers: Mapping[str, Writer]
+    suffixes: Mapping[str, str]
+    is_data: Callable[[Mapping[str, Any]], bool]
+    read: Callable[[Any, str], CorrectionInUse]
+    loader: str
+    together: tuple[str, ...] = ()
+    left_out: Callable[[Any, str], str] = lambda correction, format: ""
 
 
 def kept_why(data: Mapping[str, Any]) -> str:

@@ -10,11 +10,16 @@ from bayescal._core import templates
 from bayescal._core.quoting import number_text
 
 
-def template(file: str, filters: Mapping[str, Callable[..., Any]], autoescape: bool = False):
-    """A template beside this file, in which `number` writes a number with all its digits."""
+def template(
+    file: str,
+    filters: Mapping[str, Callable[..., Any]],
+    autoescape: bool = False,
+    package: str = "bayescal._use",
+) -> Any:
+    """A template of a package, in which `number` writes a number with all its digits."""
     filters = {"number": number_text, **filters}
     how = {"autoescape": autoescape, "keep_trailing_newline": True}
-    return templates.template("bayescal._use", file, filters, **how)
+    return templates.template(package, file, filters, **how)
 
 
 def include_guard(name: str, *computed: Any) -> str:

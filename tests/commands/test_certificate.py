@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._report import certificate
-from bayescal._report.certificate import d_si, read_certificate
+from bayescal._annexes.metrology import certificate
+from bayescal._annexes.metrology.certificate import d_si, read_certificate
 from bayescal_models import still_sensor
 from tests.support.command_line import run
 from tests.support.stated import STATED

@@ -124,13 +124,11 @@ def test_every_command_is_tested_here() -> None:
 
 LOADED = """
 import sys
-from bayescal._cli.main import main
+from bayescal._cli.main import command
 sys.argv[1:] = ["instruments", "--readings", "none.csv"]  # refused at once
-try:
-    main()
-except SystemExit:
-    import arviz_base, matplotlib
-    print(matplotlib.rcParams["text.usetex"], arviz_base.rcParams["stats.ci_prob"])
+command()
+import arviz_base, matplotlib
+print(matplotlib.rcParams["text.usetex"], arviz_base.rcParams["stats.ci_prob"])
 """
 
 

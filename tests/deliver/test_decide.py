@@ -12,8 +12,13 @@ import pytest
 from scipy import stats
 
 import bayescal as bc
-from bayescal._use.conformity import GlobalRisks, LimitedRange, StatedLimit, stated_limit
-from bayescal._use.decide import DAY, first_below
+from bayescal._annexes.metrology.conformity import (
+    GlobalRisks,
+    LimitedRange,
+    StatedLimit,
+    stated_limit,
+)
+from bayescal._annexes.metrology.decide import DAY, first_below
 from bayescal._use.operating_equation import errors_over_draws
 from tests.support.made_up import bent_sensor
 from tests.support.made_up import level as electronic_level

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._use.plain_correction import plain_correction
-from bayescal._use.vector_parameters import autopilot_parameters, left_out
+from bayescal._annexes.imu.plain_correction import plain_correction
+from bayescal._annexes.imu.vector_parameters import autopilot_parameters, left_out
 from tests.deliver.test_one_program import AT, triad
 from tests.support.inside import text_of
 

@@ -20,11 +20,11 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._annexes.metrology.certificate import d_si
 from bayescal._calibration.summary import summary
 from bayescal._cli.output import coefficients_text
 from bayescal._core.formatting import number, with_error
 from bayescal._data.unit_conversion import unit_label
-from bayescal._report.certificate import d_si
 from bayescal._search.calibrate import step_of
 from bayescal._search.gate import judged
 from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
@@ -255,7 +255,7 @@ def triad_trail() -> bc.SearchPath:
     ],
 )
 def test_of_three_axes(made: Callable[[], bc.SearchPath]) -> None:
-    from bayescal._cli.deliverables import triad_text
+    from bayescal._annexes.imu.imu_annex import triad_text
 
     yaml, trail = pytest.importorskip("yaml"), made()
     correct = bc.vector_correction(trail.calibration)

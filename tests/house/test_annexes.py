@@ -18,16 +18,13 @@ class Removed:
 
 sys.meta_path.insert(0, Removed())
 import bayescal
-from bayescal._cli.main import main
+from bayescal._cli.main import command
 
 def called(*words):
     sys.argv[1:] = words
     said = io.StringIO()
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-        try:
-            main()
-        except SystemExit as left:
-            status = left.code
+        status = command()
     print(status, " ".join(said.getvalue().split()))
 
 called("{command}", "readings.csv")
@@ -37,7 +34,12 @@ try:
 except ImportError as error:
     print(error)
 """
-OFFERED = [("fleet", "batch", "fit_batch"), ("workbench", "workbench", "workbench")]
+OFFERED = [
+    ("fleet", "batch", "fit_batch"),
+    ("imu", "triad", "vector_correction"),
+    ("metrology", "decide", "decide"),
+    ("workbench", "workbench", "workbench"),
+]
 
 
 @pytest.mark.parametrize(("annex", "command", "name"), OFFERED)

@@ -105,7 +105,7 @@ def annex_of(module: str) -> str:
 
 
 # What an annex has from another: the workbench offers what these decide and write.
-FROM_OTHERS: set[tuple[str, str]] = set()
+FROM_OTHERS = {("workbench", "imu"), ("workbench", "metrology")}
 
 
 def test_an_annex_imports_the_core_and_no_other_annex() -> None:

@@ -81,16 +81,13 @@ def refusals(*commands: Sequence[object]) -> list[tuple[int, str, list[str]]]:
     """Of commands that must be refused, in one process: status, what each says, what of `COMPUTING` it has imported."""
     code = f"""
 import contextlib, io, json, sys
-from bayescal._cli.main import main
+from bayescal._cli.main import command
 told = []
 for words in json.loads(sys.stdin.read()):
     sys.argv[1:] = words
     said = io.StringIO()
     with contextlib.redirect_stderr(said):
-        try:
-            main()
-        except SystemExit as left:
-            status = left.code
+        status = command()
     told.append((status, said.getvalue(), [n for n in {COMPUTING!r} if n in sys.modules]))
 print(json.dumps(told))
 """
@@ -127,13 +124,11 @@ class Blocked:
             raise AssertionError(f"imports {{name}}")
 
 sys.meta_path.insert(0, Blocked())
-from bayescal._cli.main import main
+from bayescal._cli.main import command
 for words in (["--help"], ["calibrate", "--help"], ["imu", "--help"]):
     sys.argv[1:] = words
-    try:
-        main()
-    except SystemExit as left:
-        assert not left.code, left.code
+    status = command()
+    assert status == 0, status
 """
 
 

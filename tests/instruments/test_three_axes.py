@@ -330,8 +330,8 @@ def test_a_corrected_vector_is_what_acts_within_its_uncertainty() -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("unpainted")
 def test_the_result_holds_the_matrix_and_the_report_the_sphere(tmp_path: Path) -> None:
+    from bayescal._annexes.imu.vector_result import vector_data
     from bayescal._report.plots import residuals_on_sphere, sphere
-    from bayescal._report.result_json import vector_data
 
     calibration = thermal()
     found = vector_data(calibration)

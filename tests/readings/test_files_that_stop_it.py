@@ -10,9 +10,9 @@ import pytest
 import scipy.io
 
 import bayescal as bc
+from bayescal._annexes.metrology.certificate import read_certificate
 from bayescal._core.atomic_file import write_sealed
 from bayescal._data import header_matching
-from bayescal._report.certificate import read_certificate
 from bayescal._tables.mapping_file import load_mapping
 from bayescal._tables.unpacked import refuse_matlab
 from bayescal_models import mems_gyro

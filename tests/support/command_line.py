@@ -88,16 +88,11 @@ _parser = cache(typer.main.get_command)  # made anew with each command otherwise
 def run(*arguments: object) -> Ran:
     """Run a command in this process."""
     out, err = io.StringIO(), io.StringIO()
-    status = None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["bayescal", *map(str, arguments)])
         patch.setattr(typer.main, "get_command", _parser)
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            try:
-                main.main()
-            except SystemExit as left:
-                status = left.code
-    assert isinstance(status, int)
+            status = main.command()
     return Ran(status, out.getvalue(), err.getvalue())
 
 

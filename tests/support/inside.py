@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import bayescal as bc
+from bayescal._annexes.metrology.certificate import Certificate, dcc_text
 from bayescal._annexes.workbench.kept import Origin as Origin
 from bayescal._annexes.workbench.session import Session as Session
 from bayescal._calibration.description import identity
@@ -18,7 +19,6 @@ from bayescal._data.header_matching import ReadOptions
 from bayescal._data.set_aside import not_new, said_of
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable
-from bayescal._report.certificate import Certificate, dcc_text
 from bayescal._report.result_json import result
 from bayescal._report.whole_folder import MANIFEST as MANIFEST
 from bayescal._report.whole_folder import files_of as files_of

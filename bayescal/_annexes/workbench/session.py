@@ -21,6 +21,9 @@ from typing import Any
 
 import numpy as np
 
+from bayescal._annexes.imu.autopilot import AUTOPILOTS
+from bayescal._annexes.imu.firmware_parameters import axis_of, firmware_parameters
+from bayescal._annexes.metrology.decide import Decisions, decide
 from bayescal._annexes.workbench import kept
 from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_to, script
 from bayescal._calibration.compare import compare
@@ -52,11 +55,8 @@ from bayescal._search.search_path import SearchPath, Step
 from bayescal._search.structures import Structure
 from bayescal._search.walk import path
 from bayescal._use import correction_files
-from bayescal._use.autopilot import AUTOPILOTS
 from bayescal._use.budget import Budget, budget
 from bayescal._use.compensator import compensator
-from bayescal._use.decide import Decisions, decide
-from bayescal._use.firmware_parameters import axis_of, firmware_parameters
 
 KINDS = {"add": 1, "take_out": 1, "fix": 2, "free": 1, "resize": 2, "noise": 1}
 

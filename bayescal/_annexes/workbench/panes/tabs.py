@@ -23,6 +23,7 @@ import panel as pn
 import panel.models.file_dropper  # its scripts come with the page
 from bokeh.models import ColumnDataSource, Legend, LegendItem, NumeralTickFormatter, Span
 
+from bayescal._annexes.metrology.decide import CONFORMITY, FALSE_ACCEPT, Rule
 from bayescal._annexes.workbench.kept import path_to
 from bayescal._annexes.workbench.panes.fails import NOISE
 from bayescal._annexes.workbench.parts.pieces import (
@@ -58,7 +59,6 @@ from bayescal._tables.mapping_file import save_mapping
 from bayescal._tables.open_table import TEXT, open_table
 from bayescal._tables.raw_table import bytes_text
 from bayescal._use.budget import Budget
-from bayescal._use.decide import CONFORMITY, FALSE_ACCEPT, Rule
 
 SERIES = (  # of a step's errors: name, marker, colour (None: the ground's blue)
     ("as fitted", "circle", None),

@@ -36,6 +36,7 @@ from scipy.linalg import block_diag, solve_triangular
 from scipy.spatial.transform import Rotation
 from scipy.special import fdtrc, logsumexp
 
+from bayescal._annexes.imu.vector_correction import VectorCorrection
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
@@ -62,7 +63,6 @@ from bayescal._data.still_stretches import (
 )
 from bayescal._data.unit_conversion import convert, same_dimension
 from bayescal._model.instrument import Instrument
-from bayescal._use.vector_correction import VectorCorrection
 
 SWEEPS = 60  # of integrating anew; four suffice for a matrix that is off by a tenth
 HALVINGS = 10  # of a step that leaves more over than was,

@@ -20,6 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayescal._annexes.imu.vector_correction import (
+    PAIRS,
+    ROUNDING,
+    UNKNOWN_DIRECTIONS,
+    VectorCorrection,
+)
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity
 from bayescal._calibration.judgement import why_not
@@ -34,7 +40,6 @@ from bayescal._inference.problem import Problem
 from bayescal._model.frame import Frame
 from bayescal._model.vector import Vector
 from bayescal._use.correction import NOT_RELIABLE
-from bayescal._use.vector_correction import PAIRS, ROUNDING, UNKNOWN_DIRECTIONS, VectorCorrection
 
 # Share of the largest term up to which a polynomial of the temperature is the model's own.
 EXACT_SHARE = 1e-9

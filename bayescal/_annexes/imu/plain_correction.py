@@ -18,9 +18,14 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._annexes.imu.vector_correction import (
+    PAIRS,
+    ROUNDING,
+    VectorCorrection,
+    slopes_by_terms,
+)
 from bayescal._core.formatting import number
 from bayescal._data.unit_conversion import same_dimension, unit_label
-from bayescal._use.vector_correction import PAIRS, ROUNDING, VectorCorrection, slopes_by_terms
 
 # Means of polynomials up to the seventh degree: over a range by G. Lobatto's five points, over a sphere by V. Lebedev's
 # 26 (Zh. Vychisl. Mat. Mat. Fiz. 16 (1976) 293), the directions of axes, edges and corners of a cube.

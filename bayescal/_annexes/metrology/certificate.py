@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date
 from decimal import Decimal
@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
+from bayescal._annexes.metrology.decide import Decisions, statement_lines
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity, sources_of
 from bayescal._calibration.judgement import why_not
@@ -36,7 +37,7 @@ from bayescal._core.quoting import xml_text
 from bayescal._core.templates import template
 from bayescal._core.version import __version__
 from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse
-from bayescal._use.decide import Decisions, statement_lines
+from bayescal._report.section import Chapter, Foreword
 
 # Section → key → what a person reads. A section in lists may stand several times.
 _PLACE = {"street": "street", "city": "city", "postcode": "postcode", "country": "country"}
@@ -104,6 +105,15 @@ class Certificate:
                 f"{self.file} does not state {', '.join(missing)}, which a digital calibration certificate needs: "
                 "add " + "; ".join(f"[{s}] {k} = …" for s, k in (n.split(".") for n in missing))
             )
+
+    def foreword(self, chapters: Sequence[Chapter]) -> Foreword:
+        """What is stated, before a report."""
+        return Foreword(
+            "certificate",
+            "Certificate data",
+            "Stated by the laboratory; nothing of this section was measured or checked by bayescal.",
+            lists=tuple(self.rows()),
+        )
 
     def rows(self) -> list[tuple[str, list[tuple[str, str]]]]:
         """Section → (label, text) of what is stated, for people."""
@@ -186,7 +196,7 @@ def dcc_text(
         raise InputError(f"no certificate is written of a result that is not reliable: {said}")
     conditions = {**stated.conditions, "place": stated.get("calibration", "place")}
     layout = template(
-        "bayescal._report",
+        "bayescal._annexes.metrology",
         "dcc.xml.jinja",
         {"statement_lines": statement_lines},
         autoescape=True,

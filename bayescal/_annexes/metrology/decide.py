@@ -28,20 +28,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.description import identity
-from bayescal._calibration.judgement import why_not
-from bayescal._calibration.mixture import inclusion
-from bayescal._calibration.prior_influence import NotMeasured, not_measured
-from bayescal._core.as_json import as_json
-from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH, number, with_error
-from bayescal._core.result_table import Printed, ResultTable, TableColumn
-from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
-from bayescal._model.effect import Effect
-from bayescal._model.unknown_effect import covariate_in
-from bayescal._use.compensation_program import averaged_over
-from bayescal._use.conformity import (
+from bayescal._annexes.metrology.conformity import (
     DrawnQuantity,
     GlobalRisks,
     LimitedQuantity,
@@ -55,6 +42,20 @@ from bayescal._use.conformity import (
     stated_limit,
     with_population,
 )
+from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.description import identity
+from bayescal._calibration.judgement import why_not
+from bayescal._calibration.mixture import inclusion
+from bayescal._calibration.prior_influence import NotMeasured, not_measured
+from bayescal._core.as_json import as_json
+from bayescal._core.errors import InputError
+from bayescal._core.formatting import WIDTH, number, with_error
+from bayescal._core.result_table import Printed, ResultTable, TableColumn
+from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
+from bayescal._model.effect import Effect
+from bayescal._model.unknown_effect import covariate_in
+from bayescal._report.section import Chapter, Foreword
+from bayescal._use.compensation_program import averaged_over
 
 DAY = 86400.0  # s
 YEAR = 365.25 * DAY
@@ -292,6 +293,30 @@ class Decisions(Printed):
     def conforms(self) -> bool:
         """Whether every limit is met, by the rule."""
         return all(d.decision == ACCEPT for d in self.decisions)
+
+    @property
+    def doubt(self) -> str:
+        """Which limits are not met, or undecided; empty where none is."""
+        open_ = [f"{d.limit} ({d.decision})" for d in self.decisions if d.decision != ACCEPT]
+        return f"not shown to conform: {', '.join(open_)}" * bool(open_)
+
+    def foreword(self, chapters: Sequence[Chapter]) -> Foreword:
+        """What is decided, before a report: nothing about a result that its search has more against than its check."""
+        for one in chapters:
+            if not one.data["verdict"]["ok"] and self.calibration == identity(one.used):
+                return self.withheld(" ".join(one.data["verdict"]["reasons"])).foreword(())
+        table = self.table()
+        why = TableColumn("why; next calibration", lambda d: f"{d.why}; {d.recalibration}")
+        met = "Every limit is met, by the rule below."
+        return Foreword(
+            "decisions",
+            "Does it conform?",
+            " ".join((f"Of the calibration {self.calibration}.", *self.notes)),
+            verdict=met if self.conforms else "Not every limit is shown to be met.",
+            bad=not self.conforms,
+            why=f"Decision rule: {self.rule_in_words}.",
+            table=("Decisions", replace(table, columns=(*table.columns, why), fold=1)),
+        )
 
     def data(self) -> dict[str, Any]:
         """As JSON."""

@@ -1,0 +1,390 @@
+"""What the annex of three axes offers: commands, corrections, formats of exports, parts of results.
+
+Light: heavy modules load inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bayescal as bc
+from bayescal._cli import request, saved
+from bayescal._cli.console import Answer, drawn, print_notes, result_folder
+from bayescal._cli.options import (
+    ColumnOptions,
+    Commands,
+    InUse,
+    ModelOptions,
+    ReadRequest,
+    named_values,
+    names_in,
+)
+from bayescal._core.annex import Annex
+from bayescal._core.errors import InputError
+from bayescal._report.whole_folder import MANIFEST, drawing, files_of, list_files, whole_folder
+
+if TYPE_CHECKING:
+    from bayescal._tables.raw_table import Objection
+
+commands = Commands(
+    {
+        "accelerometers": "Their three columns, as ax,ay,az; else by the usual names.",
+        "baseline": "Look for no effect beside bias, scale, misalignment.",
+        "dry_run": "Say what these poses do not determine and which to add; fit nothing.",
+        "gyroscopes": "Their three columns, as gx,gy,gz; else by the usual names.",
+        "magnetometers": "Their three columns, as mx,my,mz, where there are any.",
+        "poses": "Each row is a pose or a rate; else steady stretches of a log.",
+        "shortest": "Shortest pose in a log, s; 2, or 1 where many still stretches are shorter.",
+        "instrument": "Of three axes: accelerometer_triad, gyro_triad, magnetometer_triad.",
+    }
+)
+MOST_ADDED = 5  # effects that are added
+SENSORS = {
+    "accelerometer_triad": "accelerometers",
+    "gyro_triad": "gyroscopes",
+    "magnetometer_triad": "magnetometers",
+}
+FILES = ("correction.h", "correction.py", "correction.json", "correction.yaml")
+REPORT = "report.html"
+
+
+class ThreeAxes(Annex):
+    """Three axes: triads and inertial units, with the files that autopilots, Kalibr and their like read."""
+
+    def commands(self) -> Commands:
+        return commands
+
+    def corrections(self) -> Sequence[Any]:
+        from bayescal._annexes.imu.vector_files import THREE_AXES
+
+        return (THREE_AXES,)
+
+    def corrected(self, calibration: bc.Calibration) -> bc.VectorCorrection | None:
+        three = calibration.model.instrument.vector is not None
+        return bc.vector_correction(calibration) if three else None
+
+    def exports(self) -> Mapping[str, Callable[[saved.ExportRequest], Answer]]:
+        from bayescal._annexes.imu.autopilot import AUTOPILOTS
+
+        return dict.fromkeys(AUTOPILOTS, parameters)
+
+    def noise_file(
+        self, channels: Mapping[str, bc.SensorNoise], topic: str, quantile: float
+    ) -> str:
+        return bc.kalibr_yaml(channels, topic, quantile)
+
+    def result(
+        self, calibration: bc.Calibration, average: bc.Calibration | None
+    ) -> Mapping[str, Any]:
+        if calibration.model.instrument.vector is None:
+            return {"vector": None}
+        from bayescal._annexes.imu.vector_result import vector_data
+
+        return {"vector": vector_data(calibration, average)}
+
+    def coefficient_tables(self, data: Mapping[str, Any]) -> Sequence[tuple[str, Any]]:
+        if not data.get("vector"):
+            return ()
+        from bayescal._annexes.imu.vector_result import CAPTION, matrix_table
+
+        table = matrix_table(data)
+        return [(CAPTION, table)] if table is not None else []
+
+
+ANNEX = ThreeAxes()
+
+
+@dataclass(frozen=True)
+class TriadOptions:
+    """What is asked of three axes, one triad or all of a unit."""
+
+    shortest: float | None = None
+    baseline: bool = False
+    seed: int = 0
+    out: Path | None = None
+    name: str | None = None
+    json_: bool = False
+
+
+@commands.example(
+    "bayescal triad log.csv --columns output_x=ax --columns output_y=ay --columns output_z=az "
+    "--out result"
+)
+def triad(
+    files: list[Path],
+    columns: ColumnOptions,
+    asked: TriadOptions,
+    instrument: str = "accelerometer_triad",
+    poses: bool = False,
+    dry_run: bool = False,
+) -> Answer:
+    """Calibrate three axes by poses at rest or known rates; corrections as C99, Python, JSON and YAML."""
+    from bayescal._use.correction_files import sensor_name
+
+    sensor_name(asked.name, "")  # refused before anything takes time
+    given = ReadRequest(instrument, files, columns, ModelOptions())
+    chosen, model, readings = request.open_request(given)
+    if chosen.vector is None:
+        raise InputError(
+            f"--instrument {instrument}: it has one output; `bayescal calibrate` is for it"
+        )
+    print_notes(readings.flags)
+    with result_folder(asked.out) as folder:
+        if not poses:
+            readings = bc.poses(readings, chosen, shortest=asked.shortest)
+            model = chosen.for_readings(readings).baseline()
+            print_notes(readings.flags)
+        untold = bc.undetermined(model, readings)
+        if dry_run:
+            return Answer(str(untold))
+        if untold.add:
+            print_notes([str(untold)])
+        # Where poses leave directions open, chains would go through the priors of these for minutes.
+        method = bc.Marginal(chains=not untold.add)
+        trail, correction = _calibrated(model, readings, asked, method=method)
+        if folder is not None:
+            with whole_folder(folder) as hidden:
+                _write(hidden, trail, correction, readings, asked.name)
+        return _answer({"": trail}, correction.data(), folder, asked)
+
+
+@commands.example("bayescal imu log.csv --accelerometers ax,ay,az --gyroscopes gx,gy,gz --out unit")
+def imu(
+    files: list[Path],
+    columns: ColumnOptions,
+    asked: TriadOptions,
+    accelerometers: str | None = None,
+    gyroscopes: str | None = None,
+    magnetometers: str | None = None,
+) -> Answer:
+    """Calibrate accelerometers by poses, gyroscopes by moves between them, magnetometers: one log, one frame."""
+    from bayescal._tables.raw_table import Objections
+    from bayescal._use.correction_files import names_in_unit, sensor_name
+
+    sensor_name(asked.name, "")
+    how, field = columns.for_read(), columns.local_field
+    if field is not None and not magnetometers:
+        raise InputError(
+            f"--local-field {field!r}: it is of magnetometers; say which they are (--magnetometers mx,my,mz)"
+        )
+    given = dict(zip(SENSORS, (accelerometers, gyroscopes), strict=False))
+    given |= {"magnetometer_triad": magnetometers} if magnetometers else {}
+    instruments = {name: request.instrument_named(name) for name in given}
+    logs, problems = {}, Objections()
+    for name, three in given.items():
+        named = {**how, "columns": _three(three) | how["columns"]}
+        if SENSORS[name] != "magnetometers":
+            named.pop("local_field", None)
+        try:
+            logs[name] = bc.read(list(files), instruments[name], **named)
+        except InputError as error:
+            if not error.problems:
+                raise
+            problems += _of_sensor(SENSORS[name], instruments[name], error.problems)
+    problems.refuse()
+    columns.keep()
+    (force, forces), (turns, rates), *others = zip(instruments.values(), logs.values(), strict=True)
+    long = {"shortest": asked.shortest}
+    with result_folder(asked.out) as folder:
+        poses = bc.poses(forces, force, **long)
+        print_notes(poses.flags)
+        (trail, first) = _calibrated(force.for_readings(poses).baseline(), poses, asked)
+        found = {"accelerometer": (trail, first, poses)}
+        moves = bc.moves(rates, turns, forces, first, **long)
+        print_notes(moves.flags)
+        model = dict(turns.structures)["moves"]()
+        found["gyroscope"] = (*_calibrated(model, moves, asked), moves)
+        for field, log in others:
+
+            def turned(own: Any, log: Any = log) -> Any:
+                return bc.in_frame_of(own, log, first, forces, **long)
+
+            its = bc.poses(log, field, **long)
+            model = field.for_readings(its).baseline()
+            found["magnetometer"] = (*_calibrated(model, its, asked, turned), its)
+        if folder is not None:
+            each = [correction for _, correction, _ in found.values()]
+            named = names_in_unit(asked.name, each)
+            with whole_folder(folder) as hidden:
+                for (name, one), own in zip(found.items(), named, strict=True):
+                    _write(hidden / name, *one, own)
+                for file in ("imu.h", "imu.py"):
+                    bc.export_vector(first, hidden / file, others=each[1:], name=asked.name)
+                bc.export_vector(first, hidden / "imu.yaml", others=each[1:2])
+        data = {name: correction.data() for name, (_, correction, _) in found.items()}
+        return _answer({name: trail for name, (trail, _, _) in found.items()}, data, folder, asked)
+
+
+def _answer(
+    trails: Mapping[str, Any], data: Any, folder: Path | None, asked: TriadOptions
+) -> Answer:
+    """What was found of three axes, by the folder in this one: its words are printed already."""
+
+    def pictures() -> bool:
+        made = folder is None or _draw(trails, folder)
+        for place in dict.fromkeys((*trails, "")) if folder is not None and not asked.json_ else ():
+            names = (*files_of(folder / place), MANIFEST)
+            print(f"written: {folder / place}/{', '.join(names)}")
+        return made
+
+    why = [trail.gate.reason for trail in trails.values() if not trail.ok]
+    shown = data if asked.json_ else None
+    return Answer(shown, ok=not why, why="; ".join(why[:1]), pictures=pictures)
+
+
+def _three(given: str | None) -> dict[str, str]:
+    """Of three outputs, their columns in a file.
+
+    Raises:
+        InputError: these are not three.
+    """
+    names = names_in(given)
+    if len(names) not in (0, 3):
+        raise InputError(f"{given!r} names {len(names)} columns: give three, as ax,ay,az")
+    return dict(zip((f"output_{a}" for a in "xyz"), names, strict=False))
+
+
+def _of_sensor(sensors: str, instrument: Any, problems: Sequence[Objection]) -> Sequence[Objection]:
+    """Objections of a log, with one sentence in place of three where it has none of a sensor's three columns."""
+    from bayescal._tables.raw_table import Objection
+
+    three = {f"output_{axis}" for axis in "xyz"}
+    missing = [p for p in problems if p.column in three]
+    if len(missing) < len(three):
+        return problems
+    columns = ",".join(f"{sensors[0]}{axis}" for axis in "xyz")
+    return [
+        Objection(
+            missing[0].file,
+            f"holds no three columns called as those of {sensors} are, in a unit that converts to {instrument.unit}",
+            cure=f"Say which they are (--{sensors} {columns}), or take a log that has them",
+        )
+    ]
+
+
+def _calibrated(
+    model: Any,
+    readings: Any,
+    asked: TriadOptions,
+    turned: Callable[[Any], Any] = lambda correction: correction,
+    method: Any = None,
+) -> tuple[Any, Any]:
+    """Search and correction, printed or to be printed as JSON.
+
+    Args:
+        model: to begin with.
+        readings: of poses or moves.
+        asked: what is.
+        turned: takes the correction to other axes.
+        method: of the last fit.
+    """
+    most = 0 if asked.baseline else MOST_ADDED
+    trail = bc.calibrate(model, readings, method=method, seed=asked.seed, max_effects=most)
+    correction = bc.vector_correction(trail.calibration)  # averaged over the structures
+    correction = turned(correction)
+    print_notes(correction.notes)
+    if not asked.json_:
+        print(triad_text(trail, correction))
+    return trail, correction
+
+
+def triad_text(trail: bc.SearchPath, correction: bc.VectorCorrection) -> str:
+    """What is found of three axes: the errors, the coefficients, and offset and matrix as exports have them."""
+    from bayescal._cli.output import coefficients_text
+
+    return f"{trail}\n\n{coefficients_text(trail)}\n\n{correction}"
+
+
+def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str | None) -> None:
+    """All that there is of three axes but what is drawn, to a folder that is not seen yet."""
+    from bayescal._annexes.imu.vector_parameters import left_out
+    from bayescal._report.save_search import write_search
+
+    write_search(trail, folder)
+    for name in FILES:
+        bc.export_vector(correction, folder / name, name=sensor)
+    if said := left_out(correction, "yaml"):
+        print_notes([f"{correction.instrument}, YAML: {said}"])
+    readings.write(folder / "poses.csv")
+    list_files(folder, None)
+
+
+def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
+    """Pictures and reports of three axes, in the folders of their results in this one, and a report of all.
+
+    Returns:
+        Whether all could be made; what could not is said.
+    """
+    from bayescal._report.save_search import draw_search
+
+    made = [drawn(draw_search, trails, folder)]
+
+    def reports() -> None:
+        with drawing(REPORT), whole_folder(folder, more=True) as hidden:
+            for place, trail in trails.items():
+                made.append(drawn(bc.report, trail, hidden / place / REPORT))
+                list_files(hidden / place, None)
+            if len(trails) > 1:
+                made.append(drawn(bc.report, [*trails.values()], hidden / REPORT))
+
+    return all((drawn(reports), *made))
+
+
+def parameters(asked: saved.ExportRequest) -> Answer:
+    """`bayescal export` to parameters of an autopilot: of calibrations by axis, or of a triad."""
+    several = saved.of_units(asked.calibrations, saved.CALIBRATION)
+    loaded = asked.loaded(several)
+    if loaded and not isinstance(loaded[0][1], bc.Compensator):
+        return asked.written([one for _, one in loaded])
+    given, numbers = by_axis(loaded, asked.axis, asked.own), device_numbers(asked.device_id)
+    how = {"devices": numbers, "local_gravity": asked.local_gravity}
+    found = bc.firmware_parameters(given, str(asked.format_), **how)
+    text = found.text() if asked.out is None else f"{found}\n\nwritten: {found.write(asked.out)}"
+    return Answer(text.removesuffix("\n"), **saved.reliable(given))
+
+
+def by_axis(
+    given: Sequence[tuple[Path, bc.Compensator]], named: list[str] | None, own: InUse
+) -> dict[str, bc.Compensator]:
+    """Calibrations by their axis: as their readings name it, or as the user does.
+
+    Raises:
+        InputError: an axis is not known, or is given twice.
+    """
+    from bayescal._annexes.imu.firmware_parameters import axis_of
+
+    found, files = dict[str, bc.Compensator](), dict[str, Path]()
+    given_names = [(None, path, one) for path, one in given]
+    for name, file in (
+        pair for one in named or [] for pair in named_values([one], "--axis").items()
+    ):
+        given_names.append((name, Path(file), saved.compensator_from(Path(file), own)))
+    for name, path, chosen in given_names:
+        name = name or (axis_of(chosen.calibration) if chosen.calibration else None)
+        if name is None:
+            raise InputError(
+                f"{path}: its readings do not say of which axis it is: --axis gyro_x={path} in its place"
+            )
+        if name in found:
+            raise InputError(
+                f"{path} and {files[name]} are both of {name}: give one, or say of which axis each is "
+                f"(--axis gyro_y={path})"
+            )
+        found[name], files[name] = chosen, path
+    return found
+
+
+def device_numbers(given: list[str] | None) -> dict[str, int]:
+    """--device-id as `firmware_parameters` takes it.
+
+    Raises:
+        InputError: one is no number.
+    """
+    said = named_values(given, "--device-id")
+    for name, value in said.items():
+        if not value.isdecimal():
+            raise InputError(f"--device-id {name}={value}: {value!r} is not a whole number")
+    return {name: int(value) for name, value in said.items()}

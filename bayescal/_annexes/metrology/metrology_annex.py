@@ -1,0 +1,118 @@
+"""What the annex of metrology offers: decisions about limits, certificates, and their parts of reports.
+
+Light: heavy modules load inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bayescal as bc
+from bayescal._cli import saved
+from bayescal._cli.console import Answer
+from bayescal._cli.options import Commands, DecisionRule, InUse
+from bayescal._core.annex import Annex
+from bayescal._core.as_json import write_json
+from bayescal._core.atomic_file import write_text
+from bayescal._core.errors import InputError
+
+if TYPE_CHECKING:
+    from bayescal._annexes.metrology.certificate import Certificate
+
+commands = Commands(
+    {
+        "capability": "Least T/(4u) with which 'shared-risk' decides.",
+        "conformity": "Probability of which the next calibration is stated.",
+        "limit": '"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.',
+        "out": "JSON file to write the decisions to.",
+        "population": (
+            'Devices of this kind, for global risks: "sd 0.2 °/s"; repeat, by name of a limit: "bias: sd 0.2 °/s".'
+        ),
+    },
+    {"out": {"names": ["--out", "-o"]}},
+)
+
+
+class Metrology(Annex):
+    """Conformity with limits, and certificates."""
+
+    def commands(self) -> Commands:
+        return commands
+
+    def exports(self) -> Mapping[str, Callable[[saved.ExportRequest], Answer]]:
+        return {"dcc": certified}
+
+    def certificate(self, path: str | Path) -> Certificate:
+        from bayescal._annexes.metrology.certificate import read_certificate
+
+        return read_certificate(path)
+
+    def decided(
+        self, calibration: bc.Calibration, limits: Sequence[str], **rule: Any
+    ) -> bc.Decisions:
+        return bc.decide(calibration, limits, **rule)
+
+
+ANNEX = Metrology()
+
+
+@commands.example('bayescal decide result --limit "bias: ±0.5 °/s"')
+def decide(
+    *,
+    calibration: Path,
+    limit: list[str],
+    by: DecisionRule,
+    population: list[str] | None = None,
+    capability: float = 3.0,
+    conformity: float = 0.95,
+    out: Path | None = None,
+    local_gravity: float | None = None,
+    own: InUse,
+) -> Answer:
+    """Does it conform? Decisions about limits, with guard bands, risks and when to calibrate again.
+
+    Exit status: 0 where every limit is met; 1 where one is not, or is undecided.
+    """
+    from bayescal._data.unit_conversion import STANDARD_GRAVITY
+
+    found = bc.decide(
+        saved.load_saved(calibration, own),
+        limit,
+        **vars(by),
+        population=population or None,
+        capability=capability,
+        conformity=conformity,
+        members=own.members,
+        local_gravity=local_gravity or STANDARD_GRAVITY,
+    )
+    if out is not None:
+        write_json(found.data(), out, indent=1)
+    return Answer(found, doubt=found.doubt)
+
+
+def certified(asked: saved.ExportRequest) -> Answer:
+    """`bayescal export` to a digital calibration certificate, with what is decided about limits, if any.
+
+    Raises:
+        InputError: no certificate is given, an export, or what `dcc_text` refuses.
+    """
+    from bayescal._annexes.metrology.certificate import dcc_text
+
+    asked.refuse_several()
+    (path,), gravity, decided = asked.calibrations, asked.local_gravity, None
+    if asked.certificate is None:
+        raise InputError(
+            "a digital calibration certificate states device, laboratory and customer: --certificate FILE.toml"
+        )
+    if path.suffix.lower() == ".json":
+        raise InputError("an export is no calibration: give the saved calibration (.nc)")
+    calibration = saved.load_saved(path, asked.own)
+    if asked.limit:
+        how = {"members": asked.own.members, "local_gravity": gravity, **vars(asked.by)}
+        decided = bc.decide(calibration, asked.limit, **how)
+    text = dcc_text(calibration, asked.certificate, gravity, decided)
+    if asked.out is not None:
+        text = f"written: {write_text(text, asked.out)}"
+    return Answer(text.removesuffix("\n"))
