@@ -1,7 +1,8 @@
 """Everything that a release states, measured by its code: `python -m benchmarks release [HOURS]`.
 
 Rows of an older code are measured anew, in the order of `HEADLINE`, until the hours are over; the same command goes on
-then. Pages are rendered from whatever rows stand, and say of each code how many. Six hours of two cores suffice, by the
+then. Pages are rendered from whatever rows stand, and say of each code how many; once a release was measured whole,
+rows that are older than it are named, and no site is built of them. Six hours of two cores suffice, by the
 seconds that the rows themselves state: `python -m benchmarks release plan` adds them up.
 """
 
@@ -14,12 +15,13 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from benchmarks import stated
-from benchmarks.record import RESULTS, ROOT, core, read_lines
+from benchmarks.record import RESULTS, ROOT, core, read, read_lines, write
 
 HOURS = 6.0
+WHOLE = "release"  # the last one that was measured whole: its core, and how many rows there were
 
 
 class Part(NamedTuple):
@@ -55,11 +57,30 @@ HEADLINE = (
 )
 
 
+def rows_in(part: Part) -> list[dict[str, Any]]:
+    return [row for path in RESULTS.glob(f"{part.name}*.jsonl") for row in read_lines(path)]
+
+
 def rows_of(part: Part) -> tuple[int, int, float]:
     """How many rows there are, how many of them are of another code, and hours that these took."""
-    rows = [row for path in RESULTS.glob(f"{part.name}*.jsonl") for row in read_lines(path)]
+    rows = rows_in(part)
     older = [row for row in rows if row.get("core") != core()]
     return len(rows), len(older), sum(row.get("seconds", 0.0) for row in older) / 3600
+
+
+def older_than_the_last() -> list[str]:
+    """Of what is a headline, parts with rows that are neither of the last whole release's code nor of this one's."""
+    if not (last := read(WHOLE)):
+        return []
+    known = {core(), last["of"]}
+    count = {
+        part.name: sum(row.get("core") not in known for row in rows_in(part)) for part in HEADLINE
+    }
+    return [
+        f"{name}: {n:,} rows are older than the last release: python -m benchmarks release"
+        for name, n in count.items()
+        if n
+    ]
 
 
 def plan() -> str:
@@ -92,9 +113,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with ThreadPoolExecutor(2) as two:
         list(two.map(partial(measure, end=end), (part for part in asked if not part.options)))
     print(plan())
+    if not any(rows_of(part)[1] for part in HEADLINE):
+        write(WHOLE, {"of": core(), "rows": {part.name: rows_of(part)[0] for part in HEADLINE}})
     for render in dict.fromkeys(stated.RENDERED.values()):
         render()
-    stated.main()
+    stated.main(older_than_the_last())
 
 
 def measure(part: Part, end: float) -> None:

@@ -106,13 +106,16 @@ def rendered_anew() -> Iterator[tuple[str, str, str]]:
     yield from ((page, before[page], after[page]) for page in paths if before[page] != after[page])
 
 
-def main() -> None:
+def main(beside: Iterable[str] = ()) -> None:
     """Name what differs.
+
+    Args:
+        beside: what else is said.
 
     Raises:
         SystemExit: something does.
     """
-    if found := list(differing()):
+    if found := [*beside, *differing()]:
         sys.exit("\n".join(found))
     print(
         f"{len(STATED)} sentences and {len(RENDERED)} pages are as the rows have them, {PRINTED} as it is printed"

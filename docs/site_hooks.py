@@ -34,9 +34,10 @@ def on_startup(command: str, **_: Any) -> None:
     if command != "build":
         return
     sys.path.insert(0, str(HERE.parent))
+    from benchmarks.release import older_than_the_last
     from benchmarks.stated import differing  # starts JAX
 
-    if found := list(differing()):
+    if found := [*older_than_the_last(), *differing()]:
         raise SystemExit("\n".join(found))
 
 
