@@ -57,7 +57,7 @@ def test_what_a_chamber_was_told_is_never_proposed_for_its_thermometer(tmp_path:
 
 def test_a_unit_of_differences_is_refused_with_file_and_column(tmp_path: Path) -> None:
     path = tmp_path / "milli.csv"
-    path.write_text(at_rest(**{"time [s]": STEPS, "temperature [mK]": 293150 + STEPS}), "utf-8")
+    path.write_text(at_rest(**{"time [s]": STEPS, "temperature [mK]": 20000 + STEPS}), "utf-8")
     path.write_text(path.read_text("utf-8").replace("temperature [degC]", "set aside"), "utf-8")
     with pytest.raises(bc.InputError, match=r"'milli.csv', column 'temperature \[mK\]'.*\[K\]"):
         bc.read(path, GYRO)
