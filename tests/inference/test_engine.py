@@ -5,13 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from scipy.stats import multivariate_normal
 
 import bayescal as bc
-from bayescal._inference import programs
+from bayescal import effects
+from bayescal._inference import nuts, programs
 from bayescal._inference.density import Density, about
 from bayescal._inference.gaussian import LOG_2PI, column_scale
 from bayescal._inference.laplace import across, find_mode
@@ -24,6 +27,7 @@ from bayescal._model import forward
 from bayescal._model.parameters import Layout, bind
 from bayescal._model.summed_noise import over_record
 from bayescal._model.terms import ColumnsOf
+from bayescal.effects.thermal import BODIES
 from bayescal_models import (
     differential_pair,
     inclinometer,
@@ -37,8 +41,36 @@ from tests.support.tiers import slow_but
 
 GYRO = mems_gyro.INSTRUMENT
 WANDER = over_record(bc.HalfCauchy(0.1), 10.0, 3000.0)
+KNOWN = np.random.default_rng(9).uniform(0.1, 0.5, 14)
 SCATTER = bc.Heteroscedastic("temperature rate", bc.HalfCauchy(0.1))
 LAG = GYRO.baseline() + "bias.thermal_lag" + "bias.run"
+
+
+# A model with everything in it that bends: a corrected column, a square, a lag, a scale factor, groups.
+RICH = GYRO.baseline() + [
+    "bias.temperature_quadratic",
+    "bias.thermal_lag",
+    "scale.constant",
+    "scale.temperature",
+    "bias.run",
+    mems_gyro.model.THERMOMETER,
+]
+
+
+def two_runs(rows: int = 14, seed: int = 5, **more: Any) -> bc.Measurements:
+    """Two runs over temperature on a rate table, irregular in time."""
+    rng = np.random.default_rng(seed)
+    half = rows // 2
+    time = np.cumsum(rng.uniform(20.0, 400.0, rows)) + np.repeat([0.0, 3000.0], half)
+    columns = {
+        "run": np.repeat(["up", "down"], half),
+        "time": time,
+        "temperature": 50 + 20 * np.sin(time / 900.0) + rng.normal(0.0, 1.0, rows),
+        "rate_input": rng.uniform(-100.0, 100.0, rows),
+        "output": rng.normal(0.0, 1.0, rows),
+        **more,
+    }
+    return bc.Measurements.from_arrays(GYRO, **columns)
 
 
 def still(readings: bc.Measurements) -> bc.Model:
@@ -69,6 +101,22 @@ CASES: dict[str, tuple[Any, Any]] = {
         GYRO.baseline() + "unknown(time)" + "unknown(time, jump)",
         lambda: mems_gyro.simulate({}, seed=1),
     ),
+    "gyro, known uncertainties": (LAG, lambda: two_runs(output_uncertainty=KNOWN)),
+    "gyro, nothing unknown": (
+        GYRO.baseline().fix({"bias.constant": 1.0, "bias.temperature": 0.05}),
+        two_runs,
+    ),
+    "gyro, rich": (RICH, two_runs),
+    **{
+        f"gyro, {form}": (
+            GYRO.baseline()
+            + "bias.temperature_quadratic"
+            + f"bias.thermal_lag.{form}"
+            + "bias.run",
+            lambda: mems_gyro.simulate({}, seed=1),
+        )
+        for form in BODIES
+    },
     "gyro, held": (LAG.fix({"bias.temperature": 0.1}), lambda: mems_gyro.simulate({}, seed=1)),
     "quartz": (
         quartz_beam_accelerometer.INSTRUMENT.baseline() + "bias.thermal_lag",
@@ -94,6 +142,8 @@ CASES: dict[str, tuple[Any, Any]] = {
 }
 
 FAST = ("gyro", "gyro, wandering", "gyro, scatter", "gyro, thermometer", "inclinometer")
+FAST = (*FAST, "gyro, known uncertainties", "gyro, nothing unknown")
+FORMS = [f"gyro, {form}" for form in BODIES]
 
 
 def assembled(case: str, *promoted: str) -> Problem:
@@ -104,6 +154,10 @@ def assembled(case: str, *promoted: str) -> Problem:
     model = sized(model, readings, record)
     layout = bind(model, readings)[0].promote(*promoted)
     return Problem(layout, record.beside(model.instrument.shown_by(record.frame, model.effects)))
+
+
+def bound(model: bc.Model, readings: bc.Measurements) -> Problem:
+    return Problem(bind(model, readings)[0], record_of(GYRO, readings, constants_of(readings)))
 
 
 def somewhere(a: Problem, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -122,7 +176,7 @@ def composed(a: Problem, x: np.ndarray, hyper: forward.Values) -> forward.Linear
     return compiled(a.layout, a.record.frame, jnp.asarray(x), hyper)
 
 
-@pytest.mark.parametrize("case", slow_but(FAST, CASES))
+@pytest.mark.parametrize("case", slow_but((*FAST, *FORMS), CASES))
 def test_outputs_and_jacobians_are_those_of_the_composition(case: str) -> None:
     a = assembled(case)
     point, v = somewhere(a)
@@ -136,8 +190,30 @@ def test_outputs_and_jacobians_are_those_of_the_composition(case: str) -> None:
     np.testing.assert_allclose(found.inputs, line.inputs, rtol=1e-9)
 
 
-def dense_log_density(a: Problem, v: np.ndarray, flat: np.ndarray) -> float:
-    """log p(y, φ) about the start by the covariance matrix of all readings: Σ + J·D·Jᵀ."""
+@pytest.mark.parametrize(
+    "promoted", [(), ("bias.temperature", "scale.constant")], ids=["x", "promoted"]
+)
+def test_jacobian_is_the_derivative_of_the_mean(promoted) -> None:
+    a = assembled("gyro, rich", *promoted)
+    x, v = somewhere(a)
+    layout, frame, hyper = a.layout, a.record.frame, forward.hyper_values(a.layout, jnp.asarray(v))
+
+    def mean(x, error):
+        there = frame.with_column("temperature", frame["temperature"] + error)
+        return forward.mean(layout, there, x, hyper)
+
+    none = jnp.zeros(frame.size)
+    line = composed(a, x, hyper)
+    by_x, by_error = jax.jit(jax.jacfwd(mean, argnums=(0, 1)))(x, none)
+    np.testing.assert_allclose(line.mean, mean(x, none), rtol=1e-13)
+    width = np.abs(by_x).max(axis=0)
+    np.testing.assert_allclose(line.jacobian / width, by_x / width, rtol=1e-11, atol=1e-12)
+    # A thermometer error moves its own reading and no other, so that one number a reading says all.
+    np.testing.assert_allclose(np.diag(line.inputs[:, 0]), by_error, rtol=1e-11, atol=1e-12)
+
+
+def dense(a: Problem, v: np.ndarray, flat: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """log p(y, φ) about the start, and mean and covariance of x, by the covariance of all readings: Σ + J·D·Jᵀ."""
     start, hyper = a.start, forward.hyper_values(a.layout, jnp.asarray(v))
     line = composed(a, start, hyper)
     extra = np.broadcast_to(a.extra(line), a.record.size)
@@ -151,18 +227,56 @@ def dense_log_density(a: Problem, v: np.ndarray, flat: np.ndarray) -> float:
     left = a.record.y - np.asarray(line.mean) + j @ (start - a.mean_of_x)
     volume = np.linalg.slogdet(covariance)[1] + left @ np.linalg.solve(covariance, left)
     density = -0.5 * (volume + a.record.size * LOG_2PI)
-    return float(density + forward.hyper_log_prior(a.layout, jnp.asarray(v)))
+    gain = np.linalg.solve(covariance, j * sd**2).T
+    mean, known = a.mean_of_x + gain @ left, np.diag(sd**2) - gain @ (j * sd**2)
+    return float(density + forward.hyper_log_prior(a.layout, jnp.asarray(v))), mean, known
 
 
 @pytest.mark.parametrize(
-    "case", slow_but(FAST, sorted(CASES.keys() - {"gyro, tails", "gyro, rounded"}))
+    "case", slow_but(FAST, sorted(CASES.keys() - {"gyro, tails", "gyro, rounded", *FORMS}))
 )
 def test_densities_are_those_of_the_dense_covariance(case: str) -> None:
     a = assembled(case)
     _, v = somewhere(a)
     flat = column_scale(a.linearise(a.start, a.hyper(v)).jacobian)
-    found = Density(a, a.start, flat, v).at(v)[0]
-    assert found == pytest.approx(dense_log_density(a, v, flat), rel=1e-7, abs=1e-4)
+    found, given = Density(a, a.start, flat, v).at(v)
+    density, mean, covariance = dense(a, v, flat)
+    assert found == pytest.approx(density, rel=1e-7, abs=1e-4)
+    assert given is not None
+    sd = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(given.mean / sd, mean / sd, atol=1e-5)
+    np.testing.assert_allclose(
+        given.covariance / sd / sd[:, None], covariance / sd / sd[:, None], atol=1e-5
+    )
+
+
+def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
+    flat = bc.Model(
+        GYRO,
+        (
+            effects.constant("bias", None, "deg/s", source="none"),
+            GYRO.effect("bias.temperature"),
+        ),
+        bc.White(),
+    )
+    problem = bound(flat, two_runs())
+    _, v = somewhere(problem)
+    sigma, frame = problem.hyper(v)["noise.white"], problem.record.frame
+    sd = GYRO.effect("bias.temperature").coefficients[0].size
+    found = [Density(problem, np.ones(2), np.full(2, scale), v).at(v) for scale in (1.0, 30.0)]
+    values = [total - problem.log_prior(v) for total, _ in found]
+    # The same, whatever the scale of the flat column …
+    assert values[0] == pytest.approx(values[1], abs=1e-8)
+    one, other = (given for _, given in found)
+    assert one is not None and other is not None
+    np.testing.assert_allclose(one.mean, other.mean, rtol=1e-7)
+    # … and ∫ N(y; a·1, V) da is N(y; â·1, V) times √(2π/1ᵀV⁻¹1).
+    t, y = np.asarray(frame.centred()), problem.record.y - np.asarray(frame["rate_input"])
+    V = sigma**2 * np.eye(14) + sd**2 * np.outer(t, t)
+    one = np.linalg.solve(V, np.ones(14))
+    direct = multivariate_normal(np.full(14, one @ y / one.sum()), V).logpdf(y)
+    direct += 0.5 * np.log(2 * np.pi / one.sum())
+    assert values[0] == pytest.approx(direct, abs=1e-7)
 
 
 def test_a_structure_as_data_and_one_computed_anew_are_the_same(monkeypatch) -> None:
@@ -201,7 +315,10 @@ def test_polynomials_along_outer_axes_are_the_density(monkeypatch, case, promote
 
 @pytest.mark.parametrize(
     ("case", "promoted"),
-    [*((case, ()) for case in CASES), ("gyro, thermometer", ("bias.temperature",))],
+    [
+        *((case, ()) for case in CASES if case not in FORMS),
+        ("gyro, thermometer", ("bias.temperature",)),
+    ],
 )
 def test_slopes_of_the_density_are_its_differences(case: str, promoted) -> None:
     a = assembled(case, *promoted)
@@ -352,3 +469,48 @@ def test_a_response_without_a_slope_somewhere_is_not_taken_for_affine() -> None:
     frame = frame_of(readings)
     assert Record(instrument, frame, readings["output"]).affine is None
     assert assembled("inclinometer").record.affine is not None  # no tilt: a sum
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        RICH,
+        pytest.param(
+            RICH.with_noise(bc.StudentT()).fix(
+                {"bias.thermal_lag.tau": 200.0, "bias.constant": 3.0}
+            ),
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["white", "student, some fixed"],
+)
+def test_numpyro_program_has_the_same_density(model) -> None:
+    from numpyro.infer.util import log_density
+
+    a, rng = bound(model, two_runs()), np.random.default_rng(4)
+    layout, frame, y = a.layout, a.record.frame, jnp.asarray(a.record.y)
+    differences = []
+    for _ in range(4):
+        v = jnp.asarray(rng.normal(0.0, 0.7, len(layout.hypers)))
+        hyper = forward.hyper_values(layout, v)
+        sites = {h.name: hyper[h.name] for h in layout.hypers}
+        x, ours = [], forward.hyper_log_prior(layout, v)
+        for i, h in enumerate(layout.hypers):
+            ours -= jnp.log(
+                jax.grad(h.prior.value)(v[i])
+            )  # density in the value, not in its coordinate
+        for block in layout.x_blocks:
+            z = jnp.asarray(rng.normal(size=block.size))
+            c = block.coefficient
+            spread = hyper[block.group_sd_name] if c.group_sd is not None else c.size
+            sites[f"{block.name}.standard"] = z
+            x.append(c.mean + spread * z)
+            ours += block.size * jnp.log(spread)  # likewise: x is written in units of its spread
+        x = jnp.concatenate(x)
+        ours += forward.log_prior_x(layout, x, hyper)
+        ours += jnp.sum(forward.log_likelihood(layout, frame, y, x, hyper))
+        theirs, trace = log_density(nuts.program(layout, frame), (y,), {}, sites)
+        np.testing.assert_allclose(trace["x"]["value"], x, rtol=1e-12)
+        np.testing.assert_allclose(trace["v"]["value"], v, rtol=1e-9, atol=1e-12)
+        differences.append(float(theirs - ours))
+    np.testing.assert_allclose(differences, 0.0, atol=1e-7)

@@ -13,11 +13,7 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._inference.problem import Problem
-from bayescal._inference.record import record_of
-from bayescal._model import forward
 from bayescal._model.model import testable as why_not_tested
-from bayescal._model.parameters import bind
 from bayescal._search.discover import structures_over
 from bayescal._search.structures import Structure
 from bayescal.effects.thermal import BODIES, RATIOS
@@ -91,29 +87,6 @@ def test_it_is_found_with_its_time_constant_and_curvature(trail) -> None:
 def test_it_is_found_in_twenty_campaigns() -> None:
     seen, tau, curvature = np.array([found(seed) for seed in range(100, 120)]).sum(axis=0)
     assert seen >= 18 and min(tau, curvature) >= 15  # of twenty at 95 %, fewer in one test of 400
-
-
-@pytest.mark.parametrize("form", BODIES)
-def test_the_engine_and_the_composition_agree(form: str) -> None:
-    """The engine takes T̃ into the columns of what depends on T; the composition corrects the column itself."""
-    readings = campaign(1)[0]
-    readings = readings.select(np.arange(0, len(readings), 6))  # of all runs
-    name = f"bias.thermal_lag.{form}"
-    model = GYRO.baseline() + "bias.temperature_quadratic" + name + "bias.run"
-    layout, _ = bind(model, readings)
-    record = record_of(GYRO, readings, constants_of(readings))
-    problem, random = Problem(layout, record), np.random.default_rng(3)
-    x = 0.1 * random.standard_normal(problem.size)
-    hyper = problem.hyper(0.5 * random.standard_normal(len(layout.hypers)))
-    line = problem.linearise(x, hyper)
-    whole = forward.linearise(
-        layout,
-        record.frame,
-        jnp.asarray(x),
-        {k: jnp.asarray(v) for k, v in hyper.items()},
-    )
-    np.testing.assert_allclose(line.mean, whole.mean, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(line.jacobian, whole.jacobian, rtol=1e-7, atol=1e-5)
 
 
 @pytest.mark.parametrize("form", BODIES)
