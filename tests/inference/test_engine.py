@@ -14,6 +14,7 @@ from scipy.stats import multivariate_normal
 
 import bayescal as bc
 from bayescal import effects
+from bayescal._calibration.part import Part
 from bayescal._inference import nuts, programs
 from bayescal._inference.density import Density, about
 from bayescal._inference.gaussian import LOG_2PI, column_scale
@@ -428,24 +429,33 @@ def test_columns_along_a_shape_are_interpolated_as_well_as_they_are_computed(tau
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_wandering_noise_is_whitened_as_its_covariance_says(known: bool) -> None:
-    a = assembled("gyro, wandering")
-    record, random = a.record, np.random.default_rng(0)
+@pytest.mark.parametrize("share", [1, 2], ids=["whole", "half"])
+def test_wandering_noise_is_whitened_as_its_covariance_says(known: bool, share: int) -> None:
+    """Of a part, what is left out says nothing, and its time still passes."""
+    record, random = assembled("gyro, wandering").record, np.random.default_rng(0)
+    rows = np.sort(random.permutation(record.size)[: record.size // share])
+    record = record if share == 1 else Part(record, rows)
     extra = random.uniform(0.0, 0.01, record.size) if known else 0.0
     values = {"noise.white": 0.05, "noise.diffusion": 0.002, "noise.correlated.time": 400.0}
     table = random.standard_normal((record.size, 3))
     white = whitening(WANDER, values, record, extra)
-    order, step = record.in_time
-    begun = np.cumsum(step < 0)
-    time = np.cumsum(np.maximum(step, 0.0))
+    frame = assembled("gyro, wandering").record.frame
+    time, run = np.asarray(frame["time"])[rows], np.asarray(frame.codes["run"])[rows]
     apart = np.abs(time[:, None] - time)
-    same = begun[:, None] == begun
+    same = run[:, None] == run
     covariance = same * 0.5 * 0.002**2 * 400.0 * np.exp(-apart / 400.0)
-    covariance += np.diag((0.05**2 + extra * np.ones(record.size))[order])
-    own = table[order]
+    covariance += np.diag(0.05**2 + extra * np.ones(record.size))
     made, log_volume = white.both(table)
-    np.testing.assert_allclose(made.T @ made, own.T @ np.linalg.solve(covariance, own))
+    np.testing.assert_allclose(made.T @ made, table.T @ np.linalg.solve(covariance, table))
     assert log_volume == pytest.approx(np.linalg.slogdet(covariance)[1])
+
+
+def test_a_part_with_all_readings_is_the_whole() -> None:
+    whole = assembled("gyro, wandering")
+    part = Problem(whole.layout, Part(whole.record, np.arange(whole.record.size)))
+    flat, v = np.ones(whole.size), np.zeros(len(whole.hypers))
+    both = [Density(a, whole.start, flat).at(v)[0] for a in (whole, part)]
+    assert both[0] == both[1]
 
 
 def test_records_of_about_the_same_length_share_their_programs() -> None:

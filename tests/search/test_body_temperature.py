@@ -13,12 +13,9 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._model.model import testable as why_not_tested
-from bayescal._search.discover import structures_over
-from bayescal._search.structures import Structure
 from bayescal.effects.thermal import BODIES, RATIOS
 from bayescal_models import mems_gyro
-from tests.support.inside import constants_of, frame_of
+from tests.support.inside import frame_of, why_not_testable
 
 GYRO = mems_gyro.INSTRUMENT
 RUNS, HOURS, STEP, FINE = 3, 4, 60.0, 5.0  # s
@@ -121,25 +118,6 @@ def test_two_stages_are_one_body_behind_another() -> None:
     np.testing.assert_allclose(found, expected, atol=2e-3)
 
 
-def test_a_family_has_its_odds_whatever_its_forms() -> None:
-    """A form more makes nothing more probable: that nothing is missing has one half, of any catalogue."""
-    readings, *_ = campaign(1)
-    structures, _ = structures_over(GYRO.baseline(), readings, constants_of(readings))
-    odds = [
-        np.logaddexp.reduce([structures.log_odds[n] for n in own])
-        for own in structures.forms.values()
-    ]
-    assert -np.sum(np.logaddexp(0.0, odds)) == pytest.approx(math.log(0.5))
-
-
-def test_a_structure_has_one_form_of_a_family() -> None:
-    readings, *_ = campaign(1)
-    structures, _ = structures_over(GYRO.baseline(), readings, constants_of(readings))
-    open_ = structures.open_to(Structure(frozenset({BODY})))
-    assert not [n for n in open_ if structures.family(n) == "bias.thermal_lag"]
-    assert "bias.temperature_quadratic" in open_
-
-
 def test_an_average_over_forms_is_that_of_its_structures(trail) -> None:
     """Draws in which a body's temperature is that of the column are those of structures without it; saved or not."""
     used = trail.calibration
@@ -183,5 +161,5 @@ def test_a_lag_can_be_tested_in_one_run() -> None:
     readings, *_ = campaign(1)
     one = readings.select(readings.groups("run")[1] == 0)
     lag = GYRO.known["bias.thermal_lag"]
-    assert all(why_not_tested(e, one) is None for e in (lag, *lag.forms))
-    assert why_not_tested(GYRO.known["bias.run"], one) == "needs more than one run"
+    assert all(why_not_testable(e, one) is None for e in (lag, *lag.forms))
+    assert why_not_testable(GYRO.known["bias.run"], one) == "needs more than one run"

@@ -50,6 +50,13 @@ def result_of(trail: bc.SearchPath) -> dict[str, Any]:
     return result(trail)
 
 
+def screen_of(path: bc.SearchPath, verbose: bool = False) -> str:
+    """What `bayescal calibrate` prints of a search."""
+    from bayescal._cli.output import loop_text
+
+    return loop_text(path, verbose=verbose)
+
+
 def text_of(correction: Any, format: str, **how: Any) -> str:
     """An export as text, no file written."""
     return as_text(correction, format, **how)
