@@ -10,7 +10,7 @@ from bayescal._core import templates
 from bayescal._core.quoting import number_text
 
 
-def template(
+def code_template(
     file: str,
     filters: Mapping[str, Callable[..., Any]],
     autoescape: bool = False,

@@ -26,7 +26,7 @@ from bayescal._use.compensation_program import (
     CompensationProgram,
     Input,
 )
-from bayescal._use.export_template import include_guard, template
+from bayescal._use.export_template import code_template, include_guard
 from bayescal._use.expression_graph import JAVASCRIPT, Language, statements
 
 TICKS = 500  # steps of a slider: a step is less than a pixel of a wide one
@@ -48,7 +48,7 @@ def page(program: CompensationProgram) -> str:
     places = {i.name: k for k, i in enumerate(program.inputs)}
     names = {name: f"x[{k}]" for name, k in places.items()} | {STIMULUS: "s"}
     factor = program.factor
-    return template("page.html.jinja", FILTERS, autoescape=True).render(
+    return code_template("page.html.jinja", FILTERS, autoescape=True).render(
         p=program,
         about=program.about,
         why_not=program.why_not,
@@ -136,7 +136,7 @@ def program_text(
     used = [program.graph.inputs(one) for one in outputs]
     record = _record(program, fields)
     words = language.words
-    return template(language.template, {"comment": words, "quoted": python_string}).render(
+    return code_template(language.template, {"comment": words, "quoted": python_string}).render(
         p=program,
         about=program.about,
         name=name,

@@ -18,11 +18,9 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._report.result_json import RESULT, UNDER_WAY
-from bayescal._report.whole_folder import MANIFEST, files_of, refuse_mixed
 from bayescal_models import gyro_triad
 from tests.support.command_line import GYRO, QUICK, TABLE, needs_installation, run
-from tests.support.inside import identity_of
+from tests.support.inside import MANIFEST, files_of, identity_of, refuse_mixed
 from tests.support.made_up.gyro_lot import table
 
 pytestmark = [
@@ -30,6 +28,7 @@ pytestmark = [
     needs_installation,
     pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX"),
 ]
+RESULT, UNDER_WAY = "result.json", "result_under_way.json"
 ROOT = Path(__file__).resolve().parents[2]
 CALIBRATE = ("calibrate", TABLE, *GYRO, *QUICK, "--out", "{out}/loop")
 FILES = {
@@ -45,7 +44,7 @@ WRITES = """
 import sys
 from pathlib import Path
 from tests.support.spoilt_runs import killed_at
-from bayescal._report.whole_folder import list_files, whole_folder
+from tests.support.inside import list_files, whole_folder
 
 folder, text, names = Path(sys.argv[1]), sys.argv[3], sys.argv[4:]
 killed_at(str(folder.parent), int(sys.argv[2]))

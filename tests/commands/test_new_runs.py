@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +9,9 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._cli.options import ColumnOptions, ModelOptions, ReadRequest
-from bayescal._cli.request import open_channels
-from bayescal._use.compensate_file import compensate_file
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
+from tests.support.inside import compensate_file, notes_of_channels
 from tests.support.made_up import bent_sensor
 
 pytestmark = needs_installation
@@ -176,12 +172,8 @@ def test_means_are_proposed_for_long_channels_too(tmp_path) -> None:
     for name in ("gx [deg/s]", "gy [deg/s]"):
         table[name] = rng.normal(0, 1, time.size)
     table.to_csv(tmp_path / "log.csv", index=False)
-    names = ["gx", "gy"]
-    asked = ReadRequest("mems_gyro", [tmp_path / "log.csv"], ColumnOptions(), ModelOptions())
-    said = io.StringIO()
-    with contextlib.redirect_stderr(said):
-        open_channels(names, asked)
-    assert said.getvalue().count("--average 0.1s would leave about 2,000") == 1
+    said = notes_of_channels(tmp_path / "log.csv", "mems_gyro", ["gx", "gy"])
+    assert said.count("--average 0.1s would leave about 2,000") == 1
 
 
 def test_six_channels_of_one_file_are_proposed_as_channels(tmp_path) -> None:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._calibration.prior_influence import prior_sensitivity
-from bayescal._use.budget import READINGS
 from bayescal_models import mems_gyro
+from tests.support.command_line import run
 from tests.support.made_up import bent_sensor, split_search
+
+READINGS = "noise of the calibration's readings"
 
 
 @pytest.fixture(scope="module")
@@ -112,12 +114,13 @@ def test_a_name_that_plays_no_part_is_refused() -> None:
         bc.budget(bent_sensor.gyro(), k=0.0)
 
 
-def test_a_prior_that_matters_shows_in_its_sensitivity() -> None:
+def test_a_prior_that_matters_shows_in_its_sensitivity(tmp_path: Path) -> None:
     """Of the rig's constant and the bias the readings know the sum: priors decide. A well measured slope is its own."""
-    table = prior_sensitivity(bent_sensor.calibration())
-    assert table.loc["rig.constant", "prior"] > 0.05
-    assert table.loc["bias.temperature", "prior"] < 0.05
-    assert "noise.white" not in table.index  # held at its estimate
+    saved = bent_sensor.calibration().save(tmp_path / "c.nc")
+    own = ("--instrument", f"{bent_sensor.__file__}:SENSOR")
+    found = run("budget", saved, *own, "--prior-sensitivity", "--json").data["prior_sensitivity"]
+    assert found["rig.constant"]["prior"] > 0.05 > found["bias.temperature"]["prior"]
+    assert "noise.white" not in found  # held at its estimate
 
 
 def test_noise_that_follows_a_column_is_averaged_over_the_readings_of_the_calibration() -> None:

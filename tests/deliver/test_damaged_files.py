@@ -10,9 +10,8 @@ import pytest
 import xarray as xr
 
 import bayescal as bc
-from bayescal._core.atomic_file import LENGTH, verified, write_sealed
 from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
-from tests.support.resealed import described, resealed
+from tests.support.resealed import LENGTH, described, resealed, write_sealed
 
 DAMAGED = 1000
 WORDS = (
@@ -88,7 +87,6 @@ def test_an_end_that_is_missing_doubled_or_of_another_file_is_refused(
     write_sealed(whole, path)
     with pytest.raises(bc.InputError, match="has two checksums at its end, expected one"):
         bc.load(path)
-    assert bytes(verified(saved, "a saved calibration", "")) == content
 
 
 # Pieces that were changed, in a file whose checksum is right.

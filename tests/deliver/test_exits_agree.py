@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._core.quoting import identifier
-from bayescal._use.compensate_file import compensate_file
 from bayescal_models import (
     inclinometer,
     mems_gyro,
@@ -20,8 +18,8 @@ from bayescal_models import (
     quartz_beam_accelerometer,
     still_sensor,
 )
-from tests.support.export_check import needs_compiler, run_c, tilted
-from tests.support.inside import text_of
+from tests.support.export_check import identifier, needs_compiler, run_c, tilted
+from tests.support.inside import compensate_file, text_of
 from tests.support.made_up import bent_sensor, split_search
 from tests.support.tiers import slow_but
 

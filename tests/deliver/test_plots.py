@@ -7,7 +7,9 @@ import re
 import numpy as np
 import pytest
 from matplotlib import pyplot
+from matplotlib.colors import rgb_to_hsv, to_hex, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 import bayescal as bc
@@ -131,10 +133,12 @@ def test_what_cannot_be_drawn_is_refused(draw, said: str) -> None:
         draw(trail().final.calibration)
 
 
-def test_colours_are_those_that_the_colour_blind_tell_apart() -> None:
-    from bayescal._report import plot_colours
-
-    assert {c.lower() for c in plot_colours.CYCLE} == OKABE_ITO
+def test_colours_are_those_that_the_colour_blind_tell_apart(figures) -> None:
+    """Of lines and bars: the palette's, or without a hue."""
+    shown = [a for f in figures.values() for ax in f.axes for a in (*ax.lines, *ax.patches)]
+    used = {to_hex(a.get_color() if isinstance(a, Line2D) else a.get_facecolor()) for a in shown}
+    coloured = {c for c in used if rgb_to_hsv(to_rgb(c))[1] > 0.05}
+    assert len(coloured) > 2 and coloured <= OKABE_ITO
 
 
 def test_saving_replaces_at_once(tmp_path, figures) -> None:

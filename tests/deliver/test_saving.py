@@ -6,6 +6,7 @@ import errno
 import io
 import os
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -14,14 +15,10 @@ import xarray as xr
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._calibration import storage
-from bayescal._core.atomic_file import write_sealed
-from bayescal._core.netcdf_bytes import netcdf_bytes, netcdf_tree
-from bayescal._model.parameters import bind
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
 from tests.support.inside import identity_of
-from tests.support.resealed import described, resealed
+from tests.support.resealed import described, netcdf_bytes, netcdf_tree, resealed, write_sealed
 
 SQUARE = bc.Effect(
     "bias.square",
@@ -147,34 +144,15 @@ def test_groups_come_back_with_their_members_and_starts(tmp_path) -> None:
         bc.StudentT(bc.HalfNormal(0.2)),
         bc.Quantised(0.12, bc.HalfCauchy(0.3)),
         bc.White(bc.Flat(0.5)),
+        bc.OrnsteinUhlenbeck(30.0, 3000.0, bc.HalfCauchy(0.1), bc.HalfNormal(0.2)),
     ],
     ids=lambda n: type(n).__name__,
 )
-def test_every_noise_law_comes_back(noise, own, tmp_path) -> None:
-    loaded = bc.load(under(noise, own).save(tmp_path / "noise.nc"), effects=[SQUARE])
-    assert loaded.model.noise == noise
-
-
-def test_correlated_noise_comes_back(tmp_path) -> None:
-    noise = bc.OrnsteinUhlenbeck(30.0, 3000.0, bc.HalfCauchy(0.1), bc.HalfNormal(0.2))
+def test_every_noise_law_comes_back(noise, tmp_path) -> None:
     data = simulate(seed=1, campaign=Campaign(average=300))
-    found = bc.fit(INSTRUMENT.baseline(), data, bc.LeastSquares(draws=100))
-    loaded = bc.load(under(noise, found).save(tmp_path / "noise.nc"))
-    assert loaded.model.noise == noise
-
-
-def under(noise: bc.Noise, c: bc.Calibration) -> bc.Calibration:
-    """The same calibration as if its noise were of another law."""
-    model = c.model.with_noise(noise)
-    layout, _ = bind(model, c.readings, reference=c.reference)
-    v = np.zeros((*c.joint.v.shape[:2], len(layout.hypers)))
-    mode = c.mode._replace(v=v[0, 0], covariance=np.eye(v.shape[-1]))
-    given = {"model": model, "layout": layout, "joint": replace(c.joint, v=v), "mode": mode}
-    return bc.Calibration(**{**fields(c), **given})
-
-
-def fields(c: bc.Calibration) -> dict:
-    return {name: getattr(c, name) for name in c.__dataclass_fields__}
+    model = INSTRUMENT.baseline().with_noise(noise)
+    found = bc.fit(model, data, bc.LeastSquares(draws=100), strict=False)
+    assert bc.load(found.save(tmp_path / "noise.nc")).model.noise == noise
 
 
 # What is refused.
@@ -280,11 +258,10 @@ def test_a_broken_write_leaves_the_old_file_whole(line, tmp_path, monkeypatch) -
     path = line.save(tmp_path / "line.nc")
     before = path.read_bytes()
 
-    def breaks_off(content, beside):
-        beside.write_bytes(b"half a file")
+    def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(storage, "write_sealed", breaks_off)
+    monkeypatch.setattr(Path, "replace", full)
     with pytest.raises(
         bc.InputError, match=r"line.nc' cannot be written: No space left .*Make room there"
     ):

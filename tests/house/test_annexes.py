@@ -1,12 +1,181 @@
-"""What is left without an annex: a sentence in place of what it offers, and all else."""
+"""Annexes: which way imports point, what they have from the core, and what is left without one."""
 
 from __future__ import annotations
 
+import ast
 import re
+from collections.abc import Iterator
+from functools import cache
 
 import pytest
 
+import bayescal
+from bayescal import workshop
+from tests.house.test_architecture import MODULES, PACKAGE, parsed
 from tests.house.test_startup import run_python
+
+# What one annex has from another: the workbench offers what these decide and write.
+FROM_OTHERS = {("workbench", "imu"), ("workbench", "metrology")}
+
+# What annexes still have from behind the two faces, `bayescal` and `bayescal.workshop`: a list that gets shorter.
+BEHIND = {
+    "fleet": """
+        _core.folder_settings: obey_no_folder
+        _core.importance_weights: smoothed
+        _core.jax_setup: configure_jax spare_memory_maps
+        _core.jit: compiled
+        _core.parallel: over
+        _core.progress: EVERY
+        _core.settings: settings unusual
+        _data.column: ConvertedColumns Source
+        _data.column_conversion: convert_columns
+        _data.dataset_checks: refuse_backward_time refuse_one_temperature
+        _data.header_matching: ExpectedColumns InstrumentLike MatchedFile output_name unit_of unused_options
+        _inference: least_squares sampled_products trust
+        _inference.laplace: climb find_mode gaussian_fit
+        _inference.linear_model: sized
+        _inference.method: Method
+        _inference.problem: Problem
+        _inference.record: Record record_of
+        _inference.sampling: PriorShare around_mode propose weighted_draws
+        _model: forward
+        _model.frame: GROUPS Reference build_frame reference_name reference_of rounded_means
+        _model.parameters: Layout Levels bind
+        _search.discover: structures_over
+        _search.library: Library
+        _search.own_files: in_a_file
+        _search.posterior: Posterior
+        _search.walk: walk
+        _tables.cells: Cells
+        _tables.open_table: MAX_BYTES READ
+        _tables.parquet_netcdf: arrow_cells arrow_headers
+        _tables.raw_table: Table after as_format load_whole refuse_large
+    """,
+    "imu": """
+        _calibration.mixture: usual_columns with_columns
+        _calibration.sensor_noise: FILTER_QUANTILE
+        _cli.output: coefficients_text
+        _core.inverse: stepped
+        _core.jit: compiled
+        _core.parallel: on_one_thread
+        _data.pose_rows: ACROSS AROUND AXES DIRECTION MAGNITUDE MOUNTING OF PULLED SQUARED TURNED magnitude tangents
+        _data.still_stretches: LoggedRun as_readings in_common logged_runs per_sample
+        _inference.problem: Problem
+        _use.compensation_program: AGAIN STIMULUS inputs_at_fit
+    """,
+    "metrology": """
+        _calibration.mixture: inclusion
+        _calibration.prior_influence: NotMeasured coefficients_not_measured not_measured
+        _model.unknown_effect: covariate_in
+        _use: operating_equation
+        _use.budget: notes_on
+        _use.compensation_program: PAST averaged_over bias_only limits
+        _use.operating_equation: ALL_DRAWS equation_in_use
+    """,
+    "workbench": """
+        _calibration.check: covariates_of
+        _calibration.check_result: place_in_words
+        _calibration.noise_in_time: AllanCheck
+        _calibration.posterior_tree: build_tree
+        _calibration.storage: save
+        _calibration.summary: null_directions unknown_rows
+        _core: deadline
+        _data.header_matching: MISSING_READINGS
+        _inference.method: Method
+        _model.effect: with_forms
+        _model.formula: Formula
+        _model.frame: Reference
+        _model.installed: GROUP installed_names
+        _report.plot_colours: BLUE CYCLE GREEN ORANGE PURPLE RED SKY
+        _report.report: Pictures
+        _report.section: of_folder
+        _report.whole_folder: AGAIN
+        _search.calibrate: Loop QUICK step_of
+        _search.candidate: Candidate
+        _search.discover: discovery_at
+        _search.gate: judged
+        _search.library: Library
+        _search.noise_laws: laws_over
+        _search.own_files: in_a_file refuse_unnamed user_effects
+        _search.posterior: Posterior Search ShownStructure
+        _search.preview: Previews
+        _search.search_path: Step steps_table
+        _search.structures: Structure
+        _search.walk: path
+        _tables.cells: ORDERS
+        _tables.mapping_file: MAPPING save_mapping
+        _tables.open_table: TEXT
+        _tables.raw_table: bytes_text
+        _use: correction_files
+    """,
+}
+
+
+def annex_of(module: str) -> str:
+    """The annex that a module is of; of the core, none."""
+    return module.split(".")[1] if module.startswith("_annexes.") else ""
+
+
+@cache
+def offered() -> dict[str, str]:
+    """Public names of `bayescal` that are an annex', which loads with them: its name."""
+    listed = r"^from \._annexes\.(\w+)\.\w+ import \(?\s*(\w+)"
+    face = (PACKAGE / "__init__.pyi").read_text("utf-8")
+    return {name: annex for annex, name in re.findall(listed, face, re.MULTILINE)}
+
+
+@cache
+def imported(module: str) -> list[tuple[str, str, str]]:
+    """What a module has of this package, wherever that stands: module, name, and the line; public names too."""
+    return [*_imported(module)]
+
+
+def _imported(module: str) -> Iterator[tuple[str, str, str]]:
+    for node in ast.walk(parsed(MODULES[module])):
+        where = f"bayescal/{module} line {getattr(node, 'lineno', 0)}"
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "bayescal":
+            of = (node.module or "").removeprefix("bayescal").strip(".")
+            yield from ((of, alias.name, where) for alias in node.names)
+        elif isinstance(node, ast.Import):
+            whole = (a.name.partition(".")[2] for a in node.names if a.name[:9] == "bayescal.")
+            yield from ((*name.rpartition(".")[::2], where) for name in whole)
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            yield from [("", node.attr, where)] * (node.value.id in ("bc", "bayescal"))
+
+
+def test_the_core_imports_no_annex_and_one_annex_no_other() -> None:
+    """A name of the public face that is an annex' is no way round."""
+    wrong = []
+    for module in MODULES:
+        for of, name, where in imported(module):
+            pair = annex_of(module), annex_of(f"{of}.{name}") if of else offered().get(name, "")
+            if pair[1] and pair[0] != pair[1] and pair not in FROM_OTHERS:
+                wrong.append(f"{where}: {of} {name}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_an_annex_is_built_on_the_two_faces() -> None:
+    """And on nothing behind them but what is listed, of which nothing is left out that is no longer needed."""
+    found: dict[str, dict[str, set[str]]] = {annex: {} for annex in BEHIND}
+    for module in MODULES:
+        for of, name, _ in imported(module):
+            behind = of not in ("", "workshop") and not annex_of(f"{of}.{name}")
+            if behind and (annex := annex_of(module)):
+                found[annex].setdefault(of, set()).add(name)
+    listed = {
+        annex: {of: {*names.split()} for of, names in re.findall(r"(\S+):(.*)", text)}
+        for annex, text in BEHIND.items()
+    }
+    assert found == listed
+
+
+@pytest.mark.parametrize("name", sorted(workshop.__all__))
+def test_a_name_of_the_workshop_loads_and_is_used(name: str) -> None:
+    assert getattr(workshop, name) is not None
+    assert name not in bayescal.__all__, "one face has it already"
+    used = {n for m in MODULES if annex_of(m) for of, n, _ in imported(m) if of == "workshop"}
+    assert name in used, "no annex has need of it: take it out"
+
 
 WITHOUT = """
 import contextlib, io, sys

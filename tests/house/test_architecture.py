@@ -24,9 +24,9 @@ MODELS = ROOT / "models" / "bayescal_models"
 # From the ground up: a module imports from its own room and from those before it, wherever in the file that stands.
 ROOMS = [
     *("_core", "_tables", "_data", "_model", "effects", "_inference", "_calibration"),
-    *("_use", "_search", "_report", "plot", "_cli", "__main__", "_annexes"),
+    *("_use", "_search", "_report", "plot", "_cli", "__main__", "workshop", "_annexes"),
 ]
-FILES = ("plot", "__main__")  # that stand for themselves and hand on what a room has
+FILES = ("plot", "__main__", "workshop")  # that stand for themselves and hand on what a room has
 
 
 class Import(NamedTuple):
@@ -97,39 +97,6 @@ def test_imports_point_down() -> None:
         and floor[room_of(found.imported)] > floor[room_of(found.importer)]
     }
     assert not upward, "\n".join(sorted(upward))
-
-
-def annex_of(module: str) -> str:
-    """The annex that a module is of; of the core, none."""
-    return module.split(".")[1] if re.match(r"_annexes\.", module) else ""
-
-
-# What an annex has from another: the workbench offers what these decide and write.
-FROM_OTHERS = {("workbench", "imu"), ("workbench", "metrology")}
-
-
-def test_an_annex_imports_the_core_and_no_other_annex() -> None:
-    """The core imports none (imports point down); a name of the public face that is an annex' is no way round."""
-    face = (PACKAGE / "__init__.pyi").read_text("utf-8")
-    listed = re.findall(r"^from \._annexes\.(\w+)\.\w+ import \(?\s*(\w+)", face, re.MULTILINE)
-    offered = {name: annex for annex, name in listed}
-    found = {
-        (annex_of(one.importer), annex_of(one.imported)): f"bayescal/{one.importer} line {one.line}"
-        for one in imports()
-        if annex_of(one.imported)
-    }
-    for name, file in MODULES.items():
-        for node in ast.walk(parsed(file)):
-            used = isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
-            if used and node.value.id in ("bc", "bayescal") and node.attr in offered:
-                where = f"bayescal/{name} line {node.lineno}"
-                found[annex_of(name), offered[node.attr]] = where
-    wrong = {
-        pair: where
-        for pair, where in found.items()
-        if pair[0] != pair[1] and pair not in FROM_OTHERS
-    }
-    assert not wrong, wrong
 
 
 def test_no_modules_import_each_other() -> None:

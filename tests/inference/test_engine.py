@@ -5,13 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from scipy.stats import multivariate_normal
 
 import bayescal as bc
-from bayescal._inference import programs
+from bayescal import effects
+from bayescal._calibration.part import Part
+from bayescal._inference import nuts, programs, sampling
 from bayescal._inference.density import Density, about
 from bayescal._inference.gaussian import LOG_2PI, column_scale
 from bayescal._inference.laplace import across, find_mode
@@ -24,6 +28,7 @@ from bayescal._model import forward
 from bayescal._model.parameters import Layout, bind
 from bayescal._model.summed_noise import over_record
 from bayescal._model.terms import ColumnsOf
+from bayescal.effects.thermal import BODIES
 from bayescal_models import (
     differential_pair,
     inclinometer,
@@ -37,8 +42,36 @@ from tests.support.tiers import slow_but
 
 GYRO = mems_gyro.INSTRUMENT
 WANDER = over_record(bc.HalfCauchy(0.1), 10.0, 3000.0)
+KNOWN = np.random.default_rng(9).uniform(0.1, 0.5, 14)
 SCATTER = bc.Heteroscedastic("temperature rate", bc.HalfCauchy(0.1))
 LAG = GYRO.baseline() + "bias.thermal_lag" + "bias.run"
+
+
+# A model with everything in it that bends: a corrected column, a square, a lag, a scale factor, groups.
+RICH = GYRO.baseline() + [
+    "bias.temperature_quadratic",
+    "bias.thermal_lag",
+    "scale.constant",
+    "scale.temperature",
+    "bias.run",
+    mems_gyro.model.THERMOMETER,
+]
+
+
+def two_runs(rows: int = 14, seed: int = 5, **more: Any) -> bc.Measurements:
+    """Two runs over temperature on a rate table, irregular in time."""
+    rng = np.random.default_rng(seed)
+    half = rows // 2
+    time = np.cumsum(rng.uniform(20.0, 400.0, rows)) + np.repeat([0.0, 3000.0], half)
+    columns = {
+        "run": np.repeat(["up", "down"], half),
+        "time": time,
+        "temperature": 50 + 20 * np.sin(time / 900.0) + rng.normal(0.0, 1.0, rows),
+        "rate_input": rng.uniform(-100.0, 100.0, rows),
+        "output": rng.normal(0.0, 1.0, rows),
+        **more,
+    }
+    return bc.Measurements.from_arrays(GYRO, **columns)
 
 
 def still(readings: bc.Measurements) -> bc.Model:
@@ -69,6 +102,22 @@ CASES: dict[str, tuple[Any, Any]] = {
         GYRO.baseline() + "unknown(time)" + "unknown(time, jump)",
         lambda: mems_gyro.simulate({}, seed=1),
     ),
+    "gyro, known uncertainties": (LAG, lambda: two_runs(output_uncertainty=KNOWN)),
+    "gyro, nothing unknown": (
+        GYRO.baseline().fix({"bias.constant": 1.0, "bias.temperature": 0.05}),
+        two_runs,
+    ),
+    "gyro, rich": (RICH, two_runs),
+    **{
+        f"gyro, {form}": (
+            GYRO.baseline()
+            + "bias.temperature_quadratic"
+            + f"bias.thermal_lag.{form}"
+            + "bias.run",
+            lambda: mems_gyro.simulate({}, seed=1),
+        )
+        for form in BODIES
+    },
     "gyro, held": (LAG.fix({"bias.temperature": 0.1}), lambda: mems_gyro.simulate({}, seed=1)),
     "quartz": (
         quartz_beam_accelerometer.INSTRUMENT.baseline() + "bias.thermal_lag",
@@ -94,6 +143,8 @@ CASES: dict[str, tuple[Any, Any]] = {
 }
 
 FAST = ("gyro", "gyro, wandering", "gyro, scatter", "gyro, thermometer", "inclinometer")
+FAST = (*FAST, "gyro, known uncertainties", "gyro, nothing unknown")
+FORMS = [f"gyro, {form}" for form in BODIES]
 
 
 def assembled(case: str, *promoted: str) -> Problem:
@@ -104,6 +155,10 @@ def assembled(case: str, *promoted: str) -> Problem:
     model = sized(model, readings, record)
     layout = bind(model, readings)[0].promote(*promoted)
     return Problem(layout, record.beside(model.instrument.shown_by(record.frame, model.effects)))
+
+
+def bound(model: bc.Model, readings: bc.Measurements) -> Problem:
+    return Problem(bind(model, readings)[0], record_of(GYRO, readings, constants_of(readings)))
 
 
 def somewhere(a: Problem, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -122,7 +177,7 @@ def composed(a: Problem, x: np.ndarray, hyper: forward.Values) -> forward.Linear
     return compiled(a.layout, a.record.frame, jnp.asarray(x), hyper)
 
 
-@pytest.mark.parametrize("case", slow_but(FAST, CASES))
+@pytest.mark.parametrize("case", slow_but((*FAST, *FORMS), CASES))
 def test_outputs_and_jacobians_are_those_of_the_composition(case: str) -> None:
     a = assembled(case)
     point, v = somewhere(a)
@@ -136,8 +191,30 @@ def test_outputs_and_jacobians_are_those_of_the_composition(case: str) -> None:
     np.testing.assert_allclose(found.inputs, line.inputs, rtol=1e-9)
 
 
-def dense_log_density(a: Problem, v: np.ndarray, flat: np.ndarray) -> float:
-    """log p(y, φ) about the start by the covariance matrix of all readings: Σ + J·D·Jᵀ."""
+@pytest.mark.parametrize(
+    "promoted", [(), ("bias.temperature", "scale.constant")], ids=["x", "promoted"]
+)
+def test_jacobian_is_the_derivative_of_the_mean(promoted) -> None:
+    a = assembled("gyro, rich", *promoted)
+    x, v = somewhere(a)
+    layout, frame, hyper = a.layout, a.record.frame, forward.hyper_values(a.layout, jnp.asarray(v))
+
+    def mean(x, error):
+        there = frame.with_column("temperature", frame["temperature"] + error)
+        return forward.mean(layout, there, x, hyper)
+
+    none = jnp.zeros(frame.size)
+    line = composed(a, x, hyper)
+    by_x, by_error = jax.jit(jax.jacfwd(mean, argnums=(0, 1)))(x, none)
+    np.testing.assert_allclose(line.mean, mean(x, none), rtol=1e-13)
+    width = np.abs(by_x).max(axis=0)
+    np.testing.assert_allclose(line.jacobian / width, by_x / width, rtol=1e-11, atol=1e-12)
+    # A thermometer error moves its own reading and no other, so that one number a reading says all.
+    np.testing.assert_allclose(np.diag(line.inputs[:, 0]), by_error, rtol=1e-11, atol=1e-12)
+
+
+def dense(a: Problem, v: np.ndarray, flat: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """log p(y, φ) about the start, and mean and covariance of x, by the covariance of all readings: Σ + J·D·Jᵀ."""
     start, hyper = a.start, forward.hyper_values(a.layout, jnp.asarray(v))
     line = composed(a, start, hyper)
     extra = np.broadcast_to(a.extra(line), a.record.size)
@@ -151,18 +228,56 @@ def dense_log_density(a: Problem, v: np.ndarray, flat: np.ndarray) -> float:
     left = a.record.y - np.asarray(line.mean) + j @ (start - a.mean_of_x)
     volume = np.linalg.slogdet(covariance)[1] + left @ np.linalg.solve(covariance, left)
     density = -0.5 * (volume + a.record.size * LOG_2PI)
-    return float(density + forward.hyper_log_prior(a.layout, jnp.asarray(v)))
+    gain = np.linalg.solve(covariance, j * sd**2).T
+    mean, known = a.mean_of_x + gain @ left, np.diag(sd**2) - gain @ (j * sd**2)
+    return float(density + forward.hyper_log_prior(a.layout, jnp.asarray(v))), mean, known
 
 
 @pytest.mark.parametrize(
-    "case", slow_but(FAST, sorted(CASES.keys() - {"gyro, tails", "gyro, rounded"}))
+    "case", slow_but(FAST, sorted(CASES.keys() - {"gyro, tails", "gyro, rounded", *FORMS}))
 )
 def test_densities_are_those_of_the_dense_covariance(case: str) -> None:
     a = assembled(case)
     _, v = somewhere(a)
     flat = column_scale(a.linearise(a.start, a.hyper(v)).jacobian)
-    found = Density(a, a.start, flat, v).at(v)[0]
-    assert found == pytest.approx(dense_log_density(a, v, flat), rel=1e-7, abs=1e-4)
+    found, given = Density(a, a.start, flat, v).at(v)
+    density, mean, covariance = dense(a, v, flat)
+    assert found == pytest.approx(density, rel=1e-7, abs=1e-4)
+    assert given is not None
+    sd = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(given.mean / sd, mean / sd, atol=1e-5)
+    np.testing.assert_allclose(
+        given.covariance / sd / sd[:, None], covariance / sd / sd[:, None], atol=1e-5
+    )
+
+
+def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
+    flat = bc.Model(
+        GYRO,
+        (
+            effects.constant("bias", None, "deg/s", source="none"),
+            GYRO.effect("bias.temperature"),
+        ),
+        bc.White(),
+    )
+    problem = bound(flat, two_runs())
+    _, v = somewhere(problem)
+    sigma, frame = problem.hyper(v)["noise.white"], problem.record.frame
+    sd = GYRO.effect("bias.temperature").coefficients[0].size
+    found = [Density(problem, np.ones(2), np.full(2, scale), v).at(v) for scale in (1.0, 30.0)]
+    values = [total - problem.log_prior(v) for total, _ in found]
+    # The same, whatever the scale of the flat column …
+    assert values[0] == pytest.approx(values[1], abs=1e-8)
+    one, other = (given for _, given in found)
+    assert one is not None and other is not None
+    np.testing.assert_allclose(one.mean, other.mean, rtol=1e-7)
+    # … and ∫ N(y; a·1, V) da is N(y; â·1, V) times √(2π/1ᵀV⁻¹1).
+    t, y = np.asarray(frame.centred()), problem.record.y - np.asarray(frame["rate_input"])
+    V = sigma**2 * np.eye(14) + sd**2 * np.outer(t, t)
+    one = np.linalg.solve(V, np.ones(14))
+    direct = multivariate_normal(np.full(14, one @ y / one.sum()), V).logpdf(y)
+    direct += 0.5 * np.log(2 * np.pi / one.sum())
+    assert values[0] == pytest.approx(direct, abs=1e-7)
 
 
 def test_a_structure_as_data_and_one_computed_anew_are_the_same(monkeypatch) -> None:
@@ -201,7 +316,10 @@ def test_polynomials_along_outer_axes_are_the_density(monkeypatch, case, promote
 
 @pytest.mark.parametrize(
     ("case", "promoted"),
-    [*((case, ()) for case in CASES), ("gyro, thermometer", ("bias.temperature",))],
+    [
+        *((case, ()) for case in CASES if case not in FORMS),
+        ("gyro, thermometer", ("bias.temperature",)),
+    ],
 )
 def test_slopes_of_the_density_are_its_differences(case: str, promoted) -> None:
     a = assembled(case, *promoted)
@@ -290,6 +408,45 @@ def test_a_lower_maximum_is_left_where_draws_show_a_higher_one() -> None:
     assert drawn.log_evidence == pytest.approx(right.log_evidence, abs=4 * error)
 
 
+@pytest.fixture(scope="module")
+def ramps() -> bc.Measurements:
+    return still_sensor.simulate({"bias.thermal_lag": 5.0}, seed=3, runs=3, interval=4)
+
+
+@pytest.mark.slow
+def test_a_long_record_with_a_lag_is_measured_as_with_every_weight_corrected(
+    ramps: bc.Measurements, monkeypatch
+) -> None:
+    assert len(ramps) > sampling.COSTLY_READINGS
+    model = still_sensor.INSTRUMENT.for_readings(ramps).baseline() + "bias.thermal_lag"
+    model = model.with_noise(
+        bc.Heteroscedastic("temperature", model.noise.parameters()["noise.white"])
+    )
+    problem = Problem(
+        bind(model, ramps)[0], record_of(model.instrument, ramps, constants_of(ramps))
+    )
+    mode, corrected, correction = find_mode(problem), [], sampling.correction
+    monkeypatch.setattr(
+        sampling, "correction", lambda *a: corrected.append(len(a[1].x)) or correction(*a)
+    )
+
+    def moments() -> tuple[np.ndarray, np.ndarray, int]:
+        corrected.clear()
+        found = sampling.weighted_draws(problem, mode, 1, 60_000, 2)
+        weight = np.exp(found.log_weight - found.log_weight.max())
+        values = np.concatenate([found.x, found.v], axis=1)
+        mean = np.average(values, axis=0, weights=weight)
+        sd = np.sqrt(np.average((values - mean) ** 2, axis=0, weights=weight))
+        return mean, sd, sum(corrected)
+
+    mean, sd, few = moments()
+    monkeypatch.setattr(sampling, "COSTLY_READINGS", len(ramps))
+    exact_mean, exact_sd, all_of_them = moments()
+    assert few < 0.6 * all_of_them  # those far out, where polynomials end
+    assert np.all(np.abs(mean - exact_mean) < 0.02 * exact_sd)
+    np.testing.assert_allclose(sd, exact_sd, rtol=0.02)
+
+
 def test_promoted_coefficients_stand_in_phi() -> None:
     a = assembled("gyro, thermometer", "bias.temperature")
     own = assembled("gyro, thermometer")
@@ -311,24 +468,33 @@ def test_columns_along_a_shape_are_interpolated_as_well_as_they_are_computed(tau
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_wandering_noise_is_whitened_as_its_covariance_says(known: bool) -> None:
-    a = assembled("gyro, wandering")
-    record, random = a.record, np.random.default_rng(0)
+@pytest.mark.parametrize("share", [1, 2], ids=["whole", "half"])
+def test_wandering_noise_is_whitened_as_its_covariance_says(known: bool, share: int) -> None:
+    """Of a part, what is left out says nothing, and its time still passes."""
+    record, random = assembled("gyro, wandering").record, np.random.default_rng(0)
+    rows = np.sort(random.permutation(record.size)[: record.size // share])
+    record = record if share == 1 else Part(record, rows)
     extra = random.uniform(0.0, 0.01, record.size) if known else 0.0
     values = {"noise.white": 0.05, "noise.diffusion": 0.002, "noise.correlated.time": 400.0}
     table = random.standard_normal((record.size, 3))
     white = whitening(WANDER, values, record, extra)
-    order, step = record.in_time
-    begun = np.cumsum(step < 0)
-    time = np.cumsum(np.maximum(step, 0.0))
+    frame = assembled("gyro, wandering").record.frame
+    time, run = np.asarray(frame["time"])[rows], np.asarray(frame.codes["run"])[rows]
     apart = np.abs(time[:, None] - time)
-    same = begun[:, None] == begun
+    same = run[:, None] == run
     covariance = same * 0.5 * 0.002**2 * 400.0 * np.exp(-apart / 400.0)
-    covariance += np.diag((0.05**2 + extra * np.ones(record.size))[order])
-    own = table[order]
+    covariance += np.diag(0.05**2 + extra * np.ones(record.size))
     made, log_volume = white.both(table)
-    np.testing.assert_allclose(made.T @ made, own.T @ np.linalg.solve(covariance, own))
+    np.testing.assert_allclose(made.T @ made, table.T @ np.linalg.solve(covariance, table))
     assert log_volume == pytest.approx(np.linalg.slogdet(covariance)[1])
+
+
+def test_a_part_with_all_readings_is_the_whole() -> None:
+    whole = assembled("gyro, wandering")
+    part = Problem(whole.layout, Part(whole.record, np.arange(whole.record.size)))
+    flat, v = np.ones(whole.size), np.zeros(len(whole.hypers))
+    both = [Density(a, whole.start, flat).at(v)[0] for a in (whole, part)]
+    assert both[0] == both[1]
 
 
 def test_records_of_about_the_same_length_share_their_programs() -> None:
@@ -352,3 +518,48 @@ def test_a_response_without_a_slope_somewhere_is_not_taken_for_affine() -> None:
     frame = frame_of(readings)
     assert Record(instrument, frame, readings["output"]).affine is None
     assert assembled("inclinometer").record.affine is not None  # no tilt: a sum
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        RICH,
+        pytest.param(
+            RICH.with_noise(bc.StudentT()).fix(
+                {"bias.thermal_lag.tau": 200.0, "bias.constant": 3.0}
+            ),
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["white", "student, some fixed"],
+)
+def test_numpyro_program_has_the_same_density(model) -> None:
+    from numpyro.infer.util import log_density
+
+    a, rng = bound(model, two_runs()), np.random.default_rng(4)
+    layout, frame, y = a.layout, a.record.frame, jnp.asarray(a.record.y)
+    differences = []
+    for _ in range(4):
+        v = jnp.asarray(rng.normal(0.0, 0.7, len(layout.hypers)))
+        hyper = forward.hyper_values(layout, v)
+        sites = {h.name: hyper[h.name] for h in layout.hypers}
+        x, ours = [], forward.hyper_log_prior(layout, v)
+        for i, h in enumerate(layout.hypers):
+            ours -= jnp.log(
+                jax.grad(h.prior.value)(v[i])
+            )  # density in the value, not in its coordinate
+        for block in layout.x_blocks:
+            z = jnp.asarray(rng.normal(size=block.size))
+            c = block.coefficient
+            spread = hyper[block.group_sd_name] if c.group_sd is not None else c.size
+            sites[f"{block.name}.standard"] = z
+            x.append(c.mean + spread * z)
+            ours += block.size * jnp.log(spread)  # likewise: x is written in units of its spread
+        x = jnp.concatenate(x)
+        ours += forward.log_prior_x(layout, x, hyper)
+        ours += jnp.sum(forward.log_likelihood(layout, frame, y, x, hyper))
+        theirs, trace = log_density(nuts.program(layout, frame), (y,), {}, sites)
+        np.testing.assert_allclose(trace["x"]["value"], x, rtol=1e-12)
+        np.testing.assert_allclose(trace["v"]["value"], v, rtol=1e-9, atol=1e-12)
+        differences.append(float(theirs - ours))
+    np.testing.assert_allclose(differences, 0.0, atol=1e-7)

@@ -22,7 +22,6 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.summary import chi_squared
-from bayescal._use.budget import READINGS, REST
 
 
 def line(centre: float, unit: str = "1") -> bc.Effect:
@@ -225,5 +224,6 @@ def test_a_line_made_by_hand_is_met() -> None:
 def test_with_flat_priors_all_of_a_budget_comes_from_the_readings() -> None:
     fit = fitted((0.0, 1.0, 2.0, 3.0), (1.0, 3.0, 4.0, 6.0), (1.0,) * 4)
     sources = {s.name: s for s in bc.budget(fit, {"x": 2.0}).sources}
-    assert set(sources) == {READINGS, REST}
-    np.testing.assert_allclose(sources[READINGS].share, 1.0, atol=1e-7)
+    readings, rest = "noise of the calibration's readings", "between-group sd, shapes, curvature"
+    assert set(sources) == {readings, rest}
+    np.testing.assert_allclose(sources[readings].share, 1.0, atol=1e-7)

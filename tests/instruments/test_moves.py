@@ -338,7 +338,7 @@ def test_too_many_moves_that_disagree_are_refused() -> None:
 
 
 def test_what_did_not_settle_is_not_called_a_wrong_unit(monkeypatch: pytest.MonkeyPatch) -> None:
-    from bayescal._use import moves
+    from bayescal._annexes.imu import moves
 
     monkeypatch.setattr(moves, "SWEEPS", 1)
     forces, log = both(simulate_log(seed=6, campaign=FEW))

@@ -285,16 +285,16 @@ def test_corrections_that_are_alike_are_computed_for_a_few_draws_only(monkeypatc
 
     counts = []
 
-    def counted(problem, mode, found, *args):
+    def counted(problem, found, *args):
         counts.append(len(found.x))
-        return draw_joint(problem, mode, found, *args)
+        return correction(problem, found, *args)
 
-    draw_joint = sampling.draw_joint
-    monkeypatch.setattr(sampling, "draw_joint", counted)
+    correction = sampling.correction
+    monkeypatch.setattr(sampling, "correction", counted)
     readings = accelerometer_triad.simulate(seed=4, campaign=Campaign(poses=40))
     quick = bc.fit(MODEL, readings)
     assert sum(counts) <= sampling.FIRST_DRAWS
-    monkeypatch.setattr(importance_weights, "ALIKE", 0.0)
+    monkeypatch.setattr(importance_weights, "ALIKE_SCATTER", 0.0)
     counts.clear()
     full = bc.fit(MODEL, readings)
     assert sum(counts) > 2000

@@ -11,11 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.test_util import check_grads
 from scipy import stats
 
 import bayescal as bc
 from bayescal._model.noise_terms import ENDLESS, FASTEST, RUNGS
-from bayescal._model.state_space import filtered, of_means
+from bayescal._model.state_space import States, filtered, of_means
 from bayescal_models import still_sensor
 from tests.support.inside import frame_of
 from tests.support.tiers import slow_but
@@ -427,3 +428,23 @@ def test_means_are_whitened_by_their_dense_covariance(terms, rng) -> None:
     white = jnp.full(sum(runs), VALUES["noise.white"] ** 2 / count)
     found, _ = filtered(states, white, jnp.asarray(columns))
     np.testing.assert_allclose(found, exact, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", slow_but(["apart"], ["one", "apart", "last", "together"]))
+def test_slopes_of_the_filter_are_those_of_differences(kind: str, rng) -> None:
+    count = 1 if kind == "one" else 3
+    root = rng.normal(size=(12, count, count))
+    carry, fresh = rng.uniform(0.3, 0.9, (12, count)), rng.uniform(0.1, 1.0, (12, count))
+    if kind == "together":
+        carry = 0.3 * rng.normal(size=(12, count, count))
+    last = rng.uniform(-0.5, 0.5, (12, count)) if kind == "last" else None
+    shown = np.ones(count)
+    shown[1:-1] = 0.0
+
+    def value(carry, fresh, last, white, columns):
+        if kind in ("last", "together"):
+            fresh = fresh[:, :, None] * jnp.eye(count) + root @ np.swapaxes(root, 1, 2)
+        return filtered(States(carry, fresh, shown, last), white, columns)
+
+    given = carry, fresh, last, rng.uniform(0.1, 1.0, 12), rng.normal(size=(12, 2))
+    check_grads(value, given, order=1, modes=["rev"], rtol=1e-5)

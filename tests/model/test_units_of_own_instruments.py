@@ -11,7 +11,8 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._model.parameters import Layout
+from bayescal_models import mems_gyro
+from tests.support.inside import frame_of
 
 ARCSEC = math.pi / 648000
 FAMILIES = {  # a second table of units, which knows nothing of the first
@@ -33,6 +34,7 @@ FORMS = {  # a basis, its columns, and the coefficient's unit
     "a/b": (lambda a, b: a / b, ("a", "b"), "({y})*({b})/({a})"),
     "a·b²": (lambda a, b: a * b**2, ("a", "b"), "{y}/(({a})*({b})^2)"),
 }
+QUICK = bc.LeastSquares(draws=500)
 SEEDS = range(40)
 BEYOND = 2.5758  # standard deviations, of the central 99 %
 
@@ -93,7 +95,7 @@ def standing(seed: int) -> float | str:
     except bc.ModelError as refused:
         return str(refused)
     readings = bc.Measurements.from_arrays(instrument, units=drawn.files, **drawn.arrays)
-    found = bc.fit(instrument.baseline(), readings, bc.LeastSquares(draws=500), strict=False)
+    found = bc.fit(instrument.baseline(), readings, QUICK, strict=False)
     draws = found.samples("zero.slope")
     return float((draws.mean() - drawn.truth) / draws.std())
 
@@ -140,17 +142,26 @@ def gravimeter(unit: str, column: str = "hPa", **more) -> bc.Instrument:
     )
 
 
-def test_a_coefficient_per_hectopascal_is_what_it_was() -> None:
-    random = np.random.default_rng(1)
-    pressure = random.uniform(980.0, 1030.0, 200)
-    output = 2.0 + 0.003 * (pressure - 1000.0) + 0.01 * random.standard_normal(200)
-    instrument = gravimeter("um/s^2/hPa")
-    readings = bc.Measurements.from_arrays(instrument, pressure=pressure, output=output)
-    draws = bc.fit(instrument.baseline(), readings, bc.LeastSquares(draws=500)).samples(
-        "reading.pressure"
+def recovered(
+    model: bc.Model, factor: float, units: dict[str, str] | None = None, **columns: Any
+) -> float:
+    """The last coefficient over its truth, of readings in which a unit of it is `factor` per unit of its basis."""
+    effect, truth = model.effects[-1], 3.0
+    columns = {"output": np.zeros(200), **columns}
+    readings = bc.Measurements.from_arrays(model.instrument, units=units, **columns)
+    (basis,) = np.asarray(effect.evaluate(frame_of(readings), {})).T
+    reach = truth * factor * np.ptp(basis)
+    output = truth * factor * basis + 1e-3 * reach * np.random.default_rng(1).standard_normal(200)
+    one = bc.Coefficient(effect.coefficients[0].unit, bc.Normal(0.0, 10.0))
+    model = (model - effect.name + replace(effect, coefficients=(one,))).with_noise(
+        bc.White(bc.HalfCauchy(1e-2 * reach))
     )
-    assert draws.mean() == pytest.approx(0.003, abs=3 * draws.std())
-    assert draws.std() < 1e-4
+    found = bc.fit(model, readings.with_column("output", output), QUICK).samples(effect.name)
+    assert found.std() < 2e-3 * truth
+    return float(found.mean()) / truth
+
+
+PRESSURE = np.random.default_rng(2).uniform(980.0, 1030.0, 200)
 
 
 @pytest.mark.parametrize(
@@ -161,12 +172,12 @@ def test_a_coefficient_per_hectopascal_is_what_it_was() -> None:
         ("nm/s^2/hPa", "kPa", 1e-2),
         ("um/s^2/mbar^2", "hPa", 1.0),
         ("mGal/hPa", "hPa", 10.0),
+        ("um/s^2/%", "%", 1.0),
     ],
 )
 def test_a_factor_stands_between_the_units_that_are_declared(unit, column, factor) -> None:
     model = gravimeter(unit, column).baseline()
-    _, block = Layout(model, ()).blocks
-    assert block.factor == pytest.approx(factor, rel=1e-12)
+    assert recovered(model, factor, pressure=PRESSURE) == pytest.approx(1, abs=2e-3)
 
 
 def test_units_that_do_not_agree_are_refused_with_both() -> None:
@@ -177,43 +188,27 @@ def test_units_that_do_not_agree_are_refused_with_both() -> None:
     assert "Its columns: pressure [hPa]" in said
 
 
-def test_an_effect_of_ones_own_meets_a_column_that_no_instrument_declares_in_base_units() -> None:
-    from bayescal_models.mems_gyro import INSTRUMENT
-
-    humid = bc.Effect(
-        "bias.humidity",
-        "bias",
-        basis=lambda r: r["humidity"] - 0.45,
-        coefficients=(bc.Coefficient("deg/s/%"),),
-        columns=("humidity",),
-    )
-    pressed = replace(
-        humid,
-        name="bias.pressure",
-        columns=("pressure",),
-        coefficients=(bc.Coefficient("deg/s/hPa"),),
-    )
-    model = INSTRUMENT.baseline() + humid + pressed
-    blocks = {b.name: b.factor for b in Layout(model, ()).blocks}
-    assert blocks["bias.humidity"] == pytest.approx(100.0)  # of a humidity of 0 … 1
-    assert blocks["bias.pressure"] == pytest.approx(0.01)  # of a pressure in Pa
+@pytest.mark.parametrize(
+    ("column", "base", "unit", "factor"),
+    [
+        ("humidity", "1", "deg/s/%", 100.0),
+        ("pressure", "Pa", "deg/s/hPa", 0.01),
+        ("acceleration", "ug", "deg/s/g", 1e-6),  # of local g
+    ],
+)
+def test_a_column_that_no_instrument_declares_comes_in_base_units(
+    column, base, unit, factor
+) -> None:
+    own = replace(slope(column, unit, 1.0), name="bias.own", slot="bias")
+    spread = {column: np.linspace(0.2, 0.8, 200), "temperature": np.tile([20.0, 40.0], 100)}
+    model = mems_gyro.INSTRUMENT.baseline() + own
+    assert recovered(model, factor, {column: base}, **spread) == pytest.approx(1, abs=2e-3)
 
 
-def test_an_acceleration_that_no_instrument_declares_is_one_of_local_g() -> None:
-    from bayescal_models.mems_gyro import INSTRUMENT
-
-    felt = slope("acceleration", "deg/s/g", 1.0)
-    felt = replace(felt, name="bias.acceleration", slot="bias")
-    factor = Layout(INSTRUMENT.baseline() + felt, ()).blocks[-1].factor
-    assert factor == pytest.approx(1e-6)  # the column is in µg
-    metric = replace(felt, coefficients=(bc.Coefficient("deg/s/(m/s^2)"),))
+def test_an_acceleration_that_no_instrument_declares_is_not_per_metre_per_second_squared() -> None:
+    metric = replace(slope("acceleration", "deg/s/(m/s^2)", 1.0), slot="bias")
     with pytest.raises(bc.ModelError, match="is kept in ug: write the coefficient per ug, mg or g"):
-        _ = INSTRUMENT.baseline() + metric
-
-
-def test_a_ratio_column_declared_in_percent_comes_in_percent() -> None:
-    instrument = gravimeter("um/s^2/%", "%")
-    assert Layout(instrument.baseline(), ()).blocks[1].factor == pytest.approx(1.0)
+        _ = mems_gyro.INSTRUMENT.baseline() + metric
 
 
 def test_a_clock_in_hours_is_refused() -> None:
@@ -291,7 +286,7 @@ def test_columns_in_hpa_arcsec_and_ppm_are_right_at_the_first_try(tmp_path) -> N
     path = tmp_path / "resonator.csv"
     np.savetxt(path, columns, delimiter=",", header=head, comments="", fmt="%.10g")
     readings = bc.read(path, RESONATOR)
-    found = bc.calibrate(RESONATOR.baseline(), readings, method=bc.LeastSquares(draws=500))
+    found = bc.calibrate(RESONATOR.baseline(), readings, method=QUICK)
     assert found.ok, found.gate.reason
     last = found.final.calibration
     truths = {"zero.temperature": 0.3, "zero.pressure": 50.0, "zero.tilt": 0.02}

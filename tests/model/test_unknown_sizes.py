@@ -7,9 +7,7 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._search.discover import structures_over
 from bayescal_models import mems_gyro
-from tests.support.inside import constants_of
 
 NOISE, WAVE = 0.1, 0.4  # m
 
@@ -81,9 +79,12 @@ def test_the_range_reaches_from_what_could_be_shown_to_more_than_is_left() -> No
 def test_candidates_of_a_search_are_sized_as_by_a_user() -> None:
     instrument = falling_body("start")
     readings, model = fall(instrument), instrument.baseline()
-    searched, _ = structures_over(model, readings, constants_of(readings))
-    own = bc.fit(model + "unknown(time)", readings, bc.LeastSquares(draws=10), strict=False).model
-    assert searched.candidates["unknown(time)"].shapes == own.effects[-1].shapes
+    quick = bc.LeastSquares(draws=10)
+    path = bc.calibrate(model, readings, method=quick, max_effects=1, widen_noise=False)
+    found = path.final.calibration.model.effects[-1]
+    assert found.name == "unknown(time, cycle)"
+    own = bc.fit(model + found.name, readings, quick, strict=False).model
+    assert found.shapes == own.effects[-1].shapes
 
 
 def test_a_model_meets_no_readings_before_its_amplitude_is_known() -> None:

@@ -13,16 +13,9 @@ import pytest
 
 import bayescal as bc
 from bayescal import effects
-from bayescal._inference.problem import Problem
-from bayescal._inference.record import record_of
-from bayescal._model import forward
-from bayescal._model.model import testable as why_not_tested
-from bayescal._model.parameters import bind
-from bayescal._search.discover import structures_over
-from bayescal._search.structures import Structure
 from bayescal.effects.thermal import BODIES, RATIOS
 from bayescal_models import mems_gyro
-from tests.support.inside import constants_of, frame_of
+from tests.support.inside import frame_of, why_not_testable
 
 GYRO = mems_gyro.INSTRUMENT
 RUNS, HOURS, STEP, FINE = 3, 4, 60.0, 5.0  # s
@@ -94,29 +87,6 @@ def test_it_is_found_in_twenty_campaigns() -> None:
 
 
 @pytest.mark.parametrize("form", BODIES)
-def test_the_engine_and_the_composition_agree(form: str) -> None:
-    """The engine takes T̃ into the columns of what depends on T; the composition corrects the column itself."""
-    readings = campaign(1)[0]
-    readings = readings.select(np.arange(0, len(readings), 6))  # of all runs
-    name = f"bias.thermal_lag.{form}"
-    model = GYRO.baseline() + "bias.temperature_quadratic" + name + "bias.run"
-    layout, _ = bind(model, readings)
-    record = record_of(GYRO, readings, constants_of(readings))
-    problem, random = Problem(layout, record), np.random.default_rng(3)
-    x = 0.1 * random.standard_normal(problem.size)
-    hyper = problem.hyper(0.5 * random.standard_normal(len(layout.hypers)))
-    line = problem.linearise(x, hyper)
-    whole = forward.linearise(
-        layout,
-        record.frame,
-        jnp.asarray(x),
-        {k: jnp.asarray(v) for k, v in hyper.items()},
-    )
-    np.testing.assert_allclose(line.mean, whole.mean, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(line.jacobian, whole.jacobian, rtol=1e-7, atol=1e-5)
-
-
-@pytest.mark.parametrize("form", BODIES)
 def test_a_body_comes_to_rest_at_what_is_around_it_and_is_behind_a_ramp_by_tau(form: str) -> None:
     body = BODIES[form]
     for ratio in RATIOS if body.shapes else [None]:
@@ -146,25 +116,6 @@ def test_two_stages_are_one_body_behind_another() -> None:
             second += fine * (first - second) / (tau / 3)
         expected.append(second)
     np.testing.assert_allclose(found, expected, atol=2e-3)
-
-
-def test_a_family_has_its_odds_whatever_its_forms() -> None:
-    """A form more makes nothing more probable: that nothing is missing has one half, of any catalogue."""
-    readings, *_ = campaign(1)
-    structures, _ = structures_over(GYRO.baseline(), readings, constants_of(readings))
-    odds = [
-        np.logaddexp.reduce([structures.log_odds[n] for n in own])
-        for own in structures.forms.values()
-    ]
-    assert -np.sum(np.logaddexp(0.0, odds)) == pytest.approx(math.log(0.5))
-
-
-def test_a_structure_has_one_form_of_a_family() -> None:
-    readings, *_ = campaign(1)
-    structures, _ = structures_over(GYRO.baseline(), readings, constants_of(readings))
-    open_ = structures.open_to(Structure(frozenset({BODY})))
-    assert not [n for n in open_ if structures.family(n) == "bias.thermal_lag"]
-    assert "bias.temperature_quadratic" in open_
 
 
 def test_an_average_over_forms_is_that_of_its_structures(trail) -> None:
@@ -210,5 +161,5 @@ def test_a_lag_can_be_tested_in_one_run() -> None:
     readings, *_ = campaign(1)
     one = readings.select(readings.groups("run")[1] == 0)
     lag = GYRO.known["bias.thermal_lag"]
-    assert all(why_not_tested(e, one) is None for e in (lag, *lag.forms))
-    assert why_not_tested(GYRO.known["bias.run"], one) == "needs more than one run"
+    assert all(why_not_testable(e, one) is None for e in (lag, *lag.forms))
+    assert why_not_testable(GYRO.known["bias.run"], one) == "needs more than one run"

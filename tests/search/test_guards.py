@@ -259,6 +259,23 @@ def test_a_step_that_does_harm_shuts_the_gate(line, first, last, said) -> None:
     assert gate(steps(line, first, nearly)).ok
 
 
+@pytest.mark.parametrize(
+    ("score", "ok"), [(30, True), (-1.5, True), (-1.6, False), (np.nan, False)]
+)
+def test_groups_left_out_are_judged_by_their_density(line, score: float, ok: bool) -> None:
+    """The odds of a hundred to one are 4.6 nats, of all three groups together."""
+    first, last = groups_left_out(1.0, 0.0), groups_left_out(1.3, score)
+    assert gate(steps(line, {"left_out": first}, {"left_out": last})).ok is ok
+
+
+@pytest.mark.parametrize(("p", "ok"), [(0.02, True), (0.005, False)])
+def test_hold_out_data_are_judged_by_a_test(line, p: float, ok: bool) -> None:
+    nothing = SimpleNamespace(p=0.5, share=1.0, scatter=1.0, most="")
+    test = SimpleNamespace(worse_than=lambda _: p, against=nothing)
+    first, last = ({"holdout_rmse": rmse, "holdout_test": test} for rmse in (1.0, 1.3))
+    assert gate(steps(line, first, last)).ok is ok
+
+
 def test_the_gates_reasons_are_the_results(line: bc.Calibration) -> None:
     assert replace(line.verdict, ok=True).ok  # the fit itself converged
     off = line.readings.with_column("output", line.readings["output"] + OFFSET)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import dataclasses
 import re
 
-import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._inference.trust import unevenness
 from bayescal_models import mems_gyro
 from tests.support.inside import result_of
 from tests.support.made_up import split_search
@@ -40,10 +38,12 @@ def test_a_record_is_judged_by_them_inside_and_no_further() -> None:
 
 
 def test_draws_are_judged_by_them() -> None:
-    weights = np.full(150, 1 / 150)
-    assert "150 effective draws" in unevenness(weights, 0.2)
-    with bc.use_settings(bc.Settings(effective_draws=100)):
-        assert unevenness(weights, 0.2) == ""
+    readings = line_of(*range(20, 40))
+    model, few = mems_gyro.INSTRUMENT.baseline(), bc.Marginal(draws=100, proposals=100)
+    with bc.use_settings(bc.Settings(effective_draws=1e6)):
+        assert not bc.fit(model, readings, few, strict=False).verdict.ok
+    with bc.use_settings(bc.Settings(effective_draws=10)):
+        assert bc.fit(model, readings, few, strict=False).verdict.ok
 
 
 def test_other_things_are_no_settings() -> None:

@@ -221,6 +221,13 @@ def test_a_free_curve_in_time_stands_beside_no_wander() -> None:
     assert "unknown(time, jump)" in made.open_to(Structure(noise=WANDER))
 
 
+def test_a_structure_has_one_form_of_a_family() -> None:
+    made = structures(hidden())
+    open_ = made.open_to(Structure(frozenset({"bias.thermal_lag.body"})))
+    assert not [n for n in open_ if made.family(n) == "bias.thermal_lag"]
+    assert "bias.temperature_quadratic" in open_
+
+
 def test_a_path_leads_from_the_base_to_the_end_one_change_at_a_time() -> None:
     made = structures(hidden(9, thermal_lag=0.05, run=0.1))
     end = Structure(frozenset(["bias.thermal_lag", "bias.run"]), WANDER)

@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._data.header_rules import channels_beside
 from bayescal_models import mems_gyro, still_sensor
 from tests.support.command_line import GYRO, TABLE, needs_installation, run
 from tests.support.command_line import QUICK as LEAST_SQUARES
@@ -104,10 +103,25 @@ def test_the_command_takes_both(tmp_path: Path) -> None:
         ("dut 3", ["dut 1", "dut 12"]),
     ],
 )
-def test_channels_are_known_by_their_names(output: str, others: list[str]) -> None:
-    apart = dict.fromkeys(["max", "drive", "index", "oxygen", "T1", "zinc"], "V")
-    columns = dict.fromkeys(others, "V")
-    assert channels_beside(output, {**columns, **apart}, "V") == others
+def test_channels_are_known_by_their_names(output: str, others: list[str], tmp_path: Path) -> None:
+    names = [
+        "time",
+        "temperature",
+        output,
+        *others,
+        "max",
+        "drive",
+        "index",
+        "oxygen",
+        "T1",
+        "zinc",
+    ]
+    table = np.arange(9)[:, None] + np.random.default_rng(1).random((9, len(names)))
+    units = {"time": "s", "temperature": "degC"}
+    head = ",".join(f"{n} [{units.get(n, 'V')}]" for n in names)
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=head, comments="")
+    found = bc.read(tmp_path / "log.csv", SENSOR, columns={"output": output})
+    assert found.no_causes == set(others) and {"drive", "max", "zinc"} <= set(found.columns)
 
 
 def test_what_cannot_be_tested_is_said_by_families() -> None:

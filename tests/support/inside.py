@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,7 @@ from bayescal._model.model import testable
 from bayescal._report.result_json import result
 from bayescal._report.whole_folder import MANIFEST as MANIFEST
 from bayescal._report.whole_folder import files_of as files_of
+from bayescal._report.whole_folder import list_files as list_files
 from bayescal._report.whole_folder import refuse_mixed as refuse_mixed
 from bayescal._report.whole_folder import whole_folder as whole_folder
 from bayescal._tables.mapping_file import load_mapping, save_mapping
@@ -48,6 +51,13 @@ def identity_of(calibration: bc.Calibration) -> str:
 def result_of(trail: bc.SearchPath) -> dict[str, Any]:
     """What `trail.save` writes as result.json, nothing drawn."""
     return result(trail)
+
+
+def screen_of(path: bc.SearchPath, verbose: bool = False) -> str:
+    """What `bayescal calibrate` prints of a search."""
+    from bayescal._cli.output import loop_text
+
+    return loop_text(path, verbose=verbose)
 
 
 def text_of(correction: Any, format: str, **how: Any) -> str:
@@ -99,6 +109,17 @@ def why_not_testable(effect: bc.Effect, readings: bc.Measurements) -> str | None
 def nominal_scale_of(instrument: bc.Instrument, said: str) -> bc.NominalScale | None:
     """A nominal scale as it is said on the command line."""
     return ReadOptions.of(instrument, nominal_scale=said).nominal_scale
+
+
+def notes_of_channels(file: Path, instrument: str, names: list[str]) -> str:
+    """What a command says of a file of several channels when it has read them, before it does anything."""
+    from bayescal._cli.options import ColumnOptions, ModelOptions, ReadRequest
+    from bayescal._cli.request import open_channels
+
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said):
+        open_channels(names, ReadRequest(instrument, [file], ColumnOptions(), ModelOptions()))
+    return said.getvalue()
 
 
 def write_plain_json(data: Any, path: Path) -> None:

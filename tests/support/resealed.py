@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import xarray as xr
 
+from bayescal._core.atomic_file import LENGTH as LENGTH
 from bayescal._core.atomic_file import verified, write_sealed
 from bayescal._core.netcdf_bytes import netcdf_bytes, netcdf_tree
 

@@ -21,12 +21,10 @@ import pyarrow as pa
 import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 
+from bayescal import InputError
 from bayescal._annexes.fleet.odd_devices import Values, odd_values
 from bayescal._annexes.fleet.population import Population
-from bayescal._core.as_json import as_json, write_json
-from bayescal._core.atomic_file import replacing_for_user
-from bayescal._core.errors import InputError
-from bayescal._core.json_shape import parsed_json, read_json
+from bayescal.workshop import as_json, parsed_json, read_json, replacing_for_user, write_json
 
 FORMAT = "bayescal.batch/1"
 AGAIN = "Take a copy, or run the batch again"

@@ -15,26 +15,23 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal._core.errors import InputError
+from bayescal import Column, InputError, Measurements
 from bayescal._core.settings import settings
-from bayescal._data.column import Column, ConvertedColumns, Source
+from bayescal._data.column import ConvertedColumns, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import refuse_backward_time, refuse_one_temperature
 from bayescal._data.header_matching import (
     ExpectedColumns,
     InstrumentLike,
     MatchedFile,
-    ReadOptions,
-    expected_columns,
     output_name,
     unit_of,
     unused_options,
 )
-from bayescal._data.measurements import Measurements
-from bayescal._data.unit_conversion import base_unit
 from bayescal._tables.cells import Cells
-from bayescal._tables.open_table import MAX_BYTES, open_table
-from bayescal._tables.raw_table import Objections, Table, load_whole
+from bayescal._tables.open_table import MAX_BYTES
+from bayescal._tables.raw_table import Table, load_whole
+from bayescal.workshop import Objections, ReadOptions, base_unit, expected_columns, open_table
 
 DEVICE = "device"
 

@@ -17,9 +17,9 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from bayescal._core.errors import BayescalError, InputError
+from bayescal import BayescalError, InputError
 from bayescal._core.folder_settings import obey_no_folder
-from bayescal._core.progress import note
+from bayescal.workshop import note
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster

@@ -21,14 +21,11 @@ import pandas as pd
 from jaxtyping import Float
 from scipy.special import expit
 
+from bayescal import BayescalError, Effect, Measurements, Model
 from bayescal._annexes.fleet.batch_result import EFFECTS, BatchResult
 from bayescal._annexes.fleet.devices import Devices
 from bayescal._annexes.fleet.fit_devices import FitOptions, fit_together
-from bayescal._core.errors import BayescalError
-from bayescal._data.measurements import Measurements
-from bayescal._model.effect import Effect
 from bayescal._model.frame import Reference, reference_of
-from bayescal._model.model import Model
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior

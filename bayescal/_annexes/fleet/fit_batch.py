@@ -28,6 +28,7 @@ import pyarrow.compute as pc
 import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 
+from bayescal import InputError, Measurements, Model, Settings, __version__, use_settings
 from bayescal._annexes.fleet.batch_result import (
     ALONE,
     POOLED,
@@ -62,22 +63,15 @@ from bayescal._annexes.fleet.model_texts import model_texts, shown
 from bayescal._annexes.fleet.odd_devices import Values, odd_effects, odd_values
 from bayescal._annexes.fleet.partial_pooling import learn_population
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
-from bayescal._core.atomic_file import sha256_of
-from bayescal._core.errors import InputError
-from bayescal._core.json_shape import parsed_json
-from bayescal._core.progress import EVERY, note, stage, tell
-from bayescal._core.quoting import one_line
-from bayescal._core.settings import Settings, settings, use_settings
-from bayescal._core.version import __version__
-from bayescal._data.header_matching import ReadOptions
-from bayescal._data.measurements import Measurements
+from bayescal._core.progress import EVERY
+from bayescal._core.settings import settings
 from bayescal._inference.method import Method
 from bayescal._model.frame import Reference
-from bayescal._model.model import Model
 from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES, READ
 from bayescal._tables.parquet_netcdf import arrow_cells, arrow_headers
 from bayescal._tables.raw_table import Table, after, as_format, refuse_large
+from bayescal.workshop import ReadOptions, note, one_line, parsed_json, sha256_of, stage, tell
 
 if TYPE_CHECKING:
     from distributed import Client

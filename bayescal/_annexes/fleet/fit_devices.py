@@ -29,22 +29,27 @@ import pandas as pd
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
+from bayescal import (
+    BayescalError,
+    Frame,
+    InputError,
+    LeastSquares,
+    Marginal,
+    Measurements,
+    Model,
+    ModelError,
+)
 from bayescal._annexes.fleet.batch_result import BatchPart, BatchResult
 from bayescal._annexes.fleet.devices import DEVICE, DeviceBlock, Devices, joined
 from bayescal._annexes.fleet.partial_pooling import pooled
 from bayescal._annexes.fleet.population import Named
-from bayescal._core.errors import BayescalError, InputError, ModelError
 from bayescal._core.importance_weights import smoothed
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._core.jit import compiled
 from bayescal._core.settings import unusual
-from bayescal._data.column import UNCERTAINTY
-from bayescal._data.measurements import Measurements
 from bayescal._inference import least_squares, sampled_products, trust
 from bayescal._inference.laplace import find_mode
-from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.linear_model import sized
-from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Method
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record, record_of
@@ -52,15 +57,14 @@ from bayescal._inference.sampling import weighted_draws
 from bayescal._model import forward
 from bayescal._model.frame import (
     GROUPS,
-    Frame,
     Reference,
     build_frame,
     reference_name,
     reference_of,
     rounded_means,
 )
-from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, Levels, bind
+from bayescal.workshop import UNCERTAINTY
 
 GRID = 32  # starts for log σ², among which the best one's neighbours bracket the maximum
 NEWTON_STEPS = 10  # safeguarded Newton steps in the bracket, to the last digits

@@ -8,19 +8,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bayescal as bc
-from bayescal._cli import request
-from bayescal._cli.console import Answer
-from bayescal._cli.options import (
+from bayescal import InputError
+from bayescal._search.own_files import in_a_file
+from bayescal.workshop import (
+    Annex,
+    Answer,
     ColumnOptions,
     Commands,
     ModelOptions,
+    compose,
+    instrument_named,
+    method_named,
     named_numbers,
+    own_effects,
     refuse_missing,
     refuse_unknown_method,
 )
-from bayescal._core.annex import Annex
-from bayescal._core.errors import InputError
-from bayescal._search.own_files import in_a_file
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -81,13 +84,13 @@ def batch(
     apart = find or workers is not None or scheduler is not None
     apart = apart or any(path.is_dir() for path in files)
     _refuse_place(out, files, apart)
-    chosen = request.instrument_named(instrument)
-    own = request.own_effects(choice, chosen, None)
-    model = request.compose(chosen, choice, own)
+    chosen = instrument_named(instrument)
+    own = own_effects(choice, chosen, None)
+    model = compose(chosen, choice, own)
     how, asked = (
         columns.for_read(),
         {
-            "method": request.method_named(method),
+            "method": method_named(method),
             "population": True if population == ["all"] else population or False,
             "seed": seed,
             "reference": {**named_numbers(choice.reference, "--reference")},

@@ -8,8 +8,7 @@ from functools import partial
 from types import CodeType
 from typing import Any
 
-from bayescal._model.effect import Effect
-from bayescal._model.model import Model
+from bayescal import Effect, Model
 
 
 def model_texts(model: Model, candidates: Sequence[Effect] = ()) -> list[str]:

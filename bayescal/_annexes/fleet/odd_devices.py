@@ -19,9 +19,8 @@ from jaxtyping import Float
 from scipy import stats
 from scipy.optimize import brentq
 
-from bayescal._core.formatting import number
 from bayescal._core.settings import settings
-from bayescal._data.unit_conversion import unit_label
+from bayescal.workshop import number, unit_label
 
 # Devices of so small a posterior predictive p, expected by chance in the whole fleet, below which a device is said not
 # to be like the others: one fleet in a hundred has such a device by chance.

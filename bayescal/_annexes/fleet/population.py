@@ -44,16 +44,13 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
-from bayescal._core.errors import ModelError
+from bayescal import Coefficient, Flat, HalfCauchy, HalfNormal, Model, ModelError
 from bayescal._core.importance_weights import smoothed
 from bayescal._core.jax_setup import configure_jax
 from bayescal._core.parallel import over
 from bayescal._inference import trust
 from bayescal._inference.laplace import climb, gaussian_fit
 from bayescal._inference.sampling import PriorShare, around_mode, propose
-from bayescal._model.effect import Coefficient
-from bayescal._model.model import Model
-from bayescal._model.prior import Flat, HalfCauchy, HalfNormal
 
 # Devices from which a standard deviation between them can be learned: of two, it is their distance.
 FEWEST_DEVICES = 3

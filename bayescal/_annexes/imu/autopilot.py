@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayescal._core.errors import InputError
+from bayescal import InputError
 
 ORDER = 3  # of the temperature, the highest that an autopilot takes
 

@@ -21,9 +21,8 @@ from jaxtyping import Float
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
+from bayescal import InputError, Measurements
 from bayescal._annexes.imu.vector_correction import UNKNOWN_DIRECTIONS, VectorCorrection
-from bayescal._core.errors import InputError
-from bayescal._data.measurements import Measurements
 from bayescal._data.still_stretches import in_common, logged_runs, per_sample
 
 SWEEPS = 20  # of Gauss–Newton

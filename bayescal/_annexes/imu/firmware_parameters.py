@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal import Calibration, Compensator, InputError, __version__, compensator
 from bayescal._annexes.imu.autopilot import (
     AUTOPILOTS,
     AXES,
@@ -24,18 +25,19 @@ from bayescal._annexes.imu.autopilot import (
     Values,
     project,
 )
-from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.description import identity
-from bayescal._core.atomic_file import write_text
-from bayescal._core.errors import InputError
-from bayescal._core.formatting import number
-from bayescal._core.quoting import ascii_text, one_line
-from bayescal._core.result_table import plain_table
-from bayescal._core.version import __version__
-from bayescal._data.unit_conversion import STANDARD_GRAVITY, convert, unit_label
 from bayescal._use.compensation_program import STIMULUS, inputs_at_fit
-from bayescal._use.compensator import Compensator, compensator
-from bayescal._use.correction import NOT_RELIABLE
+from bayescal.workshop import (
+    NOT_RELIABLE,
+    STANDARD_GRAVITY,
+    ascii_text,
+    convert,
+    identity,
+    number,
+    one_line,
+    plain_table,
+    unit_label,
+    write_text,
+)
 
 
 def at_rest(

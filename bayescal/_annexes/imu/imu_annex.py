@@ -11,23 +11,36 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
-from bayescal._cli import request, saved
-from bayescal._cli.console import Answer, drawn, print_notes, result_folder
-from bayescal._cli.options import (
+from bayescal import InputError
+from bayescal.workshop import (
+    CALIBRATION,
+    MANIFEST,
+    Annex,
+    Answer,
     ColumnOptions,
     Commands,
+    ExportRequest,
     InUse,
     ModelOptions,
     ReadRequest,
+    compensator_from,
+    drawing,
+    drawn,
+    files_of,
+    instrument_named,
+    list_files,
     named_values,
     names_in,
+    of_units,
+    open_request,
+    print_notes,
+    reliable,
+    result_folder,
+    whole_folder,
 )
-from bayescal._core.annex import Annex
-from bayescal._core.errors import InputError
-from bayescal._report.whole_folder import MANIFEST, drawing, files_of, list_files, whole_folder
 
 if TYPE_CHECKING:
-    from bayescal._tables.raw_table import Objection
+    from bayescal.workshop import Objection
 
 commands = Commands(
     {
@@ -66,7 +79,7 @@ class ThreeAxes(Annex):
         three = calibration.model.instrument.vector is not None
         return bc.vector_correction(calibration) if three else None
 
-    def exports(self) -> Mapping[str, Callable[[saved.ExportRequest], Answer]]:
+    def exports(self) -> Mapping[str, Callable[[ExportRequest], Answer]]:
         from bayescal._annexes.imu.autopilot import AUTOPILOTS
 
         return dict.fromkeys(AUTOPILOTS, parameters)
@@ -122,11 +135,11 @@ def triad(
     dry_run: bool = False,
 ) -> Answer:
     """Calibrate three axes by poses at rest or known rates; corrections as C99, Python, JSON and YAML."""
-    from bayescal._use.correction_files import sensor_name
+    from bayescal.workshop import sensor_name
 
     sensor_name(asked.name, "")  # refused before anything takes time
     given = ReadRequest(instrument, files, columns, ModelOptions())
-    chosen, model, readings = request.open_request(given)
+    chosen, model, readings = open_request(given)
     if chosen.vector is None:
         raise InputError(
             f"--instrument {instrument}: it has one output; `bayescal calibrate` is for it"
@@ -161,8 +174,7 @@ def imu(
     magnetometers: str | None = None,
 ) -> Answer:
     """Calibrate accelerometers by poses, gyroscopes by moves between them, magnetometers: one log, one frame."""
-    from bayescal._tables.raw_table import Objections
-    from bayescal._use.correction_files import names_in_unit, sensor_name
+    from bayescal.workshop import Objections, names_in_unit, sensor_name
 
     sensor_name(asked.name, "")
     how, field = columns.for_read(), columns.local_field
@@ -172,7 +184,7 @@ def imu(
         )
     given = dict(zip(SENSORS, (accelerometers, gyroscopes), strict=False))
     given |= {"magnetometer_triad": magnetometers} if magnetometers else {}
-    instruments = {name: request.instrument_named(name) for name in given}
+    instruments = {name: instrument_named(name) for name in given}
     logs, problems = {}, Objections()
     for name, three in given.items():
         named = {**how, "columns": _three(three) | how["columns"]}
@@ -249,7 +261,7 @@ def _three(given: str | None) -> dict[str, str]:
 
 def _of_sensor(sensors: str, instrument: Any, problems: Sequence[Objection]) -> Sequence[Objection]:
     """Objections of a log, with one sentence in place of three where it has none of a sensor's three columns."""
-    from bayescal._tables.raw_table import Objection
+    from bayescal.workshop import Objection
 
     three = {f"output_{axis}" for axis in "xyz"}
     missing = [p for p in problems if p.column in three]
@@ -301,7 +313,7 @@ def triad_text(trail: bc.SearchPath, correction: bc.VectorCorrection) -> str:
 def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str | None) -> None:
     """All that there is of three axes but what is drawn, to a folder that is not seen yet."""
     from bayescal._annexes.imu.vector_parameters import left_out
-    from bayescal._report.save_search import write_search
+    from bayescal.workshop import write_search
 
     write_search(trail, folder)
     for name in FILES:
@@ -318,7 +330,7 @@ def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
     Returns:
         Whether all could be made; what could not is said.
     """
-    from bayescal._report.save_search import draw_search
+    from bayescal.workshop import draw_search
 
     made = [drawn(draw_search, trails, folder)]
 
@@ -333,9 +345,9 @@ def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
     return all((drawn(reports), *made))
 
 
-def parameters(asked: saved.ExportRequest) -> Answer:
+def parameters(asked: ExportRequest) -> Answer:
     """`bayescal export` to parameters of an autopilot: of calibrations by axis, or of a triad."""
-    several = saved.of_units(asked.calibrations, saved.CALIBRATION)
+    several = of_units(asked.calibrations, CALIBRATION)
     loaded = asked.loaded(several)
     if loaded and not isinstance(loaded[0][1], bc.Compensator):
         return asked.written([one for _, one in loaded])
@@ -343,7 +355,7 @@ def parameters(asked: saved.ExportRequest) -> Answer:
     how = {"devices": numbers, "local_gravity": asked.local_gravity}
     found = bc.firmware_parameters(given, str(asked.format_), **how)
     text = found.text() if asked.out is None else f"{found}\n\nwritten: {found.write(asked.out)}"
-    return Answer(text.removesuffix("\n"), **saved.reliable(given))
+    return Answer(text.removesuffix("\n"), **reliable(given))
 
 
 def by_axis(
@@ -361,7 +373,7 @@ def by_axis(
     for name, file in (
         pair for one in named or [] for pair in named_values([one], "--axis").items()
     ):
-        given_names.append((name, Path(file), saved.compensator_from(Path(file), own)))
+        given_names.append((name, Path(file), compensator_from(Path(file), own)))
     for name, path, chosen in given_names:
         name = name or (axis_of(chosen.calibration) if chosen.calibration else None)
         if name is None:

@@ -9,10 +9,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from bayescal._calibration.sensor_noise import FILTER_QUANTILE, SensorNoise
-from bayescal._core.errors import InputError
-from bayescal._core.quoting import c_comment
-from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse
+from bayescal import InputError, SensorNoise
+from bayescal._calibration.sensor_noise import FILTER_QUANTILE
+from bayescal.workshop import STANDARD_GRAVITY, c_comment, parse
 
 KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 BRIEF = {

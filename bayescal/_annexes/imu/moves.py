@@ -36,12 +36,9 @@ from scipy.linalg import block_diag, solve_triangular
 from scipy.spatial.transform import Rotation
 from scipy.special import fdtrc, logsumexp
 
+from bayescal import InputError, Instrument, Measurements, ModelError
 from bayescal._annexes.imu.vector_correction import VectorCorrection
-from bayescal._core.errors import InputError, ModelError
-from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
-from bayescal._data.column import UNCERTAINTY
-from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import (
     ACROSS,
     AROUND,
@@ -61,8 +58,7 @@ from bayescal._data.still_stretches import (
     logged_runs,
     per_sample,
 )
-from bayescal._data.unit_conversion import convert, same_dimension
-from bayescal._model.instrument import Instrument
+from bayescal.workshop import UNCERTAINTY, convert, number, same_dimension
 
 SWEEPS = 60  # of integrating anew; four suffice for a matrix that is off by a tenth
 HALVINGS = 10  # of a step that leaves more over than was,

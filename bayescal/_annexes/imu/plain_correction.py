@@ -24,8 +24,7 @@ from bayescal._annexes.imu.vector_correction import (
     VectorCorrection,
     slopes_by_terms,
 )
-from bayescal._core.formatting import number
-from bayescal._data.unit_conversion import same_dimension, unit_label
+from bayescal.workshop import number, same_dimension, unit_label
 
 # Means of polynomials up to the seventh degree: over a range by G. Lobatto's five points, over a sphere by V. Lebedev's
 # 26 (Zh. Vychisl. Mat. Mat. Fiz. 16 (1976) 293), the directions of axes, edges and corners of a cube.

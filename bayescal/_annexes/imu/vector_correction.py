@@ -18,15 +18,10 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from bayescal._core.errors import InputError
-from bayescal._core.formatting import with_error
+from bayescal import InputError, Measurements, __version__
 from bayescal._core.inverse import stepped
-from bayescal._core.result_table import ResultTable, TableColumn
-from bayescal._core.version import __version__
-from bayescal._data.measurements import Measurements
 from bayescal._data.still_stretches import LoggedRun
-from bayescal._data.unit_conversion import unit_label
-from bayescal._use.correction import CorrectionInUse
+from bayescal.workshop import CorrectionInUse, ResultTable, TableColumn, unit_label, with_error
 
 ROUNDING = 1e-13  # of the largest term, up to which a term is none
 SIZES = (12, 30, 33)  # how many terms there are up to an order in what acts

@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from bayescal import InputError
 from bayescal._annexes.imu.autopilot import AUTOPILOTS
 from bayescal._annexes.imu.vector_correction import VectorCorrection
 from bayescal._annexes.imu.vector_parameters import READ_BY_OTHERS, left_out, parameter_file
 from bayescal._annexes.imu.vector_text import headers, module, vector_from_data
-from bayescal._core.atomic_file import write_text
-from bayescal._core.errors import InputError
-from bayescal._use.correction import CorrectionKind
-from bayescal._use.correction_files import as_data, as_text, format_of, in_form, load_correction
+from bayescal.workshop import (
+    CorrectionKind,
+    as_data,
+    as_text,
+    format_of,
+    in_form,
+    load_correction,
+    write_text,
+)
 
 THREE_AXES = CorrectionKind(
     of=VectorCorrection,

@@ -28,14 +28,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from bayescal import InputError, __version__
 from bayescal._annexes.imu.autopilot import AUTOPILOTS
 from bayescal._annexes.imu.plain_correction import PlainCorrection, plain_correction
 from bayescal._annexes.imu.vector_correction import VectorCorrection
-from bayescal._core.as_json import json_text
-from bayescal._core.errors import InputError
-from bayescal._core.quoting import c_comment, identifier
-from bayescal._core.version import __version__
-from bayescal._data.unit_conversion import STANDARD_GRAVITY, convert, same_dimension
+from bayescal.workshop import (
+    STANDARD_GRAVITY,
+    c_comment,
+    convert,
+    identifier,
+    json_text,
+    same_dimension,
+)
 
 NOTHING = "Nothing is left out."
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from bayescal import Calibration, ModelError
 from bayescal._annexes.imu.vector_correction import term_rows, terms_table
 from bayescal._annexes.imu.vector_series import vector_correction
-from bayescal._calibration.calibration import Calibration
-from bayescal._core.errors import ModelError
-from bayescal._core.result_table import ResultTable
+from bayescal.workshop import ResultTable
 
 CAPTION = "Three axes: outputs = offset + matrix · what acts, each a polynomial of T − T0; ± one standard uncertainty"
 

@@ -20,26 +20,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bayescal import Calibration, Frame, Measurements, ModelError, Vector
 from bayescal._annexes.imu.vector_correction import (
     PAIRS,
     ROUNDING,
     UNKNOWN_DIRECTIONS,
     VectorCorrection,
 )
-from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.description import identity
-from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import usual_columns, with_columns
-from bayescal._core.errors import ModelError
-from bayescal._core.formatting import number
 from bayescal._core.jit import compiled
-from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, MAGNITUDE, TURNED, magnitude
-from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.problem import Problem
-from bayescal._model.frame import Frame
-from bayescal._model.vector import Vector
-from bayescal._use.correction import NOT_RELIABLE
+from bayescal.workshop import NOT_RELIABLE, identity, number, unit_label, why_not
 
 # Share of the largest term up to which a polynomial of the temperature is the model's own.
 EXACT_SHARE = 1e-9

@@ -7,13 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from bayescal import InputError
 from bayescal._annexes.imu.vector_correction import NEWTON_STEPS, SIZES, VectorCorrection
-from bayescal._core.errors import InputError
-from bayescal._core.json_shape import OneOf, required
-from bayescal._core.quoting import c_comment, python_words
 from bayescal._use.compensation_program import AGAIN
-from bayescal._use.correction import kept_why
-from bayescal._use.export_template import include_guard, template
+from bayescal.workshop import (
+    OneOf,
+    c_comment,
+    code_template,
+    include_guard,
+    kept_why,
+    python_words,
+    required,
+)
 
 PACKAGE = "bayescal._annexes.imu"  # whose templates these are
 SHAPE = {
@@ -82,7 +87,7 @@ def headers(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
 
 
 def _header(name: str, c: VectorCorrection, uncertainty: bool) -> str:
-    return template("vector.h.jinja", {"comment": c_comment}, package=PACKAGE).render(
+    return code_template("vector.h.jinja", {"comment": c_comment}, package=PACKAGE).render(
         c=c,
         name=name,
         guard=include_guard(
@@ -104,7 +109,7 @@ def module(named: Mapping[str, VectorCorrection], uncertainty: bool) -> str:
     for one in () if uncertainty else held.values():
         del one["covariance"]
         one.pop("covariance_with_axes_of", None)
-    return template("vector.py.jinja", {"comment": python_words}, package=PACKAGE).render(
+    return code_template("vector.py.jinja", {"comment": python_words}, package=PACKAGE).render(
         named=named,
         data={n: repr(one) for n, one in held.items()},
         uncertainty=uncertainty,

@@ -25,19 +25,23 @@ from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
+from bayescal import Calibration, InputError, __version__
 from bayescal._annexes.metrology.decide import Decisions, statement_lines
-from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.description import identity, sources_of
-from bayescal._calibration.judgement import why_not
 from bayescal._calibration.prior_influence import coefficients_not_measured
-from bayescal._calibration.summary import summary
-from bayescal._core.errors import InputError
-from bayescal._core.json_shape import OneOf, read_toml
-from bayescal._core.quoting import xml_text
-from bayescal._core.templates import template
-from bayescal._core.version import __version__
-from bayescal._data.unit_conversion import STANDARD_GRAVITY, parse
-from bayescal._report.section import Chapter, Foreword
+from bayescal.workshop import (
+    STANDARD_GRAVITY,
+    Chapter,
+    Foreword,
+    OneOf,
+    identity,
+    parse,
+    read_toml,
+    sources_of,
+    summary,
+    template,
+    why_not,
+    xml_text,
+)
 
 # Section → key → what a person reads. A section in lists may stand several times.
 _PLACE = {"street": "street", "city": "city", "postcode": "postcode", "country": "country"}

@@ -40,9 +40,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
-from bayescal._calibration.calibration import Calibration
-from bayescal._core.errors import InputError
-from bayescal._data.unit_conversion import (
+from bayescal import Calibration, Compensator, InputError
+from bayescal._use import operating_equation
+from bayescal._use.budget import notes_on
+from bayescal._use.compensation_program import PAST, bias_only
+from bayescal._use.compensation_program import limits as calibrated_limits
+from bayescal._use.operating_equation import ALL_DRAWS, equation_in_use
+from bayescal.workshop import (
     STANDARD_GRAVITY,
     convert,
     normalised,
@@ -50,12 +54,6 @@ from bayescal._data.unit_conversion import (
     same_dimension,
     unit_label,
 )
-from bayescal._use import operating_equation
-from bayescal._use.budget import notes_on
-from bayescal._use.compensation_program import PAST, bias_only
-from bayescal._use.compensation_program import limits as calibrated_limits
-from bayescal._use.compensator import Compensator
-from bayescal._use.operating_equation import ALL_DRAWS, equation_in_use
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = rf"(?P<low>{_NUMBER})\s*(?:\.\.|…|to\b)\s*(?P<high>{_NUMBER})"

@@ -28,6 +28,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from bayescal import Calibration, Effect, InputError
 from bayescal._annexes.metrology.conformity import (
     DrawnQuantity,
     GlobalRisks,
@@ -42,20 +43,25 @@ from bayescal._annexes.metrology.conformity import (
     stated_limit,
     with_population,
 )
-from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.description import identity
-from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.prior_influence import NotMeasured, not_measured
-from bayescal._core.as_json import as_json
-from bayescal._core.errors import InputError
-from bayescal._core.formatting import WIDTH, number, with_error
-from bayescal._core.result_table import Printed, ResultTable, TableColumn
-from bayescal._data.unit_conversion import STANDARD_GRAVITY, unit_label
-from bayescal._model.effect import Effect
 from bayescal._model.unknown_effect import covariate_in
-from bayescal._report.section import Chapter, Foreword
 from bayescal._use.compensation_program import averaged_over
+from bayescal.workshop import (
+    STANDARD_GRAVITY,
+    WIDTH,
+    Chapter,
+    Foreword,
+    Printed,
+    ResultTable,
+    TableColumn,
+    as_json,
+    identity,
+    number,
+    unit_label,
+    why_not,
+    with_error,
+)
 
 DAY = 86400.0  # s
 YEAR = 365.25 * DAY

@@ -10,13 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
-from bayescal._cli import saved
-from bayescal._cli.console import Answer
-from bayescal._cli.options import Commands, DecisionRule, InUse
-from bayescal._core.annex import Annex
-from bayescal._core.as_json import write_json
-from bayescal._core.atomic_file import write_text
-from bayescal._core.errors import InputError
+from bayescal import InputError
+from bayescal.workshop import (
+    Annex,
+    Answer,
+    Commands,
+    DecisionRule,
+    ExportRequest,
+    InUse,
+    load_saved,
+    write_json,
+    write_text,
+)
 
 if TYPE_CHECKING:
     from bayescal._annexes.metrology.certificate import Certificate
@@ -41,7 +46,7 @@ class Metrology(Annex):
     def commands(self) -> Commands:
         return commands
 
-    def exports(self) -> Mapping[str, Callable[[saved.ExportRequest], Answer]]:
+    def exports(self) -> Mapping[str, Callable[[ExportRequest], Answer]]:
         return {"dcc": certified}
 
     def certificate(self, path: str | Path) -> Certificate:
@@ -75,10 +80,10 @@ def decide(
 
     Exit status: 0 where every limit is met; 1 where one is not, or is undecided.
     """
-    from bayescal._data.unit_conversion import STANDARD_GRAVITY
+    from bayescal.workshop import STANDARD_GRAVITY
 
     found = bc.decide(
-        saved.load_saved(calibration, own),
+        load_saved(calibration, own),
         limit,
         **vars(by),
         population=population or None,
@@ -92,7 +97,7 @@ def decide(
     return Answer(found, doubt=found.doubt)
 
 
-def certified(asked: saved.ExportRequest) -> Answer:
+def certified(asked: ExportRequest) -> Answer:
     """`bayescal export` to a digital calibration certificate, with what is decided about limits, if any.
 
     Raises:
@@ -108,7 +113,7 @@ def certified(asked: saved.ExportRequest) -> Answer:
         )
     if path.suffix.lower() == ".json":
         raise InputError("an export is no calibration: give the saved calibration (.nc)")
-    calibration = saved.load_saved(path, asked.own)
+    calibration = load_saved(path, asked.own)
     if asked.limit:
         how = {"members": asked.own.members, "local_gravity": gravity, **vars(asked.by)}
         decided = bc.decide(calibration, asked.limit, **how)

@@ -26,34 +26,47 @@ from pathlib import Path
 from typing import Any
 
 import bayescal
-from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.description import identity
-from bayescal._calibration.fit import load
+from bayescal import (
+    Calibration,
+    Discovery,
+    Effect,
+    InputError,
+    Instrument,
+    Measurements,
+    Model,
+    Noise,
+    __version__,
+    load,
+    read,
+    set_aside,
+)
 from bayescal._calibration.posterior_tree import build_tree
 from bayescal._calibration.storage import save
-from bayescal._core.atomic_file import to_disk, write_text
-from bayescal._core.errors import InputError
-from bayescal._core.json_shape import ANY, OneOf, mismatch, read_json
-from bayescal._core.quoting import one_line
-from bayescal._core.version import __version__
-from bayescal._data.header_matching import ReadOptions
-from bayescal._data.measurements import Measurements
-from bayescal._data.read import read
-from bayescal._data.set_aside import set_aside
 from bayescal._inference.method import Method
-from bayescal._model.effect import Effect, with_forms
+from bayescal._model.effect import with_forms
 from bayescal._model.formula import Formula
 from bayescal._model.frame import Reference
 from bayescal._model.installed import GROUP, installed_names
-from bayescal._model.instrument import Instrument
-from bayescal._model.model import Model
-from bayescal._model.noise_law import Noise
-from bayescal._report.whole_folder import AGAIN, MANIFEST, refuse_mixed, whole_folder
+from bayescal._report.whole_folder import AGAIN
 from bayescal._search.calibrate import QUICK
-from bayescal._search.discover import Discovery
-from bayescal._search.own_files import in_a_file, instrument_named, user_effects
+from bayescal._search.own_files import in_a_file, user_effects
 from bayescal._search.search_path import Step
 from bayescal._tables.mapping_file import MAPPING
+from bayescal.workshop import (
+    ANY,
+    MANIFEST,
+    OneOf,
+    ReadOptions,
+    identity,
+    instrument_named,
+    mismatch,
+    one_line,
+    read_json,
+    refuse_mixed,
+    to_disk,
+    whole_folder,
+    write_text,
+)
 
 METHODS = ("LeastSquares", "Marginal", "NUTS")
 SHAPE = {  # of an `Origin`

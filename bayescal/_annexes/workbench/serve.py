@@ -20,14 +20,14 @@ from jinja2 import Template
 from panel.io.state import set_curdoc
 from tornado.web import ErrorHandler
 
+from bayescal import InputError
 from bayescal._annexes.workbench import kept
 from bayescal._annexes.workbench.app import Workbench
 from bayescal._annexes.workbench.parts.pieces import INSIDE, words
 from bayescal._annexes.workbench.parts.work import in_words
 from bayescal._annexes.workbench.session import Session
 from bayescal._annexes.workbench.start import FIRST, Address, kept_sessions, skeleton
-from bayescal._core.errors import InputError
-from bayescal._core.quoting import html_text
+from bayescal.workshop import html_text
 
 LARGEST_MESSAGE = (
     64 * 2**20

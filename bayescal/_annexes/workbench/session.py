@@ -21,42 +21,50 @@ from typing import Any
 
 import numpy as np
 
+from bayescal import (
+    BayescalError,
+    Budget,
+    Discovery,
+    Draft,
+    Effect,
+    InputError,
+    Measurements,
+    Model,
+    ModelError,
+    Noise,
+    NotDrawn,
+    Preview,
+    SearchPath,
+    budget,
+    compare,
+    compensator,
+    describe,
+    discover,
+    report,
+    set_aside,
+)
+from bayescal import effect as typed_effect
 from bayescal._annexes.imu.autopilot import AUTOPILOTS
 from bayescal._annexes.imu.firmware_parameters import axis_of, firmware_parameters
 from bayescal._annexes.metrology.decide import Decisions, decide
 from bayescal._annexes.workbench import kept
 from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_to, script
-from bayescal._calibration.compare import compare
 from bayescal._calibration.summary import unknown_rows
 from bayescal._core import deadline
-from bayescal._core.errors import BayescalError, InputError, ModelError, NotDrawn
-from bayescal._core.formatting import WIDTH, number
-from bayescal._core.result_table import plain_table
-from bayescal._data.measurements import Measurements
-from bayescal._data.set_aside import set_aside
-from bayescal._data.unit_conversion import unit_label
-from bayescal._model.effect import Effect
-from bayescal._model.formula import effect as typed_effect
-from bayescal._model.model import Model
-from bayescal._model.noise_law import Noise
-from bayescal._report.report import report
-from bayescal._report.save_search import save_search
 from bayescal._report.section import of_folder
 from bayescal._search.calibrate import Loop, step_of
-from bayescal._search.describe import Draft, describe
-from bayescal._search.discover import Discovery, discover, discovery_at
+from bayescal._search.discover import discovery_at
 from bayescal._search.gate import judged
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.own_files import refuse_unnamed, user_effects
 from bayescal._search.posterior import Posterior, Search, ShownStructure
-from bayescal._search.preview import Preview, Previews
-from bayescal._search.search_path import SearchPath, Step
+from bayescal._search.preview import Previews
+from bayescal._search.search_path import Step
 from bayescal._search.structures import Structure
 from bayescal._search.walk import path
 from bayescal._use import correction_files
-from bayescal._use.budget import Budget, budget
-from bayescal._use.compensator import compensator
+from bayescal.workshop import WIDTH, number, plain_table, save_search, unit_label
 
 KINDS = {"add": 1, "take_out": 1, "fix": 2, "free": 1, "resize": 2, "noise": 1}
 

@@ -16,14 +16,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayescal._core.errors import InputError
-from bayescal._core.quoting import html_text
+from bayescal import InputError
+from bayescal.workshop import html_text
 
 if TYPE_CHECKING:
-    from bayescal._data.measurements import Measurements
-    from bayescal._model.effect import Effect
-    from bayescal._model.instrument import Instrument
-    from bayescal._model.model import Model
+    from bayescal import Effect, Instrument, Measurements, Model
 
 LOOPBACK = "127.0.0.1"
 SESSION, FIRST = "session.json", "session_1"
@@ -202,9 +199,9 @@ def workbench(
     refuse_without_panel()
     import panel  # here and below, because all this is heavy
 
+    from bayescal import Model
     from bayescal._annexes.workbench.app import Workbench
     from bayescal._annexes.workbench.session import Session
-    from bayescal._model.model import Model
 
     panel.extension(inline=True)
     given = instrument

@@ -8,18 +8,28 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayescal._cli import options, request
-from bayescal._cli.console import print_notes, result_folder
-from bayescal._cli.options import Commands, SearchRequest
-from bayescal._core.annex import Annex
-from bayescal._core.atomic_file import write_text
-from bayescal._report.whole_folder import folders_of
+from bayescal.workshop import (
+    Annex,
+    Commands,
+    Early,
+    SearchRequest,
+    channel_names,
+    folders_of,
+    method_named,
+    own_effects,
+    print_notes,
+    read_early,
+    reference_of,
+    result_folder,
+    searched,
+    write_text,
+)
 
 if TYPE_CHECKING:
+    from bayescal import Effect
     from bayescal._annexes.workbench.serve import Sessions
     from bayescal._annexes.workbench.session import Session
     from bayescal._annexes.workbench.start import Waiting
-    from bayescal._model.effect import Effect
 
 commands = Commands(
     {
@@ -64,8 +74,8 @@ def workbench(
     at = start.Address.new(address)
     print_notes([at.exposed] if at.exposed else [])
     # A file that cannot be used is refused before a browser opens.
-    names = options.channel_names(channels)
-    early = request.read_early(asked, names)
+    names = channel_names(channels)
+    early = read_early(asked, names)
     with result_folder(out) as folder:
         assert folder is not None
         folders = {n: folder / inner for n, inner in folders_of(names).items()} or {"": folder}
@@ -85,7 +95,7 @@ def workbench(
 
 def _sessions(
     asked: SearchRequest,
-    early: request.Early,
+    early: Early,
     folders: Mapping[str, Path],
     name: str,
     waiting: Waiting,
@@ -93,21 +103,21 @@ def _sessions(
 ) -> dict[str, Sessions]:
     """The sessions of a server, by channel ("" where there is one output); the first of them is open."""
     names = [n for n in folders if n]
-    models, readings, kept = request.searched(names, asked, early)
+    models, readings, kept = searched(names, asked, early)
     waiting.doing = "Loading the page …"
     from bayescal._annexes.workbench.kept import Origin, SearchOptions
     from bayescal._annexes.workbench.serve import Sessions
     from bayescal._annexes.workbench.session import Session
 
-    method = None if asked.method == "marginal" else request.method_named(asked.method)
+    method = None if asked.method == "marginal" else method_named(asked.method)
     settings = {**asked.settings(), "method": method, "time_limit": asked.time_limit}
 
     def of_channel(channel: str, folder: Path) -> Sessions:
         own_files = [] if asked.choice.effects_file is None else [asked.choice.effects_file]
-        own = request.own_effects(asked.choice, models[channel].instrument, readings[channel])
+        own = own_effects(asked.choice, models[channel].instrument, readings[channel])
         if asked.choice.typed:
             own_files.append(_written(own, folder))
-        reference = request.reference_of(asked.choice.reference, readings[channel]) or None
+        reference = reference_of(asked.choice.reference, readings[channel]) or None
         how = asked.columns.for_read() | ({"outputs": names} if channel else {})
         averaged = {"average": asked.average, "keep_spikes": asked.keep_spikes}
         files = (asked.files, asked.holdout, how, own_files)

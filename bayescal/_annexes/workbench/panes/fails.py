@@ -25,6 +25,7 @@ from bokeh.models import (
     Span,
 )
 
+from bayescal import Check
 from bayescal._annexes.workbench.parts.pieces import (
     MARKERS,
     Palette,
@@ -40,9 +41,9 @@ from bayescal._annexes.workbench.parts.pieces import (
     words,
 )
 from bayescal._calibration.check import covariates_of
-from bayescal._calibration.check_result import Check, place_in_words
-from bayescal._data.unit_conversion import unit_label
+from bayescal._calibration.check_result import place_in_words
 from bayescal._report.plot_colours import RED
+from bayescal.workshop import unit_label
 
 # A step is a gap if it is longer than so many usual ones (their median), and than this share of the time in all shorter
 # steps: a pause within a run stays, and so do evenly spaced runs of one reading.

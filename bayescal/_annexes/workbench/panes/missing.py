@@ -6,11 +6,10 @@ from typing import Any
 
 import panel as pn
 
+from bayescal import Discovery
 from bayescal._annexes.workbench.parts.pieces import Pane, Rows, button, column, field, row, words
-from bayescal._core.formatting import number, probability, with_error
-from bayescal._data.unit_conversion import unit_label
 from bayescal._search.candidate import Candidate
-from bayescal._search.discover import Discovery
+from bayescal.workshop import number, probability, unit_label, with_error
 
 NOT_VISIBLE = "Not detectable in this experiment"
 NOT_TESTABLE = "Not testable with these readings"

@@ -23,6 +23,7 @@ import panel as pn
 import panel.models.file_dropper  # its scripts come with the page
 from bokeh.models import ColumnDataSource, Legend, LegendItem, NumeralTickFormatter, Span
 
+from bayescal import Budget, InputError, Measurements, next_experiment, read
 from bayescal._annexes.metrology.decide import CONFORMITY, FALSE_ACCEPT, Rule
 from bayescal._annexes.workbench.kept import path_to
 from bayescal._annexes.workbench.panes.fails import NOISE
@@ -45,20 +46,15 @@ from bayescal._annexes.workbench.parts.pieces import (
     words,
 )
 from bayescal._calibration.noise_in_time import AllanCheck
-from bayescal._core.errors import InputError
-from bayescal._data.header_matching import MISSING_READINGS, expected_columns
-from bayescal._data.measurements import Measurements
-from bayescal._data.read import read
-from bayescal._data.unit_conversion import STANDARD_GRAVITY, pretty, unit_label
+from bayescal._data.header_matching import MISSING_READINGS
 from bayescal._report.plot_colours import GREEN, ORANGE, RED
 from bayescal._report.report import Pictures
-from bayescal._search.next_experiment import next_experiment
 from bayescal._search.search_path import steps_table
 from bayescal._tables.cells import ORDERS
 from bayescal._tables.mapping_file import save_mapping
-from bayescal._tables.open_table import TEXT, open_table
+from bayescal._tables.open_table import TEXT
 from bayescal._tables.raw_table import bytes_text
-from bayescal._use.budget import Budget
+from bayescal.workshop import STANDARD_GRAVITY, expected_columns, open_table, pretty, unit_label
 
 SERIES = (  # of a step's errors: name, marker, colour (None: the ground's blue)
     ("as fitted", "circle", None),

@@ -17,8 +17,8 @@ from bokeh.models import Legend, NoOverlap, PlainText, Range1d
 from bokeh.plotting import figure
 from panel.custom import JSComponent
 
-from bayescal._core.quoting import html_text
 from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, ORANGE, PURPLE, RED, SKY
+from bayescal.workshop import html_text
 
 YELLOW = "#F0E442"
 HERE = Path(__file__).parent

@@ -17,7 +17,7 @@ from typing import Any
 
 import panel as pn
 
-from bayescal._core.errors import BayescalError
+from bayescal import BayescalError
 
 Then = Callable[[Any], None]
 
