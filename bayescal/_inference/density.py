@@ -21,7 +21,7 @@ from bayescal._inference.noise_on_record import (
     sloped_log_densities,
     variance,
 )
-from bayescal._inference.problem import SHIFT, Problem, Values, differences
+from bayescal._inference.problem import SHIFT, Moved, Problem, Values, differences
 from bayescal._inference.products import DEGREES, Axes, Polynomials, Products, basis_of
 from bayescal._model.composition import Linearised
 
@@ -264,6 +264,12 @@ class Density:
             made += self._slopes_about_the_mode(v, hyper, prior, found)
         return value, made
 
+    def _moved(self, v: np.ndarray, hyper: Values) -> list[tuple[int, Moved]]:
+        """What each coordinate moves that moves columns."""
+        problem = self.problem
+        here = problem.acted(self.x, hyper) if problem.moving else None
+        return [(i, problem.along(self.x, v, i, here)) for i in problem.moving]
+
     def _slopes_by_readings(
         self, v: np.ndarray, hyper: Values, prior: Prior, found: Conditional
     ) -> np.ndarray:
@@ -271,7 +277,7 @@ class Density:
         problem, made, p = self.problem, np.zeros(len(v)), len(found.z)
         line, move = self._line(v, hyper)[0], found.mean - self.x
         extra = self.extra(line)
-        moved = [(i, problem.along(self.x, v, i, line)) for i in problem.moving]
+        moved = self._moved(v, hyper)
         # Beside J and the residuals at the mean: the slopes of J, and of what it leaves, by each coordinate.
         table = self._beside(line)
         table[:, -1] -= line.jacobian @ move
@@ -337,8 +343,7 @@ class Density:
         tightness = np.where(prior.sd > 0, found.z / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
         for i, log_sd in problem.log_sd_slopes(v, hyper):
             made[i] -= q @ (2 * prior.weight * tightness * log_sd)
-        for i in problem.moving:
-            at, by_j, mean, _ = problem.along(self.x, v, i, line)
+        for i, (at, by_j, mean, _) in self._moved(v, hyper):
             output = mean + by_j @ move[at]
             weighted = terms.curvature * output
             made[i] += terms.slope @ output - np.sum(terms.curvature @ (across[:, at] * by_j))

@@ -31,7 +31,7 @@ Values = dict[str, float]
 ABSENT, LARGEST_COORDINATE = -30.0, 100.0
 NUDGE = 1e-6  # of a coordinate, for derivatives of priors,
 SHIFT = 1e-4  # and of columns of the expected output
-STEP = 1e-6  # of the same on one side, where the error is half of it times their curvature
+STEP = 1e-5  # of the same on one side: rounding of an output a million times its noise errs as much as curvature does
 
 
 class Moved(NamedTuple):
@@ -274,14 +274,18 @@ class Problem:
 
     def linearise(self, x: Float[np.ndarray, "p"], hyper: Values) -> Linearised:
         """Expected output and Jacobian at an x, output unit per reported unit."""
-        made = self.composed(self._acting, x, hyper, sloped=True)
-        found = linearised(self.host, self._acting, made)
+        found = self.acted(x, hyper)
         if not self.affine:
             return found
         still, acting = self._still
         jacobian = still.copy(order="F")
         jacobian[:, acting] = found.jacobian
         return Linearised(found.mean + still @ x, jacobian, found.inputs)
+
+    def acted(self, x: Float[np.ndarray, "p"], hyper: Values) -> Linearised:
+        """The same of the terms that hang on φ alone, where the output is affine: a constant of it rounds nothing."""
+        made = self.composed(self._acting, x, hyper, sloped=True)
+        return linearised(self.host, self._acting, made)
 
     def extra(self, line: Linearised) -> Float[np.ndarray, "n"] | float:
         """Variance that noise on inputs adds to each reading, output unit squared."""
@@ -290,13 +294,13 @@ class Problem:
     def along(
         self, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"], i: int, here: Linearised
     ) -> Moved:
-        """What one coordinate of φ moves, beside what is linearised at v."""
+        """What one coordinate of φ moves, beside what `acted` at v."""
         moved = v.copy()
         moved[i] += STEP
-        there = self.linearise(x, self.hyper(moved))
+        there = self.acted(x, self.hyper(moved))
         mean, columns, inputs = ((b - a) / STEP for a, b in zip(here, there, strict=True))
         which = np.flatnonzero(np.any(columns != 0, axis=0))
-        return Moved(which, columns[:, which], mean, inputs)
+        return Moved(self._still[1][which], columns[:, which], mean, inputs)
 
     # joint draws: x (b, p), φ by name, one value a draw or one for all -----------------------------
 

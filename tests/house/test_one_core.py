@@ -35,7 +35,7 @@ CORE = (
 LAWS = "terms composition independent_noise summed_noise"
 # What only a named option or a kind of model needs, by that: each has tests of its own.
 NEEDED_BY = {
-    "noise in a column of the readings": "joint._draw_rows laplace.of_single_readings "
+    "noise in a column of the readings": "composition.variance_of_inputs "
     "record.Record.moved_columns_of_draws programs.moved_columns_along",
     "a flat prior": "gaussian.column_scale",
     "a nonlinear response": "record.Record.response record.Record.responses "
@@ -47,7 +47,8 @@ NEEDED_BY = {
     "a basis that cannot be computed": "programs.columns_or_refusal",
     "a density that is nowhere": "gaussian._factors",
     "the module's own making": "programs.program",
-    "log likelihoods of single readings, for ArviZ": "noise_on_record._densities noise_on_record.log_densities",
+    "log likelihoods of single readings, for ArviZ": "noise_on_record._densities "
+    "noise_on_record._densities.<locals>.of noise_on_record.log_densities",
     "a term that something added stands for": "linear_model.LinearModel.uncertainty linear_model.LinearModel.beyond",
     "NUTS where weights fail": "independent_noise.StudentT.amplitudes",
     "what a source of columns is": "composition.ColumnSource.columns composition.ColumnSource.response "
@@ -70,7 +71,9 @@ def readings(seed: int = 1, lag: float = 0.0) -> bc.Measurements:
 
 @pytest.mark.slow
 def test_every_function_of_the_core_is_reached_by_the_main_commands() -> None:
-    jax.clear_caches()  # what was traced before would not be seen again
+    jax.clear_caches()  # what was traced or kept before would not be seen again
+    for member in (m for name in modules() for m in vars(name).values()):
+        getattr(member, "cache_clear", lambda: None)()
     seen: set[CodeType] = set()
 
     def note(frame, event, argument) -> None:
@@ -119,11 +122,15 @@ def main_commands() -> None:
     bc.fit_batch(GYRO.baseline(), {"a": data, "b": readings(2)}, method=bc.Marginal(draws=400))
 
 
+def modules() -> list[ModuleType]:
+    names = [("_inference", m) for m in CORE.split()] + [("_model", m) for m in LAWS.split()]
+    return [import_module(f"bayescal.{room}.{name}") for room, name in names]
+
+
 def core() -> Iterator[tuple[str, CodeType]]:
     """Every function of the core's modules and of the noise laws, by its name there."""
-    names = [("_inference", m) for m in CORE.split()] + [("_model", m) for m in LAWS.split()]
-    for room, name in names:
-        module = import_module(f"bayescal.{room}.{name}")
+    for module in modules():
+        name = module.__name__.rpartition(".")[2]
         for owner in (module, *classes(module)):
             for member in vars(owner).values():
                 for code in codes_of(member):
