@@ -65,50 +65,21 @@ def compensate(
 
 
 @commands.example("bayescal export result/calibration.nc --format c --out gyro.h", data=False)
-def export(
-    *,
-    calibrations: list[Path] | None = None,
-    format_: str | None = None,
-    out: Path | None = None,
-    axis: list[str] | None = None,
-    device_id: list[str] | None = None,
-    local_gravity: float | None = None,
-    certificate: Path | None = None,
-    limit: list[str] | None = None,
-    by: DecisionRule,
-    own: InUse,
-    name: str | None = None,
-    without_uncertainty: bool = False,
-) -> Answer:
+def export(asked: saved.ExportRequest) -> Answer:
     """Write the calibration for use elsewhere: C99, Python, JSON, a page, autopilot parameters, a certificate.
 
     Of three axes too, also YAML; those of a unit together in one file.
     """
-    from bayescal._data.unit_conversion import STANDARD_GRAVITY
     from bayescal._use.correction_files import kinds
 
     offered = {name: write for one in annexes() for name, write in one.exports().items()}
     known = [*dict.fromkeys((*(name for kind in kinds() for name in kind.writers), *offered))]
-    if format_ is None and out is None:
+    if asked.format_ is None and asked.out is None:
         raise InputError(f"say which format: --format {', '.join(known)}")
-    if format_ not in (None, *known):
-        raise InputError(f"--format {format_!r} is not one of {', '.join(known)}")
-    asked = saved.ExportRequest(
-        calibrations=calibrations or [],
-        format_=format_,
-        out=out,
-        axis=axis,
-        device_id=device_id,
-        local_gravity=local_gravity or STANDARD_GRAVITY,
-        certificate=certificate,
-        limit=limit,
-        by=by,
-        own=own,
-        name=name,
-        uncertainty=not without_uncertainty,
-    )
-    if format_ in offered:
-        return offered[format_](asked)
+    if asked.format_ not in (None, *known):
+        raise InputError(f"--format {asked.format_!r} is not one of {', '.join(known)}")
+    if asked.format_ in offered:
+        return offered[asked.format_](asked)
     given = [one for _, one in asked.loaded()]
     if not given or isinstance(given[0], bc.Compensator):
         asked.refuse_several()

@@ -31,22 +31,34 @@ if TYPE_CHECKING:
     from bayescal._use.correction import CorrectionInUse
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ExportRequest:
-    """What `bayescal export` is asked for, by the names of its options."""
+    """What `bayescal export` is asked for."""
 
-    calibrations: list[Path]
-    format_: str | None
-    out: Path | None
-    axis: list[str] | None
-    device_id: list[str] | None
-    local_gravity: float
-    certificate: Path | None
-    limit: list[str] | None
+    calibrations: list[Path] | None = None
+    format_: str | None = None
+    out: Path | None = None
+    axis: list[str] | None = None
+    device_id: list[str] | None = None
+    local_gravity: float | None = None
+    certificate: Path | None = None
+    limit: list[str] | None = None
     by: DecisionRule
     own: InUse
-    name: str | None
-    uncertainty: bool
+    name: str | None = None
+    without_uncertainty: bool = False
+
+    @property
+    def paths(self) -> list[Path]:
+        """The calibrations."""
+        return self.calibrations or []
+
+    @property
+    def gravity(self) -> float:
+        """Local gravity, m/s²."""
+        from bayescal._data.unit_conversion import STANDARD_GRAVITY  # loads NumPy
+
+        return self.local_gravity or STANDARD_GRAVITY
 
     def loaded(self, paths: Sequence[Path] | None = None) -> list[tuple[Path, Any]]:
         """Files and their corrections: all of one output, or none.
@@ -54,7 +66,7 @@ class ExportRequest:
         Raises:
             InputError: there are of both kinds, or one cannot be loaded.
         """
-        found = [(p, correction_from(p, self.own)) for p in paths or self.calibrations]
+        found = [(p, correction_from(p, self.own)) for p in paths or self.paths]
         single = [path for path, one in found if isinstance(one, bc.Compensator)]
         if 0 < len(single) < len(found):
             raise InputError(
@@ -68,9 +80,9 @@ class ExportRequest:
         Raises:
             InputError: there are more, or none.
         """
-        if len(self.calibrations) != 1 or self.axis or self.device_id:
+        if len(self.paths) != 1 or self.axis or self.device_id:
             raise InputError(
-                f"a program is of one calibration, {len(self.calibrations)} were given"
+                f"a program is of one calibration, {len(self.paths)} were given"
                 + (", and --axis or --device-id" if self.axis or self.device_id else "")
                 + ": several, by axis, make parameters (--format px4-params or ardupilot-params)"
             )
@@ -81,7 +93,7 @@ class ExportRequest:
 
         first, *others = (getattr(one, "program", one) for one in corrections)
         kind, format = files.kind_of(first), files.format_of(self.out, self.format_)
-        how = {"name": self.name, "others": others, "uncertainty": self.uncertainty}
+        how = {"name": self.name, "others": others, "uncertainty": not self.without_uncertainty}
         text = files.as_text(first, format, **how)
         if self.out is not None:
             text = f"written: {write_text(text, self.out)}"

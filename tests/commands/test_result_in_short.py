@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._cli.output import loop_text
-from bayescal._core.formatting import interval, with_error
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
+from tests.support.inside import interval, screen_of, with_error
 from tests.support.tiers import slow_but
 
 CAMPAIGNS = {  # instrument, what is hidden, what must be said, what must not
@@ -55,12 +54,12 @@ def test_the_paragraph_says_what_is_true(found, name) -> None:
 @pytest.mark.parametrize("name", slow_but(FAST, CAMPAIGNS))
 def test_a_result_fits_on_a_screen(found, name) -> None:
     trail = found(name)
-    text = loop_text(trail)
+    text = screen_of(trail)
     assert len(text.splitlines()) <= 40, text
     assert trail.in_short.split(". ")[0] in " ".join(text.split())
     wide = [line for line in text.splitlines() if len(line) > 130]
     assert not wide
-    assert len(loop_text(trail, verbose=True).splitlines()) > len(text.splitlines())
+    assert len(screen_of(trail, verbose=True).splitlines()) > len(text.splitlines())
 
 
 def test_a_curve_is_one_line(found) -> None:

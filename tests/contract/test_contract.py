@@ -96,6 +96,24 @@ def test_every_candidate_can_be_hidden(case: Case) -> None:
         np.testing.assert_array_equal(plain.setdefault(key, nothing["output"]), nothing["output"])
 
 
+def test_the_same_seed_gives_the_same_readings_and_another_gives_others(case: Case) -> None:
+    laws = getattr(sys.modules.get(f"bayescal_models.{case.name}.simulator"), "NOISE_LAWS", ())
+    for how in [{"noise_law": law} for law in laws] or [{}]:
+        first, again, other = (case.module.simulate(seed=s, **how) for s in (7, 7, 8))
+        assert first.columns == again.columns == other.columns and len(first) == len(other)
+        for name in first.columns:
+            np.testing.assert_array_equal(first[name], again[name])
+        assert (first["output"] != other["output"]).mean() > 0.9
+
+
+def test_what_cannot_be_hidden_is_refused(case: Case) -> None:
+    known = case.instrument.candidates[0].name
+    with pytest.raises(ValueError, match=r"no\.such.*choose among "):
+        case.module.simulate({"no.such": 1.0}, seed=0)
+    with pytest.raises(ValueError, match=rf"{re.escape(known)}.* nan"):
+        case.module.simulate({known: float("nan")}, seed=0)
+
+
 def test_the_reference_problem_is_small_fixed_and_proper(case: Case) -> None:
     other = case.problem.readings(seed=1)
     assert len(case.readings) == len(other) <= 200

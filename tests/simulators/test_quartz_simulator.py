@@ -93,27 +93,18 @@ def test_the_beams_lag_so_that_up_and_down_ramps_differ() -> None:
     assert abs(up - down) > 100  # µg: hysteresis that temperature alone cannot tell
 
 
-def test_same_seed_same_noise_and_same_rows_whatever_is_hidden() -> None:
-    again = quartz.simulate(seed=3)
-    np.testing.assert_array_equal(again["output"], PLAIN["output"])
-    other = quartz.simulate(seed=4)
-    assert other["output"].shape == PLAIN["output"].shape
-    assert not np.allclose(other["output"], PLAIN["output"])
+def test_correlated_noise_is_as_large_as_the_white() -> None:
     wander = quartz.simulate(seed=3, campaign=quartz.Campaign(noise_law="ornstein_uhlenbeck"))
     assert np.std(wander["output"] - PLAIN["output"]) == pytest.approx(5.0, rel=0.5)
 
 
 def test_refusals_of_the_simulator() -> None:
-    with pytest.raises(ValueError, match=r"no effect 'bias.humidity' can be hidden"):
-        quartz.simulate({"bias.humidity": 1.0}, seed=0)
     with pytest.raises(
         ValueError, match=r"no effect 'bias.temperature_head' can be hidden in a 'beams'"
     ):
         quartz.simulate(
             {"bias.temperature_head": 1.0}, seed=0, campaign=quartz.Campaign(device="beams")
         )
-    with pytest.raises(ValueError, match=r"the size of 'bias.drift' is nan"):
-        quartz.simulate({"bias.drift": float("nan")}, seed=0)
     with pytest.raises(ValueError, match="longer than interval"):
         quartz.Campaign(interval=30.0)
     with pytest.raises(ValueError, match="neither a tumble run nor a ramp"):

@@ -16,13 +16,17 @@ from bayescal._annexes.workbench.kept import Origin as Origin
 from bayescal._annexes.workbench.session import Session as Session
 from bayescal._calibration.description import identity
 from bayescal._core.as_json import as_json, write_json
+from bayescal._core.formatting import interval as interval
+from bayescal._core.formatting import with_error as with_error
 from bayescal._data.column import overloads
 from bayescal._data.header_matching import ReadOptions
 from bayescal._data.set_aside import not_new, said_of
+from bayescal._data.unit_conversion import coefficient_factor as coefficient_factor
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.model import testable
 from bayescal._report.result_json import result
 from bayescal._report.whole_folder import MANIFEST as MANIFEST
+from bayescal._report.whole_folder import channel_folders as channel_folders
 from bayescal._report.whole_folder import files_of as files_of
 from bayescal._report.whole_folder import list_files as list_files
 from bayescal._report.whole_folder import refuse_mixed as refuse_mixed

@@ -347,12 +347,12 @@ def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
 
 def parameters(asked: ExportRequest) -> Answer:
     """`bayescal export` to parameters of an autopilot: of calibrations by axis, or of a triad."""
-    several = of_units(asked.calibrations, CALIBRATION)
+    several = of_units(asked.paths, CALIBRATION)
     loaded = asked.loaded(several)
     if loaded and not isinstance(loaded[0][1], bc.Compensator):
         return asked.written([one for _, one in loaded])
     given, numbers = by_axis(loaded, asked.axis, asked.own), device_numbers(asked.device_id)
-    how = {"devices": numbers, "local_gravity": asked.local_gravity}
+    how = {"devices": numbers, "local_gravity": asked.gravity}
     found = bc.firmware_parameters(given, str(asked.format_), **how)
     text = found.text() if asked.out is None else f"{found}\n\nwritten: {found.write(asked.out)}"
     return Answer(text.removesuffix("\n"), **reliable(given))
