@@ -97,7 +97,10 @@ def _log_prior(layout: Layout, posterior: xr.Dataset, draws: Draws) -> xr.Datase
         if b.effect.weights is not None:
             spread = _weighted(b, posterior, fixed)
         z = (posterior[b.name] - b.coefficient.mean) / spread
-        density = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
+        log_spread = np.log(np.asarray(spread))  # of a DataArray NumPy would load Dask
+        if isinstance(spread, xr.DataArray):
+            log_spread = spread.copy(data=log_spread)
+        density = -0.5 * z**2 - log_spread - 0.5 * np.log(2 * np.pi)
         found[b.name] = (posterior[b.name].dims, density.transpose(*posterior[b.name].dims).values)
     return xr.Dataset(found)
 

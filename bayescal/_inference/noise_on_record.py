@@ -352,7 +352,7 @@ def _variances(law: Noise, frame: Frame, values):
     return jax.lax.map(one, values)
 
 
-@program
+@partial(program, costly=True)  # a random number costs as much as hundreds of sums
 def _samples(law: Noise, frame: Frame, means, keys, values):
     def one(given):
         mean, key, own = given

@@ -65,8 +65,13 @@ def padded(frame: Frame) -> Frame:
     )
 
 
-def program(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function of something that is no array, of a frame, and of arrays, when it is first called."""
+def program(function: Callable[..., Any], costly: bool = False) -> Callable[..., Any]:
+    """Compile a function of something that is no array, of a frame, and of arrays, when it is first called.
+
+    Args:
+        function: which.
+        costly: whether computing counts for more than compiling, whatever the readings.
+    """
 
     @cache
     def made(long: bool) -> Callable[..., Any]:
@@ -80,7 +85,7 @@ def program(function: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(function)
     def call(what: Any, leaves: Leaves, *args: Any) -> Any:
         loops = not getattr(what, "independent", True)  # through all readings, at each φ
-        return made(leaves.long or loops)(what, leaves.form, leaves.arrays, *args)
+        return made(leaves.long or loops or costly)(what, leaves.form, leaves.arrays, *args)
 
     return call
 

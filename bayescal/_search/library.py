@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from bayescal._search.structures import SIZE_FACTORS, Structures
 
 SHAPE_POINTS = 7  # of one shape, at the middles of equal parts of its prior
 SEVERAL_SHAPES = 32  # of several at once, a Sobol sequence
+SOBOL = Path(__file__).with_name("sobol.npz")
 RAGGED_SHAPES = 128  # where the evidence has many maxima over one of them
 # Of candidates' columns, held at once; those of more are made each time.
 HELD_NUMBERS = 2**23
@@ -204,6 +206,14 @@ def _grid(shapes: Sequence[Shape]) -> np.ndarray:
     if count == 1:
         return ndtri((np.arange(RAGGED_SHAPES) + 0.5) / RAGGED_SHAPES)[:, None]
     points = RAGGED_SHAPES if any(s.ragged for s in shapes) else SEVERAL_SHAPES
-    from scipy.stats import qmc  # a second, for shapes of which no catalogue effect has several
+    return ndtri(sobol_points(count)[:points])
 
-    return ndtri(qmc.Sobol(count, scramble=True, rng=0).random(points))
+
+def sobol_points(count: int) -> Float[np.ndarray, "k count"]:
+    """Scrambled Sobol points in so many dimensions, always the same; those of two and three stand in a file."""
+    with np.load(SOBOL) as kept:  # SciPy's take half a second to load
+        if str(count) in kept:
+            return kept[str(count)]
+    from scipy.stats import qmc
+
+    return qmc.Sobol(count, scramble=True, rng=0).random(RAGGED_SHAPES)

@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import qmc
 
 import bayescal as bc
 from bayescal._core import deadline
@@ -15,7 +16,7 @@ from bayescal._inference.laplace import find_mode
 from bayescal._inference.linear_model import linear_model
 from bayescal._inference.problem import Problem
 from bayescal._search.discover import structures_over
-from bayescal._search.library import Library
+from bayescal._search.library import Library, sobol_points
 from bayescal._search.noise_laws import on_residuals
 from bayescal._search.posterior import Posterior
 from bayescal._search.scores import View, gain_of
@@ -342,3 +343,9 @@ def test_models_of_structures_hold_the_sizes_of_their_own_effects_alone() -> Non
     assert drift.sized_model.effect("bias.drift").coefficients[0].size == pytest.approx(10 * stated)
     other = made.weigh(Structure(frozenset({"bias.run"})), drift)
     assert other.sized_model.names == (*made.base.names, "bias.run")
+
+
+def test_points_that_are_kept_are_those_of_scipy() -> None:
+    for count in (2, 3, 4):
+        expected = qmc.Sobol(count, scramble=True, rng=0).random(128)
+        assert np.array_equal(sobol_points(count), expected)
