@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 import sys
 from collections.abc import Iterable
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from traceback import walk_tb
 from types import ModuleType
@@ -123,6 +124,13 @@ def known_instrument(name: str) -> str:
     return name
 
 
+class _Beside(SourceFileLoader):
+    """Of a file in a user's folder, where nothing is left that was not asked for."""
+
+    def set_data(self, path: str, data: object, **_: object) -> None:
+        """Keep no compiled copy."""
+
+
 _RAN: dict[tuple[str, str], ModuleType] = {}  # by path and SHA-256
 
 
@@ -137,7 +145,8 @@ def run_file(path: Path) -> ModuleType:
     digest = sha256_of(path)
     if done := _RAN.get((str(path.resolve()), digest)):
         return done
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    loader = _Beside(path.stem, str(path.absolute()))
+    spec = importlib.util.spec_from_file_location(path.stem, path, loader=loader)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     # So that what the file defines can be pickled by its module's name; a module of that name that is there stays.
