@@ -72,7 +72,10 @@ def annexes() -> list[Annex]:
 
 def absent_annexes() -> str:
     """Which annexes are named but not there, in a sentence each; empty for none."""
-    return ". ".join(installed_annexes()[1].values())
+    found, absent = installed_annexes()
+    if not found and not absent:  # a checkout that was installed before it had any
+        return "No annex is found: install bayescal once more"
+    return ". ".join(absent.values())
 
 
 def first_offered(offered: Iterable[Offered | None], asked: str) -> Offered:

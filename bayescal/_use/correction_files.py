@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayescal._core.annex import annexes
+from bayescal._core.annex import annexes, first_offered
 from bayescal._core.as_json import json_text
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
@@ -64,8 +64,13 @@ def kinds() -> Iterator[CorrectionKind]:
 
 
 def kind_of(correction: CorrectionInUse) -> CorrectionKind:
-    """That of a correction."""
-    return next(kind for kind in kinds() if isinstance(correction, kind.of))
+    """That of a correction.
+
+    Raises:
+        InputError: it is of an annex whose entry point is not installed.
+    """
+    of_it = (kind if isinstance(correction, kind.of) else None for kind in kinds())
+    return first_offered(of_it, f"writing a {type(correction).__name__}")
 
 
 def sensor_name(given: str | None, instrument: str) -> str:
