@@ -73,7 +73,15 @@ def standard(name: str, value: Any, site: dict[str, Any]) -> tuple[str, Any]:
 @pytest.mark.nightly
 @pytest.mark.parametrize("instrument", INSTRUMENTS)
 def test_nuts_on_it_agrees(instrument: str) -> None:
-    """Means within a tenth of a standard deviation, widths within a tenth, and what draws scatter by beside them."""
+    """Means within a tenth of a standard deviation, widths within a tenth, and what draws scatter by beside them.
+
+    Widths are from the 16 % to the 84 % quantile: beside three runs of unknown spread a constant has a kurtosis of 20,
+    and the standard deviation of a thousand draws is that of its tails' luck.
+    """
+
+    def width(draws: np.ndarray) -> float:
+        return float(np.subtract(*np.quantile(draws, [0.84, 0.16])))
+
     module, readings = written_out(instrument)
     fitted = bc.fit(module.equal(), readings)
     drawn = draws(module.model, module.data(readings), centred=getattr(module, "CENTRED", ()))
@@ -87,4 +95,4 @@ def test_nuts_on_it_agrees(instrument: str) -> None:
             assert count > 100, name
             away = abs(one.mean() - other.mean()) / other.std()
             assert away < 0.1 + 2.5 / count**0.5, name
-            assert abs(np.log(one.std() / other.std())) < 0.1 + 2.5 / (2 * count) ** 0.5, name
+            assert abs(np.log(width(one) / width(other))) < 0.1 + 2.5 / (2 * count) ** 0.5, name
