@@ -22,9 +22,8 @@ MAGIC = b"\n# bayescal sha256 "
 TRAILER = re.compile(re.escape(MAGIC) + rb"([0-9a-f]{64})\n\Z")
 LENGTH = len(MAGIC) + 64 + 1
 LARGE = 2**20  # bytes of a file, from which on its digest is kept while the process lasts
-_DIGESTS: dict[
-    tuple[int, ...], str
-] = {}  # by place on the disk, size, and when it was last written to
+# By place on the disk, size, and when it was last written to.
+_DIGESTS: dict[tuple[int, ...], str] = {}
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a full disk, a used-up quota, a limit
 
 

@@ -17,7 +17,7 @@ UNCERTAINTY, WHICH = (
     "output_uncertainty",
     "axis",
 )  # of readings of poses, and which of a pose they are
-FACTOR = 1.0  # standard deviation of the logarithm: within a factor of 7 for 95 %, so that readings soon decide
+LOG_SD = 1.0  # standard deviation of the logarithm: within a factor of 7 for 95 %, so that readings soon decide
 
 
 def with_scatter(
@@ -35,7 +35,7 @@ def with_scatter(
         if not len(stated) or not np.all(stated > 0):
             return instrument
         scatter = float(f"{np.sqrt(np.mean(stated**2)):.3g}")
-    noise = bc.White(bc.LogNormal(scatter, FACTOR))
+    noise = bc.White(bc.LogNormal(scatter, LOG_SD))
     return replace(instrument, noise=noise, tailor=None, settings=(("scatter", scatter),))
 
 
