@@ -117,6 +117,8 @@ def test_coefficients_are_printed_as_they_leave(trail, average) -> None:
     text, whole = screen_of(trail), screen_of(trail, verbose=True)
     assert "averaged over bias.hysteresis" in text and "--structure best" in text
     assert "STRUCTURES" in whole and "bias.run.group_sd" in whole
+    low, high = row["interval95"]
+    assert ("interval hardly" in text) == (high - low < 2.4 * row["sd"])
     assert "bias.run" not in text.partition("COEFFICIENTS")[2].partition("IN SHORT")[0]
 
 
