@@ -81,7 +81,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
             "method": final.method,
             "seed": final.seed,
             "versions": versions(),
-            "reference": final.reference,
+            "reference": {**final.reference, **final.hold_at},
             "fixed": dict(final.model.fixed),
             "settings": unusual(),
             "readings": {**_source(final.readings), "groups": _groups(final.readings)},
