@@ -112,16 +112,19 @@ runs.apart (doubt)
 value.freed (doubt)
     {of:list}: the readings are explained with a value other than the stated one, and by no missing effect alone.
 term.replaced (doubt)
-    The coefficient {of[0]} is not measured: {column} no longer explains the output, {by} stands for it, and these
-    readings cannot tell which it is ({of[0]} is {kept:.2g} times what it was, {moved:.0f} of its standard
-    uncertainties away).
-  → Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than a
-    run? Vary {column} otherwise in another run.
+    The coefficient {of[0]} is not measured, whatever its contraction in the model shown: {column} no longer explains
+    the output, {by} stands for it, and these readings cannot tell which it is ({of[0]} is {kept:.2g} times what it
+    was in the model without {by}, {moved:.0f} of its standard uncertainties there away).
+  → [one run] Look at the column {column}: late, held, smoothed? Or does a body lag for longer than the run? {another}
+  → [runs] Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than
+    a run? {another}
 term.replaceable (doubt)
-    The coefficient {of[0]} is not measured: {by} can stand for it, as the profiles are, and these readings cannot
-    tell which it is ({of[0]} is {kept:.2g} times what it was, {moved:.0f} of its standard uncertainties away).
-  → Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than a
-    run? Vary {column} otherwise in another run.
+    The coefficient {of[0]} is not measured, whatever its contraction in the model shown: {by} can stand for it, as
+    the profiles are, and these readings cannot tell which it is ({of[0]} is {kept:.2g} times what it was in the model
+    without {by}, {moved:.0f} of its standard uncertainties there away).
+  → [one run] Look at the column {column}: late, held, smoothed? Or does a body lag for longer than the run? {another}
+  → [runs] Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than
+    a run? {another}
 complete.undecided (doubt)
     The model is complete with probability {complete:.2g} only, and the readings do not tell what is missing; the
     most probable are {named:list}.
