@@ -60,8 +60,9 @@ mode.two (doubt)
 effect.off_scale (note)
     {of[0]} contributes at most {contribution} {unit:unit} at its plausible size, where the noise is {noise}
     {unit:unit}:
-  → check the unit of its basis, which gets columns in the units that the instrument declares and others in base
-    units (45 % is 0.45), and its prior, in {own}.
+  → check the units of the output and of the columns in the files; of an effect of your own, also its prior, in {own},
+    and the unit of its basis, which gets columns in the units that the instrument declares and others in base units
+    (45 % is 0.45).
 
 # What a fit's own readings say against it (judgement.py)
 output.rounded (stop)
@@ -150,7 +151,7 @@ direction.other_exactly (note)
 direction.none (note)
     {of[0]}: these readings say nothing of it; its interval is the prior's
 direction.other (note)
-    {of}: only another combination of them is measured; this one keeps the prior's width
+    {of}: only another combination of them is measured; in this model, this one keeps the prior's width
 direction.members (note)
     {count} combination(s) of the single coefficients of {of:list}: these readings do not tell them apart; they keep
     the width of their prior
