@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._search import search_path
 from bayescal._search.calibrate import step_of
 from bayescal._search.gate import gate, judged
 from bayescal._search.one_profile import another_run
@@ -189,3 +190,16 @@ def test_a_group_of_one_reading_says_nothing() -> None:
     readings = still_sensor.simulate(seed=6, interval=300)
     single = readings.with_column("run", np.arange(len(readings)).astype(str))
     assert np.isnan(left_out(fits(single)[0]).surprise).all()
+
+
+def test_an_effect_below_one_half_is_not_called_more_probable_than_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(search_path, "steps_parts", lambda rows: [])
+    added = {"bias.run": 0.99, "bias.warm_up": 0.7, "bias.drift": 0.28, "unknown(elapsed)": None}
+    path: Any = SimpleNamespace(rows=[], added=added)
+    assert search_path.SearchPath._parts(path) == [
+        "found: bias.run",
+        "more probable than not: bias.warm_up (0.70)",
+        "in the model shown, one of several: bias.drift (0.28)",
+    ]
