@@ -66,7 +66,7 @@ def unknowns_parts(
             f"noise as stated: χ² = {squares:.4g} with {freedom} degrees of freedom (as much or more by chance in "
             f"{chance:.2g} of cases)"
         )
-    if at := [f"{k} = {v:g} °C" for k, v in calibration.hold_at.items()]:
+    if at := [f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.held_at.items()]:
         lines.append("constants hold at " + ", ".join(at))
     return [shown, *(textwrap.fill(line, WIDTH) for line in lines)]
 

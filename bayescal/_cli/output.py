@@ -86,7 +86,7 @@ def fit_data(calibration: Calibration) -> dict[str, Any]:
     return {
         "coefficients": coefficients,
         "hyperparameters": hyperparameters,
-        "reference": calibration.reference,
+        "reference": {**calibration.reference, **calibration.hold_at},
         "fixed": dict(calibration.model.fixed),
         "log_evidence": calibration.log_evidence,
         "verdict": {

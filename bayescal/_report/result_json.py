@@ -83,7 +83,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
             "method": final.method,
             "seed": final.seed,
             "versions": versions(),
-            "reference": final.reference,
+            "reference": {**final.reference, **final.hold_at},
             "fixed": dict(final.model.fixed),
             "settings": unusual(),
             "readings": {**_source(final.readings), "groups": _groups(final.readings)},
@@ -96,7 +96,10 @@ def result(trail: SearchPath) -> dict[str, Any]:
             },
             "other_path": None
             if trail.other_path is None
-            else {**as_json(trail.other_path), "in_words": str(trail.other_path)},
+            else {
+                **{k: v for k, v in as_json(trail.other_path).items() if k != "correlated"},
+                "in_words": str(trail.other_path),
+            },
             "search": search_data(trail),
             "steps": [step_data(s) for s in trail.steps],
             **found,

@@ -561,4 +561,6 @@ def _other_path(structures: Structures) -> OtherPath | None:
     if other.structure.effects == best.structure.effects:
         return None
     law, effects = other.problem.noise, tuple(sorted(other.structure.effects))
-    return OtherPath(law.name, effects, other.total - best.total, law.in_words)
+    laws = [law.in_words, best.problem.noise.in_words]
+    correlated = sum("Ornstein–Uhlenbeck" in words for words in laws) == 1
+    return OtherPath(law.name, effects, other.total - best.total, law.in_words, correlated)
