@@ -109,9 +109,9 @@ runs.apart (doubt)
     Runs stand {apart:.3g} {unit:unit} apart ({of[0]} steps where none goes on): they are of two devices or
     conditions, or the sensor was restarted, and which of them a new run will be like is not known.
 runs.unlike (doubt)
-    Predicted from the others, runs are off by much the same all along: {apart:.3g} {unit:unit} between runs, {within:.3g}
-    within them, and the model has no name for it. They are of two devices or conditions, or the sensor differs from
-    start to start, and which of them a new run will be like is not known.
+    Predicted from the others, runs are off by much the same all along: {apart:.3g} {unit:unit} between runs,
+    {within:.3g} within them, and the model has no name for it. They are of two devices or conditions, or the sensor
+    differs from start to start, and which of them a new run will be like is not known.
   → Calibrate each device or condition by itself. Of one sensor, take more runs, or add a deviation from run to run.
 
 # What a search says against its last model (gate.py)
