@@ -50,7 +50,7 @@ HEADLINE = (
     Part("no_family", 12, ("--count", "21", *PLANNED)),
     Part("hidden_effects", 70),
     Part("false_discoveries", 30),
-    Part("units", 12),
+    Part("units", 2),
     Part("dividing_head", 40),
     Part("triad_coverage", 40),
     Part("triads", 120),

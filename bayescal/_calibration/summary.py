@@ -35,7 +35,6 @@ Direction = Float[np.ndarray, "p"]
 
 MOST_TERMS = 8  # terms of a combination that are written out
 TRACE_SHARE = 0.01  # of the largest entry, from which a coefficient is named
-NEARLY_ALL = 0.995  # of the probability: what rounds to 1.00
 MOST_MEMBERS = 4  # of a group, that have a line each
 
 
@@ -49,11 +48,8 @@ def unknowns_parts(
         effects: whose unknowns are shown, beside those of the noise; all if not given.
     """
     rows = unknown_rows(calibration, effects)
-    unsure = " (probability)" * any(
-        name != row[0] and "members" not in row[0] for name, row in rows.items()
-    )
     head = [
-        *(f"unknown{unsure}", "mean ± standard uncertainty", "unit"),
+        *("unknown", "mean ± standard uncertainty", "unit"),
         *("95 % credible interval", "contraction"),
     ]
     shown = plain_table(head, rows.values()) if rows else "every unknown is fixed"
@@ -68,7 +64,25 @@ def unknowns_parts(
         )
     if at := [f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.held_at.items()]:
         lines.append("constants hold at " + ", ".join(at))
+    if given := [
+        *filter(None, (if_there(s) for s in summary(calibration)[0] if s["name"] in rows))
+    ]:
+        lines.append("if it is there: " + ", ".join(given))
     return [shown, *(textwrap.fill(line, WIDTH) for line in lines)]
+
+
+def if_there(row: dict[str, Any], times: float = 1.0) -> str:
+    """What an unknown is given that its effect is there, with the probability of that; empty where this is no other.
+
+    Args:
+        row: of `summary`.
+        times: of the standard uncertainty, that are stated.
+    """
+    mean, sd = row["given"]["mean"], row["given"]["sd"]
+    if with_error(mean, sd) == with_error(row["mean"], row["sd"]):
+        return ""
+    value = f"{with_error(mean, times * sd)} {unit_label(row['unit'])}".rstrip()
+    return f"{row['name']} {value} (probability {probability(row['probability'])})"
 
 
 def unknown_rows(
@@ -110,9 +124,7 @@ def _unknown_row(s: dict[str, Any]) -> list[str]:
     (low, high), mean, sd = s["interval95"], s["mean"], s["sd"]
     skewed = low > 0 and sd > 0.5 * mean
     value = f"about {number(mean, 2)}, skewed" if skewed else with_error(mean, sd)
-    there = f" ({probability(s['probability'])})" * (s["probability"] < NEARLY_ALL)
-    unit = unit_label(s["unit"])
-    return [f"{s['name']}{there}", value, unit, interval(low, high, mean, sd), contraction]
+    return [s["name"], value, unit_label(s["unit"]), interval(low, high, mean, sd), contraction]
 
 
 def curves(calibration: Fitted) -> set[str]:
@@ -176,9 +188,8 @@ def _group_row(name: str, members: list[dict[str, Any]]) -> list[str]:
 def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Coefficients, and hyperparameters (noise, group standard deviations, shapes), as rows.
 
-    Each has its name, effect, unit, probability, mean, sd, interval95 and contraction. Of an average over structures
-    these are given that its effect is there, which has the `probability`: a form that another one stands for in other
-    draws is no smaller for that.
+    Each has its name, effect, unit, mean, sd, interval95 and contraction; of an average over structures, of whose draws
+    some lack its effect, also the `probability` that the effect is there and, given that, its mean and sd: `given`.
 
     Contraction is 1 − (posterior variance)/(prior variance): 1 where the readings said everything, 0 where they
     said nothing; None where the prior is flat or has no variance, and of a value that the method holds.
@@ -212,7 +223,7 @@ def _row(
     prior: float | None,
     there: np.ndarray,
 ) -> dict[str, Any]:
-    values = values[there] if there.sum() > 1 else values
+    given = values[there] if there.sum() > 1 else values
     low, high = np.quantile(values, [0.025, 0.975])
     sd = float(values.std(ddof=1))
     return {
@@ -220,6 +231,7 @@ def _row(
         "effect": effect,
         "unit": unit,
         "probability": float(there.mean()),
+        "given": {"mean": float(given.mean()), "sd": float(given.std(ddof=1))},
         "mean": float(values.mean()),
         "sd": sd,
         "interval95": [float(low), float(high)],

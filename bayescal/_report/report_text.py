@@ -19,6 +19,7 @@ from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.summary import (
     curve_extent,
     curves,
+    if_there,
     large_groups,
     place_of,
     range_of,
@@ -137,7 +138,9 @@ def coefficients(chapter: Chapter) -> ResultTable:
         mean, sd, likely = r["mean"], r["sd"], r["probability"]
         held = not sd > 1e-9 * abs(mean)
         note = " (held)" * held + " (mostly its prior)" * (r["name"] in untold)
-        note += f" (probability {probability(likely)})" * (likely < 1)
+        given = if_there(r, K).partition(r["name"])[2]
+        note += f" (if it is there{given})" if given else ""
+        note += f" (probability {probability(likely)})" * (likely < 1 and not given)
         return {
             **r,
             "value": with_error(mean, K * sd),

@@ -41,7 +41,7 @@ OF_NOISE = {
     **{"white": "white", "correlated": "correlated", "diffusion": "diffusion"},
     **{"tau": "correlated.time", "slope": "slope", "curvature": "curvature", "freedom": "freedom"},
 }
-AVERAGED = ("probability", "mean", "sd", "interval95")  # of an unknown, over structures
+AVERAGED = ("mean", "sd", "interval95", "probability", "given")  # of an unknown, over structures
 FORMER = "bayescal.result/1"  # of 0.2.0, where `hyperparameters` were `spreads`
 PACKAGES = (
     "bayescal",
@@ -63,7 +63,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
     known = {r["name"]: {k: r[k] for k in AVERAGED} for r in averaged}
     for row in (*coefficients, *hyperparameters):
         row["averaged"] = known.get(row["name"])
-        del row["probability"]  # one, of a single structure
+        del row["probability"], row["given"]  # of a single structure: one, and the same
     found: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "allan", "missing")}
     for i, step in enumerate(trail.steps):
         found["check"] += [{"step": i, **row} for row in step.check.data()]

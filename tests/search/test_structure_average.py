@@ -9,7 +9,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.inside import result_of, screen_of
+from tests.support.inside import result_of, screen_of, with_error
 from tests.support.made_up import split_search
 
 CAMPAIGNS = 40
@@ -123,9 +123,13 @@ def test_coefficients_are_printed_as_they_leave(trail, average) -> None:
     assert 0.2 < there.mean() < 0.6, "another effect stands for it in the other draws"
     known = added["averaged"]
     assert known["probability"] == pytest.approx(there.mean(), abs=0.01)
-    assert known["mean"] == pytest.approx(draws[there].mean(), rel=1e-2)
-    assert abs(known["mean"]) > 2 * known["sd"], "no smaller for that"
-    assert f"{added['name']} ({known['probability']:.2f})" in text
+    assert known["mean"] == pytest.approx(draws.mean(), rel=1e-2), "as what is predicted has it"
+    given = known["given"]
+    assert (given["mean"], given["sd"]) == pytest.approx(
+        (draws[there].mean(), draws[there].std()), rel=1e-2
+    )
+    said = with_error(given["mean"], given["sd"])
+    assert f"if it is there: {added['name']} {said} °/s (probability" in text
     low, high = row["interval95"]
     assert ("interval hardly" in text) == (high - low < 2.4 * row["sd"])
     assert "bias.run" not in text.partition("COEFFICIENTS")[2].partition("IN SHORT")[0]
