@@ -68,6 +68,7 @@ class Input:
         silence: of a lag, the time without a reading beyond which the column counts as having changed at its beginning,
             s; None where it counts as linear always, as exports before 0.3.0 have it.
         low, high: range in the calibration, in `unit`.
+        settled: of a time, whether what follows it has died out by `high`: later is no extrapolation.
     """
 
     name: str
@@ -79,6 +80,12 @@ class Input:
     high: float
     tau: float | None = None
     silence: float | None = None
+    settled: bool = False
+
+    @property
+    def end(self) -> float:
+        """Beyond which a value is flagged."""
+        return np.inf if self.settled else self.high
 
     @property
     def middle(self) -> float:
@@ -411,6 +418,7 @@ SHAPE = {
                 "high": float,
                 "tau?": OneOf(None, float),
                 "silence?": OneOf(None, float),
+                "settled?": bool,
             },
         }
     ],
