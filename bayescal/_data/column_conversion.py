@@ -40,6 +40,7 @@ from bayescal._data.unit_conversion import (
 from bayescal._tables.cells import EXAMPLE, Cells, date_text, from_first, unit_of_counts
 from bayescal._tables.raw_table import Header, Objection, Objections, Table, load_whole, option
 
+_EMPTY = "holds no number (empty, NaN, - or the like)"
 _TEXTS = 3  # of a column, that are quoted
 _OVERLOAD = "reads {:.4g}, an instrument's code for an overload or no reading at all (SCPI writes ±9.9E37 and 9.91E37)"
 _PLACEHOLDER = "reads {:g}, far from all other numbers: it stands for a missing reading"
@@ -245,10 +246,7 @@ class ColumnReader:
         earlier = self.converted.missing.get(self.column.name, rows[:0])
         self.converted.missing[self.column.name] = np.union1d(earlier, rows)
         if self.file.options.missing == "refuse":
-            cure, given = (
-                "Fill it in, or drop such rows: missing='drop'",
-                option("--missing", "drop"),
-            )
+            cure, given = "Fill it in, or drop such rows", option("--missing", "drop")
             self.file.problem(self.header.raw, came, expected, cure, given, rows=rows)
 
     def _without(self, raw: np.ndarray, rows: np.ndarray, said: str) -> np.ndarray:
@@ -418,13 +416,13 @@ class ColumnReader:
             parse(unit)
         except InputError as error:
             where = f"{self.file.table.file!r}, column {self.header.raw!r}"
-            sentence = f"{where}: {error}. Correct the header, or give units="
+            sentence = f"{where}: {error}. Correct the header, or say the unit"
             near = "".join(re.findall(r"\(([^()]*meant\?)\)", str(error))[:1])
             came, expected = f"the unit [{unit}]", "a unit known here"
             self.file.problem(self.header.raw, came, expected, near, asked, sentence=sentence)
             return None
         if self.header.unit and unit != self.header.unit:
-            self._flag(f"taken as [{unit}], as units= says")
+            self._flag(f"taken as [{unit}], as --unit says")
         return unit
 
     def _note_text(self, cells: Cells, unit: str | None) -> None:
@@ -499,7 +497,7 @@ class ColumnReader:
         wrong = np.setdiff1d(np.flatnonzero(self._not_finite(values)), list(noted))
         empty = wrong[np.isnan(raw[wrong])]
         if empty.size and len(noted) < 1000:
-            self._missing(empty, "is empty or NaN", expected)
+            self._missing(empty, _EMPTY, expected)
         infinite = wrong[~np.isnan(raw[wrong])]
         if infinite.size:
             first = float(raw[infinite[0]])
@@ -542,7 +540,7 @@ def _number_in(unit: str | None) -> str:
 
 def _reading(value: float) -> str:
     """What a cell that holds no finite number reads."""
-    return "is empty or NaN" if np.isnan(value) else f"reads {value:g}"
+    return _EMPTY if np.isnan(value) else f"reads {value:g}"
 
 
 def _above_zero(values: np.ndarray, unit: str, target: str) -> np.ndarray | None:
