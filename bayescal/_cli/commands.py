@@ -64,9 +64,12 @@ AT_REST = "still_sensor"
 
 @commands.example("bayescal instruments --check level.py:INSTRUMENT")
 def instruments(
-    check: str | None = None, readings: list[Path] | None = None, seed: int = 0
+    named: str | None = None,
+    check: str | None = None,
+    readings: list[Path] | None = None,
+    seed: int = 0,
 ) -> Answer:
-    """List the installed instruments, or check one of your own."""
+    """List the installed instruments, columns and effects of one of them, or check one of your own."""
     from bayescal._model.installed import installed_instruments
 
     if check is not None:
@@ -76,8 +79,10 @@ def instruments(
         return Answer(found, ok=found.ok, why=" ".join(found.errors))
     if readings:
         raise InputError("--readings are for --check: say which instrument, my.py:INSTRUMENT")
-    from bayescal._cli.output import instruments_listed
+    from bayescal._cli.output import instrument_shown, instruments_listed
 
+    if named is not None:
+        return Answer(*instrument_shown(instrument_named(named)))
     return Answer(*instruments_listed(installed_instruments()))
 
 

@@ -131,7 +131,7 @@ def _refuse_no_duration(text: str | None) -> str | None:
 
 
 BY_NAME = inspect.Parameter.KEYWORD_ONLY  # so that a required one may follow others
-ARGUMENTS = ("files", "file", "calibration", "calibrations")  # which are no options
+ARGUMENTS = ("files", "file", "calibration", "calibrations", "named")  # which are no options
 
 # By the parameter's name; as "command.name" where a command means something else by it.
 HELP = {
@@ -204,6 +204,7 @@ HELP = {
     "noise": "Noise law by name: student_t, ornstein_uhlenbeck, heteroscedastic(temperature), or one of --effects.",
     "noise.channels": "Columns that are outputs, one after another: gyro_x,acc_x.",
     "noise_law": "white, student_t or ornstein_uhlenbeck.",
+    "named": "One instrument, of which columns and effects are listed; all of them if not given.",
     "nominal_scale": (
         "Raw output per unit of output, in place of the instrument's own: turns V, mV, Hz, counts into it."
     ),
@@ -277,6 +278,7 @@ MORE: dict[str, dict[str, Any]] = {
     "one_structure": {"names": ["--structure"]},
     "readings": {"callback": refuse_missing},
     "seed": {"min": 0},
+    "named": {"metavar": "NAME"},
     "time_limit": {"metavar": "SECONDS", "callback": _refuse_no_time},
     "typed": {"names": ["--effect"], "metavar": "'NAME: FORMULA; s = SIZE'"},
     **{f"{c}.out": {"names": ["--out", "-o"]} for c in ("compensate", "export", "report")},

@@ -50,6 +50,48 @@ def instruments_listed(known: Mapping[str, Instrument]) -> tuple[str, dict[str, 
     return text, data
 
 
+def instrument_shown(one: Instrument) -> tuple[str, dict[str, Any]]:
+    """What the files of an instrument hold, and the names of its effects, as text and as data."""
+    columns = [
+        {
+            "name": c.name,
+            "unit": c.unit,
+            "needed": c.required and c.default is None,
+            "meaning": c.meaning,
+        }
+        for c in one.columns
+    ]
+    rows = [
+        [
+            c["name"],
+            unit_label(c["unit"]) if c["unit"] else "label",
+            "needed" if c["needed"] else "optional",
+            c["meaning"],
+        ]
+        for c in columns
+    ]
+    effects = {
+        "baseline": [e.name for e in one.effects],
+        "candidates": [e.name for e in one.candidates],
+    }
+    said = [
+        f"{one.name}: {one.title}",
+        f"effects of the first model: {', '.join(effects['baseline'])}",
+        f"looked for beside them: {', '.join(effects['candidates'])}",
+        f"what each of them is: bayescal effects --instrument {one.name}",
+    ]
+    title, *rest = (textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in said)
+    table = plain_table(["column", "unit", "", "meaning"], rows, left=4, fold=60)
+    data = {
+        "title": one.title,
+        "source": one.source,
+        "unit": one.unit,
+        "columns": columns,
+        **effects,
+    }
+    return "\n\n".join([title, str(table), "\n".join(rest)]), data
+
+
 def effects_listed(kinds: Mapping[str, Sequence[Effect]]) -> tuple[str, list[dict[str, Any]]]:
     """Effects as text, a table for each kind ("baseline", …), then the source of each; and as data."""
     data = [

@@ -40,6 +40,8 @@ from bayescal._data.unit_conversion import (
 from bayescal._tables.cells import EXAMPLE, Cells, date_text, from_first, unit_of_counts
 from bayescal._tables.raw_table import Header, Objection, Objections, Table, load_whole, option
 
+SCALED = "output.scaled"  # code of the flag that says so
+_EMPTY = "holds no number (empty, NaN, - or the like)"
 _TEXTS = 3  # of a column, that are quoted
 _OVERLOAD = "reads {:.4g}, an instrument's code for an overload or no reading at all (SCPI writes ±9.9E37 and 9.91E37)"
 _PLACEHOLDER = "reads {:g}, far from all other numbers: it stands for a missing reading"
@@ -237,18 +239,16 @@ class ColumnReader:
     def _is_time(self) -> bool:
         return self.column.name == "time" and self.column.unit == "s"
 
-    def _flag(self, said: str) -> None:
-        self.converted.flags.append(f"{self.file.table.file}: column {self.header.raw!r} {said}")
+    def _flag(self, said: str, code: str = "") -> None:
+        words = f"{self.file.table.file}: column {self.header.raw!r} {said}"
+        self.converted.flags.append(Flag(words, code, self.header.raw) if code else words)
 
     def _missing(self, rows: np.ndarray, came: str, expected: str = "") -> None:
         """Readings that are missing: a problem, unless such rows are dropped."""
         earlier = self.converted.missing.get(self.column.name, rows[:0])
         self.converted.missing[self.column.name] = np.union1d(earlier, rows)
         if self.file.options.missing == "refuse":
-            cure, given = (
-                "Fill it in, or drop such rows: missing='drop'",
-                option("--missing", "drop"),
-            )
+            cure, given = "Fill it in, or drop such rows", option("--missing", "drop")
             self.file.problem(self.header.raw, came, expected, cure, given, rows=rows)
 
     def _without(self, raw: np.ndarray, rows: np.ndarray, said: str) -> np.ndarray:
@@ -418,13 +418,13 @@ class ColumnReader:
             parse(unit)
         except InputError as error:
             where = f"{self.file.table.file!r}, column {self.header.raw!r}"
-            sentence = f"{where}: {error}. Correct the header, or give units="
+            sentence = f"{where}: {error}. Correct the header, or say the unit"
             near = "".join(re.findall(r"\(([^()]*meant\?)\)", str(error))[:1])
             came, expected = f"the unit [{unit}]", "a unit known here"
             self.file.problem(self.header.raw, came, expected, near, asked, sentence=sentence)
             return None
         if self.header.unit and unit != self.header.unit:
-            self._flag(f"taken as [{unit}], as units= says")
+            self._flag(f"taken as [{unit}], as --unit says")
         return unit
 
     def _note_text(self, cells: Cells, unit: str | None) -> None:
@@ -471,7 +471,8 @@ class ColumnReader:
             other = " (another sensor's: --nominal-scale and --nominal-zero)" * own
             self._flag(
                 f"turned into {pretty(target)} by the nominal scale{of}: "
-                f"{reading}/{scale.gain:g}, reading in {pretty(scale.unit)}{other}"
+                f"{reading}/{scale.gain:g}, reading in {pretty(scale.unit)}{other}",
+                SCALED,
             )
             raw = convert(values, unit, scale.unit, local_gravity=gravity, difference=difference)
             return scale.apply(raw, difference=difference)
@@ -499,7 +500,7 @@ class ColumnReader:
         wrong = np.setdiff1d(np.flatnonzero(self._not_finite(values)), list(noted))
         empty = wrong[np.isnan(raw[wrong])]
         if empty.size and len(noted) < 1000:
-            self._missing(empty, "is empty or NaN", expected)
+            self._missing(empty, _EMPTY, expected)
         infinite = wrong[~np.isnan(raw[wrong])]
         if infinite.size:
             first = float(raw[infinite[0]])
@@ -542,7 +543,7 @@ def _number_in(unit: str | None) -> str:
 
 def _reading(value: float) -> str:
     """What a cell that holds no finite number reads."""
-    return "is empty or NaN" if np.isnan(value) else f"reads {value:g}"
+    return _EMPTY if np.isnan(value) else f"reads {value:g}"
 
 
 def _above_zero(values: np.ndarray, unit: str, target: str) -> np.ndarray | None:

@@ -340,13 +340,13 @@ class MatchedFile:
             asked = in_one_line(theirs)
             position = called(headers, asked)
             if position is None:
-                came = f"no such column, but columns={{{ours!r}: {theirs!r}}}"
+                came = f"no such column, but {option('--columns', f'{ours}={theirs}')}"
                 like = self.rule(ours).resembled([h for h in headers if h.name])
                 asked = option("--columns", f"{ours}={like[0].raw}") if len(like) == 1 else ""
                 self.problem(theirs, came, cure=_there(self.table, theirs), option=asked)
             elif position in positions.values():
                 other = next(name for name, taken in positions.items() if taken == position)
-                came = f"both {other} and {ours} by columns= (--columns)"
+                came = f"both {other} and {ours} by --columns"
                 self.problem(theirs, came, cure="Name one for each")
             else:
                 positions[ours] = position
@@ -405,8 +405,8 @@ class MatchedFile:
             name = headers[i].name
             if name in positions:
                 other = f"{name!r} beside {headers[positions[name]].raw!r}"
-                other += ", which columns= names" if name in said else ""
-                cure = f"Rename it, or leave {name!r} out of columns= (--columns)"
+                other += ", which --columns names" if name in said else ""
+                cure = f"Rename it, or leave {name!r} out of --columns"
                 self.problem(headers[i].raw, f"a second {other}", cure=cure)
             elif name:
                 positions[name] = i
@@ -485,8 +485,7 @@ class MatchedFile:
             for name, column in self.expected.items()
             if _needed(column) and name not in self.positions and name not in self.options.columns
         ]
-        alike = {c.name: self.rule(c.name).resembled(free) for c in lacking}
-        alike = told_apart(alike)
+        alike = told_apart({c.name: self._resembled(c, free) for c in lacking})
         place = {h.raw: i for i, h in reversed([*enumerate(self.table.headers)])}
         single = [found[0].raw for found in alike.values() if len(found) == 1]
         for column in lacking:
@@ -500,6 +499,14 @@ class MatchedFile:
                 reading = replace(rule, kinds=kinds).fitting(found[0], {}) or found[0]
                 offered[column.name] = place[reading.raw], replace(reading, name=found[0].name)
         return offered, {place[h.raw] for found in alike.values() for h in found}
+
+    def _resembled(self, column: Column, free: Sequence[Header]) -> list[Header]:
+        """Headers that may mean a column; the output in the unit of the nominal scale that was given, if one is."""
+        rule, scale = self.rule(column.name), self.options.nominal_scale
+        raw = []
+        if rule.output and scale is not None:
+            raw = [h for h in free if any(fits(r.unit or "", scale.unit) for r in readings_of(h))]
+        return rule.resembled(raw) or raw or rule.resembled(free)
 
     def _note_lack(self, column: Column, alike: Sequence[Header], one: bool) -> None:
         """Note that the file has no such column, with the headers that look like it."""
@@ -522,19 +529,19 @@ class MatchedFile:
                 )
                 advice += f"Together, as channels of one unit: {channels}. "
         meaning = f" ({column.meaning})" if column.meaning else ""
-        mapped = alike[0].raw if alike else "…"
         sentence = (
             f"{self.table.file!r} lacks the column {column.name!r}{meaning} that {self.instrument.name!r} needs; it "
-            f"has: {names_in(self.table)}. {advice}Add a column {asked!r}, or say which one it is with "
-            f"columns={{{column.name!r}: {mapped!r}}} ({chosen or f'--columns {column.name}=…'})"
+            f"has: {names_in(self.table)}. {advice}Add a column {asked!r}, or say which one it is "
+            f"({chosen or f'--columns {column.name}=…'})"
         )
         cure = f"{advice}Add such a column, or say which it is"
         given = chosen
         if not one:
-            given = option("--columns", f"{column.name}=HEADER")
+            header = alike[0].raw if len(alike) == 1 else "HEADER"
+            given = chosen if len(alike) == 1 else option("--columns", f"{column.name}=HEADER")
             own = [self.rule(column.name).fitting(h, {}) or h.unit for h in alike] or [None]
             without = column.unit is not None and not all(own)
-            given += f" {option('--unit', 'HEADER=UNIT')}" * without
+            given += f" {option('--unit', f'{header}=UNIT')}" * without
         self.problem(column.name, _LACKS, asked, cure, given, sentence=sentence)
 
     def fix_units(self, offered: Mapping[str, tuple[int, Header]]) -> None:
@@ -718,9 +725,9 @@ def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Obje
     }
     known |= {*options.columns, *options.headers}
     known |= {"time"} & options.unwrap.keys()
-    said = {name: f"units={{{name!r}: {unit!r}}}" for name, unit in options.units.items()}
-    said |= {name: f"ignore=[{name!r}]" for name in options.ignore}
-    said |= {name: f"unwrap={{{name!r}: {text!r}}}" for name, text in options.unwrap.items()}
+    said = {name: option("--unit", f"{name}={unit}") for name, unit in options.units.items()}
+    said |= {name: option("--ignore", name) for name in options.ignore}
+    said |= {name: option("--unwrap", f"{name}={text}") for name, text in options.unwrap.items()}
     for name, asked in said.items():
         if name not in known:
             came = f"no such column, but {asked}"

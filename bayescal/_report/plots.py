@@ -265,9 +265,9 @@ def missing(found: Discovery | Mapping[str, Any], ax: Any = None) -> Figure:
     ax.minorticks_off()
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
     ax.axvline(0, color=GREY, lw=0.8)
-    ax.set_xlabel("log Bayes factor for being missing [1]")
+    ax.set_xlabel("log Bayes factor of adding one alone [no unit]")
     kinds = list(dict.fromkeys(c["kind"] for c in shown[::-1]))
-    rest = "explained by the finding, or none" if "finding" in kinds else "no evidence"
+    rest = "not needed beside the findings" if "finding" in kinds else "no evidence"
     names = [Patch(color=KINDS.get(k or "", BLUE), label=no_formula(k or rest)) for k in kinds]
     if names:
         _legend_below(ax, names, len(names))
@@ -298,7 +298,9 @@ def loop(found: SearchPath) -> Figure:
         axes[1, 0].set_ylim(axes[0, 0].get_ylim())
     if first.discovery is not None:
         missing(first.discovery, axes[0, 1])
-    axes[0, 1].set_title("2  what is missing from it", fontsize=10, loc="left")
+    axes[0, 1].set_title(
+        "2  what is missing: each alone, beside the first model", fontsize=10, loc="left"
+    )
     trail(found, axes[1, 1])
     axes[1, 1].set_title("4  the error falls", fontsize=10, loc="left")
     return figure

@@ -353,7 +353,13 @@ def in_output_unit(chapter: Chapter, unit: str) -> ResultTable:
 
 
 NAMED = 4  # effects of the first model that are named
+# What a constant of these slots moves is off by it; of any other it is the coefficient itself.
 _SUBJECTS = {"bias": "the output", "scale": "the scale factor", "zero": "the zero"}
+_COEFFICIENTS = {
+    "second_order": "the second-order coefficient",
+    "third_order": "the third-order coefficient",
+    "cross_axis": "the cross-axis sensitivity",
+}
 _GROUPS = {
     "run": "run to run",
     "cell": "one temperature point to the next",
@@ -420,7 +426,8 @@ def _probability(chapter: Chapter, effect: Effect) -> float | None:
 
 def _subject(effect: Effect) -> str:
     kind, slot = effect.name.partition(".")[0], effect.slot
-    return _SUBJECTS.get(slot) or _SUBJECTS.get(kind) or f"the {slot.replace('_', ' ')}"
+    own = {**_SUBJECTS, **_COEFFICIENTS}
+    return own.get(slot) or own.get(kind) or f"the {slot.replace('_', ' ')}"
 
 
 def _does(c: Calibration, effect: Effect) -> str:
@@ -473,7 +480,7 @@ def _does(c: Calibration, effect: Effect) -> str:
         way = "direction of approach" if column == "direction" else f"way that {column} went before"
         return f"depends on the {way}, by {size}"
     if cause == "constant":
-        return f"is off by {size}"
+        return f"is off by {size}" if effect.slot.split("_")[0] in _SUBJECTS else f"is {size}"
     if cause.startswith("temperature") and len(effect.columns) == 1:
         return f"changes with {column} by {size}"
     return f"shows {effect.name} ({effect.equation or column}), {size}"

@@ -10,7 +10,7 @@ import re
 import shlex
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from shutil import get_terminal_size
@@ -135,9 +135,20 @@ def _text(problems: Sequence[Objection]) -> str:
     of = f"{files[0]!r}" if len(files) == 1 else f"{len(files)} files"
     page = min(WIDTH, get_terminal_size((WIDTH, 24)).columns)
     said = "\n".join(_in_lines(_in_files(p, len(files)), len(files) > 1, page) for p in problems)
-    options = " ".join(dict.fromkeys(p.option for p in problems if p.option))
-    asked = f"\n\nwith these options, if they are meant: {options}" if options else ""
+    options = _together(dict.fromkeys(p.option for p in problems if p.option))
+    rest = " and ".join(dict.fromkeys(_place(p) for p in problems if not p.option))
+    mended = f"{rest} mended and " * bool(rest)
+    asked = f"\n\nwith {mended}these options, if they are meant: {options}" if options else ""
     return f"{len(problems)} problems with {of}\n\n{said}{asked}"
+
+
+def _together(options: Iterable[str]) -> str:
+    """Options in one line; those that name one header for several columns as alternatives."""
+    apart = dict[str, list[str]]()
+    for one in options:
+        header = shlex.split(one)[1].partition("=")[2] if one.startswith("--columns ") else one
+        apart.setdefault(one if header == "HEADER" else header, []).append(one)
+    return " ".join(a[0] if len(a) == 1 else f"({' or '.join(a)})" for a in apart.values())
 
 
 def _said_once(problems: Sequence[Objection]) -> list[Objection]:
@@ -158,8 +169,15 @@ def _in_files(problem: Objection, count: int) -> Objection:
     first, *others = problem.file.split("\n")
     if not others:
         return problem
-    words = f"all {count} files" if len(others) + 1 == count else f"{first} and {len(others)} more"
+    every = "both files" if count == 2 else f"all {count} files"
+    words = every if len(others) + 1 == count else f"{first} and {len(others)} more"
     return replace(problem, file=words)
+
+
+def _place(p: Objection) -> str:
+    """Where a problem is, short: its rows, else its column."""
+    rows = f"row{'s' * (len(p.places) != 1)} {p.where}" if p.places else ""
+    return rows or (f"column {p.column!r}" if p.column else "the rest")
 
 
 def _in_lines(problem: Objection, several: bool, page: int) -> str:

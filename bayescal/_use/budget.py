@@ -386,11 +386,12 @@ def _learned_group_sds(equation: OperatingEquation) -> set[str]:
 def _beyond(chosen: Compensator, point: Mapping[str, float]) -> list[str]:
     """Where an operating point, fixed units, is outside the calibrated range."""
     past = {i.name for i in chosen.inputs if i.kind in PAST}
+    settled = {i.name for i in chosen.inputs if i.settled}
     return [
         f"{name} = {point[name]:.6g} is outside its calibrated range, {low:.6g} to {high:.6g} {unit}: an "
         "extrapolation, whose uncertainty does not say by how much the equation itself may fail."
         for name, (low, high, unit) in chosen.calibrated.items()
-        if name not in past and not low <= point[name] <= high
+        if name not in past and (point[name] < low or (point[name] > high and name not in settled))
     ]
 
 

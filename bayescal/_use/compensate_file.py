@@ -27,11 +27,12 @@ from bayescal._data.column import ConvertedColumns, NominalScale, Source
 from bayescal._data.column_conversion import convert_columns
 from bayescal._data.dataset_checks import problems_of_whole
 from bayescal._data.header_matching import ExpectedColumns, MatchedFile, ReadOptions
+from bayescal._data.header_rules import unit_behind
 from bayescal._data.measurements import Measurements, assemble
 from bayescal._tables.csv_reader import CsvLines, csv_parts
 from bayescal._tables.open_table import MAX_BYTES, TEXT, check_files, open_table
 from bayescal._tables.parquet_netcdf import parquet_parts
-from bayescal._tables.raw_table import Objections, Table, bytes_text, load_whole
+from bayescal._tables.raw_table import Header, Objections, Table, bytes_text, load_whole
 from bayescal._use.compensator import Compensated, Compensator, Method
 
 KEPT = (*TEXT, ".parquet", ".nc")  # in which a file can be written as it was
@@ -202,7 +203,9 @@ def _names(
     problems.refuse()
     table, places = file.table, file.positions
     header = table.headers[places["output"]]
-    names = f"{header.name}_compensated", f"{header.name}_uncertainty"
+    behind = unit_behind(Header.parse(header.raw))  # of a unit in other brackets than [] too
+    name = header.name if behind is None or header.name != header.raw else behind.name
+    names = f"{name}_compensated", f"{name}_uncertainty"
     for name in names:
         if any(h.name == name for h in table.headers):
             raise InputError(

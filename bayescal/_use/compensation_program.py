@@ -28,10 +28,12 @@ from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import inclusion
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
+from bayescal._core.flag import code_of
 from bayescal._core.formatting import number
 from bayescal._core.inverse import stepped
 from bayescal._core.json_shape import OneOf, required
 from bayescal._core.version import __version__
+from bayescal._data.column_conversion import SCALED
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
@@ -68,6 +70,7 @@ class Input:
         silence: of a lag, the time without a reading beyond which the column counts as having changed at its beginning,
             s; None where it counts as linear always, as exports before 0.3.0 have it.
         low, high: range in the calibration, in `unit`.
+        settled: of a time, whether what follows it has died out by `high`: later is no extrapolation.
     """
 
     name: str
@@ -79,6 +82,12 @@ class Input:
     high: float
     tau: float | None = None
     silence: float | None = None
+    settled: bool = False
+
+    @property
+    def end(self) -> float:
+        """Beyond which a value is flagged."""
+        return np.inf if self.settled else self.high
 
     @property
     def middle(self) -> float:
@@ -267,7 +276,7 @@ class Provenance:
         effects: (name, equation) of those that act.
         reference: constants of the bases, such as T0.
         sources: (file, sha256) of the readings.
-        raw: how a raw output becomes the reading: unit, gain, offset; None if it is the reading.
+        raw: how a raw output became the readings of the calibration: unit, gain, offset; None if nothing was converted.
         notes: what to know, each a sentence.
         made_by: program and version.
         calibration: its identity; empty in exports that do not state one.
@@ -297,7 +306,8 @@ def provenance_of(
     """What an export says of itself."""
     instrument, use = calibration.model.instrument, equation.use
     acting = dict.fromkeys(b.effect for b in equation.blocks)
-    scale = calibration.readings.scale or instrument.nominal_scale
+    scaled = any(code_of(flag) == SCALED for flag in calibration.readings.flags)
+    scale = (calibration.readings.scale or instrument.nominal_scale) if scaled else None
     reference = {
         k: float(v)
         for k, v in calibration.reference.items()
@@ -411,6 +421,7 @@ SHAPE = {
                 "high": float,
                 "tau?": OneOf(None, float),
                 "silence?": OneOf(None, float),
+                "settled?": bool,
             },
         }
     ],

@@ -5,7 +5,7 @@ From posterior draws, or by first-order propagation of mean and covariance (what
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -46,6 +46,9 @@ from bayescal._use.operating_equation import (
 )
 
 Method = Literal["draws", "first order"]
+SETTLED = (
+    0.1  # of the standard uncertainty: half a percent of it, in the root of the sum of squares
+)
 
 
 @dataclass(frozen=True)
@@ -174,11 +177,35 @@ class Compensator:
         if self.loaded:
             return self.loaded.inputs
         values = self._inputs_at_fit
-        return tuple(
+        found = [
             input_of(self._calibration, self._equation, name, values[name])
             for name in self._equation.inputs
             if name in values
-        )
+        ]
+        settled = {i.name for i in found if i.kind == "elapsed" and self._settles(i, found)}
+        return tuple(replace(i, settled=i.name in settled) for i in found)
+
+    def _settles(self, time: Input, inputs: Sequence[Input]) -> bool:
+        """Whether nothing follows a time any more, from the last quarter of its range on: of all inputs at their low
+        ends, middles and high ends neither the expected output nor its uncertainty moves by more than a tenth of this.
+        """
+        late = time.high + (time.high - time.low) * np.r_[0.0, -0.25, 2.0 ** np.arange(-4, 31)]
+        for share in (0.0, 0.5, 1.0):
+            ends = self.stimulus_range or (0.0, 0.0)
+            stimulus = np.full(len(late), ends[0] + share * (ends[1] - ends[0]))
+            given = {i.name: i.low + share * (i.high - i.low) + 0.0 * late for i in inputs}
+            unused = dict.fromkeys(self._equation.names, 0.0 * late)
+            expected, uncertainty = operating_equation.expected_first_order(
+                self._equation,
+                self._moments.mean,
+                self._moments.covariance,
+                stimulus,
+                {**unused, **given, time.name: late},
+            )
+            moves = np.abs(np.array([expected - expected[0], uncertainty - uncertainty[0]]))
+            if not np.all(moves <= SETTLED * uncertainty[0]):
+                return False
+        return True
 
     @property
     def calibrated(self) -> dict[str, tuple[float, float, str]]:
@@ -290,7 +317,7 @@ class Compensator:
     @cached_property
     def _ranges(self) -> dict[str, tuple[float, float]]:
         """Beyond which a reading is flagged, by input; the stimulus with them where it was varied."""
-        ranges = {i.name: (i.low, i.high) for i in self.inputs}
+        ranges = {i.name: (i.low, i.end) for i in self.inputs}
         if self.calibration is not None:
             # What the equation does not use was held in a range too.
             for name in self._equation.known:

@@ -610,6 +610,18 @@ def first_order(equation: OperatingEquation, theta, covariance, output, inputs, 
 
 
 @compiled
+def expected_first_order(equation: OperatingEquation, theta, covariance, stimulus, inputs):
+    """Expected output at each place, and its standard uncertainty from the calibration, (n,) each."""
+
+    def expected(theta):
+        return _points(equation, theta, stimulus, inputs)
+
+    gradient = jax.jacfwd(expected)(theta)
+    variance = jnp.einsum("ni,ij,nj->n", gradient, covariance, gradient)
+    return expected(theta), jnp.sqrt(jnp.maximum(variance, 0.0))
+
+
+@compiled
 def errors_over_draws(equation: OperatingEquation, theta, mean, stimulus, inputs):
     """Corrected reading minus stimulus where θ is what a draw says and the correction is made with its mean, (d, n).
 

@@ -23,6 +23,8 @@ pytestmark = needs_installation
 
 def test_instruments_and_effects_as_json(folder: Path) -> None:
     assert run("instruments", "--json").data["mems_gyro"]["unit"] == "deg/s"
+    one = run("instruments", "mems_gyro")
+    assert "temperature        °C     needed" in one.out and "bias.thermal_lag" in one.out
     own = ("--effects", folder / "my_effects.py")
     listed = {e["name"]: e for e in run("effects", *GYRO, *own, "--json").data}
     assert listed["bias.constant"]["kind"] == "baseline"

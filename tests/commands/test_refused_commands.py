@@ -21,7 +21,7 @@ SIMULATE = "simulate --instrument mems_gyro --out {folder}/a.csv"
 
 REFUSED = (
     ("instruments --all", "No such option: --all"),
-    ("instruments everything", "unexpected extra argument"),
+    ("instruments everything", "no instrument is called 'everything'; installed:"),
     ("effects", "Missing option '--instrument'"),
     ("effects --instrument gyro", "no instrument is called 'gyro'; installed:"),
     ("effects --instrument {level}:LEVEL", "defines no instrument called 'LEVEL'"),

@@ -13,6 +13,7 @@ from bayescal_models import mems_gyro, still_sensor
 from benchmarks.accuracy.chunks import collect
 from benchmarks.instruments import compensation as campaigns
 from tests.support.made_up import bent_sensor
+from tests.support.shown_output import load_module
 
 pytestmark = pytest.mark.filterwarnings("ignore:outside the calibrated range")
 
@@ -91,6 +92,22 @@ def test_outside_its_calibrated_range_it_warns_and_flags(gyro) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert not gyro(output=30.0, temperature=50.0).outside
+
+
+def test_a_time_has_no_upper_end_where_what_follows_it_has_died_out(bent, tmp_path) -> None:
+    """The decay of where a run begins, of 400 s, is over after the two hours of the test; a creep is not."""
+    creep = bc.effect("bias.creep", "c * elapsed", c="0.01 ug/s")
+    fit = bc.fit(
+        bent_sensor.SENSOR.baseline() + creep, bent_sensor.readings(1), bc.LeastSquares(draws=60)
+    )
+    late = {"temperature": 30.0, "humidity": 40.0, "temperature_lag": 0.0, "elapsed": [100.0, 1e6]}
+    for made, flagged in ((bent, []), (bc.compensator(fit), ["elapsed"])):
+        loaded = bc.load_compensator(made.export(tmp_path / "c.json"))
+        module = load_module(made.export(tmp_path / "c.py"))
+        now = {i.name: i.middle for i in made.inputs} | {"elapsed": 1e6}
+        assert list(module.compensate(bent_sensor.BIAS, **now)[-1]) == flagged
+        for one in (made, loaded):
+            assert list(one(output=bent_sensor.BIAS, warn=False, **late).outside) == flagged
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,12 @@ def test_raw_volts_pass_the_nominal_scale(gyro, tmp_path) -> None:
     compensate_file(gyro, tmp_path / "in.csv", tmp_path / "out.csv")
     found = pd.read_csv(tmp_path / "out.csv")["output_compensated [deg/s]"][0]
     np.testing.assert_allclose(found, gyro(output=25.0, temperature=40.0).value[0], rtol=1e-9)
+    assert gyro.calibration is not None and gyro.program.about.raw is None  # it was made in °/s
+    pd.concat([table, table + 1]).to_csv(tmp_path / "in.csv", index=False)
+    volts = bc.read(tmp_path / "in.csv", mems_gyro.INSTRUMENT)
+    readings = replace(gyro.calibration.readings, flags=volts.flags)
+    made = bc.compensator(replace(gyro.calibration, readings=readings))
+    assert made.program.about.raw == ("V", 0.83e-3, 1.2)
 
 
 def test_a_refused_file_leaves_the_old_one_whole(gyro, tmp_path, monkeypatch) -> None:
@@ -186,7 +193,7 @@ def test_a_calibration_remembers_what_its_columns_are_called(tmp_path) -> None:
     done = run("compensate", out, path, "--out", tmp_path / "done.csv")
     assert done.status == 0, done.err
     text = (tmp_path / "done.csv").read_text("cp1252")  # in the encoding of the file, all of it
-    assert "Messgröße (°/s);Messgröße (°/s)_compensated [deg/s];" in text
+    assert "Messgröße (°/s);Messgröße_compensated [deg/s];" in text
     numbers = [row.split(";")[2].replace(",", ".") for row in text.splitlines()[1:]]
     assert min(map(float, numbers)) < 0 < max(map(float, numbers))  # numbers all, with a comma too
     again = run("compensate", out, path, *said, "--out", tmp_path / "again.csv")

@@ -90,6 +90,8 @@ def test_a_trail_is_drawn_alike_from_its_result() -> None:
 def test_the_finding_stands_out(figures) -> None:
     ax = figures["missing"].axes[0]
     names = [t.get_text() for t in ax.get_yticklabels()]
+    assert "of adding one alone" in ax.get_xlabel()
+    assert figures["loop"].axes[1].get_title("left").endswith("each alone, beside the first model")
     bar = ax.patches[names.index(HIDDEN)]
     assert bar.get_width() == max(p.get_width() for p in ax.patches)
     assert np.allclose(bar.get_facecolor()[:3], (0xD5 / 255, 0x5E / 255, 0))

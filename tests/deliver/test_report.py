@@ -22,6 +22,7 @@ from bayescal._report.section import Chapter, chapters, of_folder
 from bayescal_models import accelerometer_triad, mems_gyro, ng_accelerometer
 from tests.support.browser import Opened, chromium
 from tests.support.command_line import needs_installation, run
+from tests.support.made_up import bent_sensor
 from tests.support.reported import HIDDEN, Page, trail, unpaint
 from tests.support.tiers import slow_but
 
@@ -282,3 +283,11 @@ def test_a_browser_shows_it_whole_and_asks_for_nothing(pages, folder: Path, widt
     assert picture.stat().st_size > 20_000
     assert console == []
     assert Page(opened.dom(width)).all("svg") == pages("a trail").all("svg")
+
+
+def test_a_constant_is_off_or_is_a_coefficient() -> None:
+    c = bent_sensor.calibration()
+    said = {e.name: f"{report_text._subject(e)} {report_text._does(c, e)}" for e in c.model.effects}
+    assert said["bias.constant"].startswith("the output is off by")
+    assert said["scale.constant"].startswith("the scale factor is off by")
+    assert said["second_order.constant"].startswith("the second-order coefficient is 1")

@@ -24,7 +24,7 @@ def test_bad_devices_are_refused_by_themselves(tmp_path, result) -> None:
     made.to_csv(file, index=False)
     found = bc.fit_batch(MODEL, file)
     said = {
-        "D02": "column 'output .deg/s.': is empty or NaN",
+        "D02": "column 'output .deg/s.': holds no number",
         "D05": "reads 'broken', a number in °/s was expected",
         "D07": "reads 25 °C, one temperature only",
         "D09": "plausible is",

@@ -146,7 +146,7 @@ BAD_FILES = {  # what is said of every kind of bad file: tests/readings
     "no header": (b"1,20,1\n2,30,1\n", "has no header"),
     "unknown unit": (HEADER.replace("degC", "furlong").encode() + b"1,20,1\n", "not a unit known"),
     "ragged": (HEADER.encode() + b"1,20,1\n2,30\n", "row 3"),
-    "NaN": (HEADER.encode() + b"1,20,1\n2,nan,1\n", "is empty or NaN"),
+    "NaN": (HEADER.encode() + b"1,20,1\n2,nan,1\n", "holds no number"),
 }
 
 

@@ -138,7 +138,7 @@ REFUSED = {
     "everything": Bad(
         with_cell(3, 1, "", with_cell(4, 2, "1,5", with_cell(6, 0, "5", UNNAMED))),
         6,
-        ("no such column", "4 fields", "has no unit", "is empty or NaN", "--missing drop"),
+        ("no such column", "4 fields", "has no unit", "holds no number", "--missing drop"),
     ),
     "months and days that may be exchanged": Bad(
         dated(lambda m: f"{m - timedelta(days=20):%m/%d/%Y %H:%M:%S}", "time"), 1,

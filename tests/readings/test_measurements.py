@@ -106,7 +106,7 @@ def test_parquet_of_others_is_read(tmp_path):
     table = pa.table({"run": run, "o.x": pa.array([1, 2, None]), "o": pa.array(["1.5", "2", "x"])})
     pq.write_table(table, path)
     with pytest.raises(
-        bc.InputError, match=r"row 3 of 't\.parquet', column 'o\.x': is empty or NaN"
+        bc.InputError, match=r"row 3 of 't\.parquet', column 'o\.x': holds no number"
     ):
         bc.read(path, SCALE, columns={"output": "o.x"}, units={"o.x": "mg"})
     with pytest.raises(bc.InputError, match=r"row 3 of 't\.parquet', column 'o': reads 'x'"):
@@ -186,7 +186,7 @@ def test_arrays_are_checked_as_files_are():
     for columns, message in [
         (
             {"output": [1.0, np.nan]},
-            "row 2 of 'the given arrays', column 'output': is empty or NaN",
+            "row 2 of 'the given arrays', column 'output': holds no number",
         ),
         ({"output": ["1", "x"]}, "row 2 .* reads 'x', a number in µg was expected"),
         (

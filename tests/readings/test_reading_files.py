@@ -84,7 +84,7 @@ def test_columns_and_units_can_be_named_from_outside(put):
     overruled = put("temperature [degC],output [deg/s]\n20,1\n30,2\n")
     m = bc.read(overruled, GYRO, units={"output": "rad/s"})
     assert m["output"][0] == pytest.approx(np.degrees(1))
-    assert any("taken as [rad/s], as units= says" in flag for flag in m.flags)
+    assert any("taken as [rad/s], as --unit says" in flag for flag in m.flags)
 
 
 def test_raw_outputs_pass_through_the_nominal_scale_and_that_is_said(put):

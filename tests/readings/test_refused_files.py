@@ -69,7 +69,7 @@ def test_a_raw_output_without_a_nominal_scale_is_refused(put):
     [
         (
             {"columns": {"output": "gyro"}},
-            r"'t.csv', column 'gyro': no such column, but columns=\{'output': 'gyro'\}",
+            r"'t.csv', column 'gyro': no such column, but --columns output=gyro",
         ),
         (
             {"columns": {"output": "x"}},
@@ -77,9 +77,9 @@ def test_a_raw_output_without_a_nominal_scale_is_refused(put):
         ),
         (
             {"columns": {"output": "x", "rate_input": "x"}},
-            "'x': both output and rate_input by columns=",
+            "'x': both output and rate_input by --columns",
         ),
-        ({"units": {"outptu": "V"}}, r"units=\{'outptu': 'V'\}.*\(is 'output \[deg/s\]' meant"),
+        ({"units": {"outptu": "V"}}, r"--unit outptu=V.*\(is 'output \[deg/s\]' meant"),
         ({"units": {"output": "volts!"}}, r"column 'output \[deg/s\]': \[volts!\] is not a unit"),
         ({"units": {"output": "degC"}}, r"its unit is \[degC\]"),
     ],
@@ -87,6 +87,14 @@ def test_a_raw_output_without_a_nominal_scale_is_refused(put):
 def test_options_that_do_not_fit_the_file_are_refused(put, options, message):
     path = put("temperature [degC],output [deg/s],x [deg/s]\n20,1,1\n30,2,2\n")
     refused(path, message, **options)
+
+
+def test_what_no_option_mends_is_said_beside_the_options(put):
+    path = put("temperature [degC],output [deg/s]\n20,1\n-,2\nthe door was open\n22,3\n")
+    refused(
+        path,
+        r"(?s)holds no number \(empty, NaN, - .*\n\nwith row 4 mended and these options, .*drop$",
+    )
 
 
 # --- cells --------------------------------------------------------------------------------------
@@ -99,11 +107,11 @@ def test_options_that_do_not_fit_the_file_are_refused(put, options, message):
             "b,5,30,abc",
             r"row 5 of 't\.csv', column 'output \[deg/s\]': reads 'abc', a number in °/s was",
         ),
-        ("b,5,30,", r"row 5 .* is empty or NaN, a number in °/s was expected\. Fill it in"),
-        ("b,5,nan,1", r"row 5 .*column 'temperature \[degC\]': is empty or NaN"),
+        ("b,5,30,", r"row 5 .* holds no number .*, a number in °/s was expected\. Fill it in"),
+        ("b,5,nan,1", r"row 5 .*column 'temperature \[degC\]': holds no number"),
         ("b,5,30,inf", "row 5 .* reads inf"),
         ("b,5,30,1e999", "row 5 .* reads inf"),
-        ("a,,30,1", r"row 5 .*column 'time \[s\]': is empty or NaN"),
+        ("a,,30,1", r"row 5 .*column 'time \[s\]': holds no number"),
         (",0,30,1", "row 5 .*column 'run': is empty, a label was expected"),
         ("b,5,30,1_000", "row 5 .* reads '1_000'"),
         ("b,5,-300,1", r"row 5 .* reads -300 °C; plausible is -273\.15 … 250 °C\. Check the unit"),

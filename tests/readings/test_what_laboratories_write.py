@@ -132,7 +132,7 @@ def test_a_period_is_a_number_with_a_unit(put) -> None:
     path = put(at_rest(**{"time [s]": STEPS}))
     with pytest.raises(bc.InputError, match="write what the counter held when it began anew"):
         bc.read(path, STILL, unwrap={"time": "often"})
-    with pytest.raises(bc.InputError, match=r"no such column, but unwrap=\{'tim': '2\^32us'\}"):
+    with pytest.raises(bc.InputError, match=r"no such column, but --unwrap 'tim=2\^32us'"):
         bc.read(path, STILL, unwrap={"tim": "2^32us"})
 
 
@@ -239,6 +239,21 @@ def test_a_unit_that_nothing_shows_is_not_suggested(put) -> None:
     columns = {"SampleTimeFine": STEPS * 1e4, "ax [g]": STEPS, "ay [g]": STEPS, "az [g]": STEPS}
     with pytest.raises(bc.InputError, match="SampleTimeFine=UNIT"):
         bc.read(put(table(**columns)), TRIAD)
+
+
+def test_a_header_that_looks_like_two_columns_is_an_alternative_for_each(put) -> None:
+    """Until a nominal scale says in which unit the output is."""
+    columns = {"Achse": ["x"] * 60, "Anlagewinkel [°]": STEPS - 300, "Anzeige [mV]": STEPS / 7}
+    path, angle = put(table(**columns)), "Anlagewinkel [°]"
+    with pytest.raises(bc.InputError) as refused:
+        bc.read(path, LEVEL)
+    told = f"(--columns 'placement_angle={angle}' or --columns 'output={angle}')"
+    assert str(refused.value).endswith(f"if they are meant: {told}")
+    with pytest.raises(bc.InputError) as refused:
+        bc.read(path, LEVEL, nominal_scale="100 mV/deg")
+    told = f"--columns 'placement_angle={angle}' --columns 'output=Anzeige [mV]'"
+    assert str(refused.value).endswith(f"if they are meant: {told}")
+    assert "columns={" not in str(refused.value)
 
 
 def test_no_unit_is_asked_of_headers_that_have_one(put) -> None:

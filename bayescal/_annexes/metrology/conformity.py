@@ -671,7 +671,8 @@ def _beyond(chosen: Compensator, name: str, low: float, high: float) -> list[str
         values, unit = readings[name], readings.unit(name) or "1"
         span = (float(values.min()), float(values.max()), unit)
     first, last = calibrated_limits(span[:2])
-    if first <= low and high <= last:
+    settled = {i.name for i in chosen.inputs if i.settled}
+    if first <= low and (high <= last or name in settled):
         return []
     asked = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
     return [
