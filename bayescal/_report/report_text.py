@@ -528,7 +528,7 @@ def _shape(c: Calibration, effect: Effect, name: str) -> str:
     fixed = dict(c.model.fixed).get(effect.shape_name(shape))
     if fixed is not None:
         return f"{number(fixed)} {unit_label(shape.unit)}".rstrip()
-    draws = c.samples(effect.shape_name(shape))[has_effect(c, effect.name)]
+    draws = c.samples(effect.shape_name(shape))
     return (
         f"{with_error(float(draws.mean()), float(draws.std()))} {unit_label(shape.unit)}".rstrip()
     )
