@@ -40,7 +40,6 @@ from bayescal._data.unit_conversion import (
 from bayescal._tables.cells import EXAMPLE, Cells, date_text, from_first, unit_of_counts
 from bayescal._tables.raw_table import Header, Objection, Objections, Table, load_whole, option
 
-SCALED = "output.scaled"  # code of the flag that says so
 _EMPTY = "holds no number (empty, NaN, - or the like)"
 _TEXTS = 3  # of a column, that are quoted
 _OVERLOAD = "reads {:.4g}, an instrument's code for an overload or no reading at all (SCPI writes ±9.9E37 and 9.91E37)"
@@ -239,9 +238,8 @@ class ColumnReader:
     def _is_time(self) -> bool:
         return self.column.name == "time" and self.column.unit == "s"
 
-    def _flag(self, said: str, code: str = "") -> None:
-        words = f"{self.file.table.file}: column {self.header.raw!r} {said}"
-        self.converted.flags.append(Flag(words, code, self.header.raw) if code else words)
+    def _flag(self, said: str) -> None:
+        self.converted.flags.append(f"{self.file.table.file}: column {self.header.raw!r} {said}")
 
     def _missing(self, rows: np.ndarray, came: str, expected: str = "") -> None:
         """Readings that are missing: a problem, unless such rows are dropped."""
@@ -471,8 +469,7 @@ class ColumnReader:
             other = " (another sensor's: --nominal-scale and --nominal-zero)" * own
             self._flag(
                 f"turned into {pretty(target)} by the nominal scale{of}: "
-                f"{reading}/{scale.gain:g}, reading in {pretty(scale.unit)}{other}",
-                SCALED,
+                f"{reading}/{scale.gain:g}, reading in {pretty(scale.unit)}{other}"
             )
             raw = convert(values, unit, scale.unit, local_gravity=gravity, difference=difference)
             return scale.apply(raw, difference=difference)

@@ -28,12 +28,10 @@ from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import inclusion
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
-from bayescal._core.flag import code_of
 from bayescal._core.formatting import number
 from bayescal._core.inverse import stepped
 from bayescal._core.json_shape import OneOf, required
 from bayescal._core.version import __version__
-from bayescal._data.column_conversion import SCALED
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
@@ -276,7 +274,7 @@ class Provenance:
         effects: (name, equation) of those that act.
         reference: constants of the bases, such as T0.
         sources: (file, sha256) of the readings.
-        raw: how a raw output became the readings of the calibration: unit, gain, offset; None if nothing was converted.
+        raw: how a raw output becomes the reading: unit, gain, offset; None if it is the reading.
         notes: what to know, each a sentence.
         made_by: program and version.
         calibration: its identity; empty in exports that do not state one.
@@ -306,8 +304,7 @@ def provenance_of(
     """What an export says of itself."""
     instrument, use = calibration.model.instrument, equation.use
     acting = dict.fromkeys(b.effect for b in equation.blocks)
-    scaled = any(code_of(flag) == SCALED for flag in calibration.readings.flags)
-    scale = (calibration.readings.scale or instrument.nominal_scale) if scaled else None
+    scale = calibration.readings.scale or instrument.nominal_scale
     reference = {
         k: float(v)
         for k, v in calibration.reference.items()
