@@ -14,14 +14,15 @@ from benchmarks.hidden_effects.outcomes import hidden_in, of_kind, said
 from benchmarks.intervals import proportion
 from benchmarks.markdown import table
 from benchmarks.ordinary_test import page as ordinary
-from benchmarks.record import DOCS, lines_of, read
+from benchmarks.record import DOCS, RELEASE, lines_of, read
 
 PAGE = DOCS / "how_we_know.md"
 HEAD = """# How we know
 
 Ten minutes. What was tried, on whose numbers, and what came of it. Every count is made from rows that are kept beside
 the code (`benchmarks/results`), by `python -m benchmarks how_we_know`; brackets hold its 95 % interval
-(Clopper–Pearson). A page says by which code its rows were measured; `python -m benchmarks release` measures them anew.
+(Clopper–Pearson). A page says by which code its rows were measured, and the last part below whether the code of today
+gives the same.
 What follows from it for your own result: [what it will not tell you](limits.md).
 """
 LAST = """## What was not tried
@@ -94,6 +95,12 @@ def chapters() -> Iterable[Chapter]:
         "Stated probabilities and intervals",
         "An interval of 95 % should hold the truth in 95 of 100.",
         intervals(),
+    )
+    yield (
+        "The same, by the code as it is released",
+        "Rows are kept from code to code. `python -m benchmarks release` measures of every bank cases drawn at random "
+        "anew, others each time. *As before*: the same final model, status or interval, on the same readings.",
+        released(),
     )
 
 
@@ -204,4 +211,16 @@ def intervals() -> list[list[str]]:
             "by instrument and quantity, on its page",
             "[where the model may be wrong](wrong_model.md)",
         ],
+    ]
+
+
+def released() -> list[list[str]]:
+    """Cases measured anew, and those of them that came out as they had."""
+    return [
+        [
+            f"{name.replace('_', ' ')}: {row['of it']:,} of {row['rows']:,} rows anew",
+            f"as before {proportion(row['as before'], row['anew'])}",
+            "",
+        ]
+        for name, row in read(RELEASE).get("rows", {}).items()
     ]

@@ -18,11 +18,16 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 RESULTS = ROOT / "benchmarks" / "results"
 REFERENCE_DATA = ROOT.parent / "shared" / "data"  # beside the checkout; not part of it
+RELEASE = "release"  # its file: the code of the last one, and what came of each part
 PACKAGES = ("bayescal", "jax", "jaxlib", "numpy", "scipy", "optimistix", "equinox", "lineax")
 
 
 DECIDING = ("bayescal/_model", "bayescal/_inference", "bayescal/_calibration", "bayescal/_search")
 DECIDING = (*DECIDING, "bayescal/effects", "models")  # sources on which a result hangs
+
+
+# What a row says of its case: where these are the same, the case came out as it had before.
+OUTCOME = ("crash", "status", "verdict", "final", "added", "covered", "channels")
 
 
 @cache
@@ -45,11 +50,15 @@ def _is_text(node: ast.AST) -> bool:
 
 def cores_of(rows: Iterable[Mapping[str, Any]]) -> str:
     """By which code rows were measured: a sentence, the commonest digest first."""
+    rows = list(rows)
     count = Counter(row.get("core", "") for row in rows)
     named = ((f"core `{c}`" if c else "an older core", n) for c, n in count.most_common())
     said = ", ".join(f"{n:,} by {which}" for which, n in named)
+    again = [before["same"] for row in rows if (before := row.get("before"))]
+    anew = f" Of {len(again):,} measured anew {sum(again):,} came out as before."
     return (
-        f"*Rows measured: {said}. `python -m benchmarks cores` compares with the code as it is.*\n"
+        f"*Rows measured: {said}.{anew if again else ''} `python -m benchmarks cores` compares with the code as it "
+        "is.*\n"
     )
 
 
@@ -102,11 +111,15 @@ def lines_of(kind: str) -> dict[str, list[dict[str, Any]]]:
 
 
 def measured(path: Path, fields: Sequence[str]) -> set[tuple[Any, ...]]:
-    """Cases of a file, by the fields that tell them apart, that need no measuring.
+    """Cases of a file that need no measuring.
 
     Those that have a row; where BAYESCAL_ANEW is set, as for a release, a row of the code as it is.
     """
-    anew = bool(os.environ.get("BAYESCAL_ANEW"))
+    return cases_of(path, fields, anew=bool(os.environ.get("BAYESCAL_ANEW")))
+
+
+def cases_of(path: Path, fields: Sequence[str], anew: bool = False) -> set[tuple[Any, ...]]:
+    """Cases of a file, by the fields that tell them apart; `anew`: of the code as it is."""
     rows = (r for r in read_lines(path) if not anew or r.get("core") == core())
     return {tuple(row[field] for field in fields) for row in rows}
 
@@ -117,14 +130,17 @@ def add_line(path: Path, row: dict[str, Any], fields: Sequence[str] = ()) -> Non
     Args:
         path: of the file.
         row: of one case.
-        fields: that tell cases apart: a row of the same case, of an older code, gives place. None keeps all rows.
+        fields: that tell cases apart: a row of the same case, of an older code, gives place, and the new one says
+            whether it came out the same. None keeps all rows.
     """
     path.parent.mkdir(exist_ok=True)
     row = {**row, "core": row.get("core", core())}
     case = [row[field] for field in fields]
     former = read_lines(path) if fields else []
     kept = [one for one in former if [one[field] for field in fields] != case]
-    if len(kept) < len(former):
+    if own := [one for one in former if [one[field] for field in fields] == case]:
+        same = all(own[0].get(said) == row.get(said) for said in OUTCOME)
+        row["before"] = {"core": own[0].get("core", ""), "same": same}
         draft = path.with_suffix(".part")
         draft.write_text("".join(map(_line, (*kept, row))), encoding="utf-8")
         draft.replace(path)

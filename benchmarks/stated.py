@@ -11,9 +11,13 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
-from benchmarks import how_we_know, shown
+import numpy as np
+
+from benchmarks import how_we_know, open_benchmark, shown
+from benchmarks.accuracy import certified_page
 from benchmarks.counted import (
     bank,
     clear,
@@ -32,15 +36,17 @@ from benchmarks.counted import (
 )
 from benchmarks.fleet import page as fleet_page
 from benchmarks.hidden_effects import measurement as hidden_effects
+from benchmarks.hidden_effects import units
 from benchmarks.hidden_effects.outcomes import hidden_in, names_outside, of_kind, strong_pairs
 from benchmarks.intervals import proportion
 from benchmarks.ordinary_test import page as ordinary_page
-from benchmarks.record import ROOT
+from benchmarks.real_records import records_page, still_logs, thermal_ramp_page
+from benchmarks.record import ROOT, read
 from benchmarks.speed import page as speed_page
 from benchmarks.spoilt_records import measurement as spoilt_records
 from benchmarks.wrong_model import page as wrong_model_page
 
-RENDERED: dict[str, Callable[[], None]] = {  # pages that are rendered from rows alone
+RENDERED: dict[str, Callable[[], object]] = {  # pages that are rendered from rows alone
     "README.md": hidden_effects.render,
     "docs/hidden_effects.md": hidden_effects.render,
     "docs/ordinary_test.md": ordinary_page.write,
@@ -49,6 +55,12 @@ RENDERED: dict[str, Callable[[], None]] = {  # pages that are rendered from rows
     "docs/fleet.md": fleet_page.render,
     "docs/speed.md": speed_page.render,
     "docs/how_we_know.md": how_we_know.render,
+    "docs/certified.md": lambda: certified_page.write(read("certified")),
+    "docs/missing_effect.md": open_benchmark.render,
+    "docs/records_of_others.md": lambda: records_page.write(read("records_of_others")["records"]),
+    "docs/still_logs.md": still_logs.render,
+    "docs/thermal_ramp.md": lambda: thermal_ramp_page.write(read("thermal_ramp")),
+    "docs/units.md": units.render,
 }
 
 
@@ -128,8 +140,46 @@ def spoilt(kind: str) -> tuple[int, int]:
     return sum(count.values()), count["right"]
 
 
-LIMITS = "docs/limits.md"
+def seconds(instrument: str) -> list[str]:
+    """Of a search, the median over an instrument's campaigns."""
+    return [f"{np.median([row['seconds'] for row in bank()[instrument]]):.1f}"]
+
+
+def slowest() -> list[str]:
+    """The slowest search of each instrument over the median: the least and the largest, to two digits."""
+    taken = [[row["seconds"] for row in rows] for rows in bank().values()]
+    ratios = sorted(max(one) / float(np.median(one)) for one in taken)
+    return [f"{float(f'{ratio:.2g}'):.0f}" for ratio in (ratios[0], ratios[-1])]
+
+
+def on_the_ramp() -> list[str]:
+    """Processor seconds of a channel."""
+    channels = read("thermal_ramp")["channels"].values()
+    taken = [one["cpu_seconds"] for splits in channels for one in splits.values()]
+    return [f"{min(taken):.0f}", f"{max(taken):.0f}"]
+
+
+def of_three_axes() -> list[str]:
+    """Processor seconds that a fit of 5 × 14 poses takes."""
+    taken = read("triad_speed")["seconds"]["fit of 5 x 14 poses over temperature"]["processor"]
+    return [f"{taken:.2f}"]
+
+
+LIMITS, LONG = "docs/limits.md", "docs/how_long.md"
 STATED = (
+    *(
+        Stated(LONG, f"the search alone (`{name}`" + words + " | {} |", partial(seconds, name))
+        for name, words in {
+            "inclinometer": "), median of a bank of campaigns",
+            "still_sensor": ")",
+            "quartz_beam_accelerometer": ")",
+            "ng_accelerometer": ")",
+            "differential_pair": ", whose response is nonlinear)",
+        }.items()
+    ),
+    Stated(LONG, "The slowest search of each bank took {} to {} times the median", slowest),
+    Stated(LONG, "one channel of the chamber ramp | {} to {} of processor", on_the_ramp),
+    Stated("docs/how_to/three_axes.md", "{} s for one of 5 × 14 over temperature", of_three_axes),
     Stated(
         "README.md",
         "[The whole bank](docs/hidden_effects.md), {} campaigns, names every miss.",

@@ -60,8 +60,9 @@ mode.two (doubt)
 effect.off_scale (note)
     {of[0]} contributes at most {contribution} {unit:unit} at its plausible size, where the noise is {noise}
     {unit:unit}:
-  → check the unit of its basis, which gets columns in the units that the instrument declares and others in base
-    units (45 % is 0.45), and its prior, in {own}.
+  → check the units of the output and of the columns in the files; of an effect of your own, also its prior, in {own},
+    and the unit of its basis, which gets columns in the units that the instrument declares and others in base units
+    (45 % is 0.45).
 
 # What a fit's own readings say against it (judgement.py)
 output.rounded (stop)
@@ -107,21 +108,29 @@ residuals.depend (doubt)
 runs.apart (doubt)
     Runs stand {apart:.3g} {unit:unit} apart ({of[0]} steps where none goes on): they are of two devices or
     conditions, or the sensor was restarted, and which of them a new run will be like is not known.
+runs.unlike (doubt)
+    Predicted from the others, runs are off by much the same all along: {apart:.3g} {unit:unit} between runs,
+    {within:.3g} within them, and the model has no name for it. They are of two devices or conditions, or the sensor
+    differs from start to start, and which of them a new run will be like is not known.
+  → Calibrate each device or condition by itself. Of one sensor, take more runs, or add a deviation from run to run.
 
 # What a search says against its last model (gate.py)
 value.freed (doubt)
     {of:list}: the readings are explained with a value other than the stated one, and by no missing effect alone.
 term.replaced (doubt)
-    The coefficient {of[0]} is not measured: {column} no longer explains the output, {by} stands for it, and these
-    readings cannot tell which it is ({of[0]} is {kept:.2g} times what it was, {moved:.0f} of its standard
-    uncertainties away).
-  → Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than a
-    run? Vary {column} otherwise in another run.
+    The coefficient {of[0]} is not measured, whatever its contraction in the model shown: {column} no longer explains
+    the output, {by} stands for it, and these readings cannot tell which it is ({of[0]} is {kept:.2g} times what it
+    was in the model without {by}, {moved:.0f} of its standard uncertainties there away).
+  → [one run] Look at the column {column}: late, held, smoothed? Or does a body lag for longer than the run? {another}
+  → [runs] Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than
+    a run? {another}
 term.replaceable (doubt)
-    The coefficient {of[0]} is not measured: {by} can stand for it, as the profiles are, and these readings cannot
-    tell which it is ({of[0]} is {kept:.2g} times what it was, {moved:.0f} of its standard uncertainties away).
-  → Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than a
-    run? Vary {column} otherwise in another run.
+    The coefficient {of[0]} is not measured, whatever its contraction in the model shown: {by} can stand for it, as
+    the profiles are, and these readings cannot tell which it is ({of[0]} is {kept:.2g} times what it was in the model
+    without {by}, {moved:.0f} of its standard uncertainties there away).
+  → [one run] Look at the column {column}: late, held, smoothed? Or does a body lag for longer than the run? {another}
+  → [runs] Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than
+    a run? {another}
 complete.undecided (doubt)
     The model is complete with probability {complete:.2g} only, and the readings do not tell what is missing; the
     most probable are {named:list}.
@@ -147,7 +156,7 @@ direction.other_exactly (note)
 direction.none (note)
     {of[0]}: these readings say nothing of it; its interval is the prior's
 direction.other (note)
-    {of}: only another combination of them is measured; this one keeps the prior's width
+    {of}: only another combination of them is measured; in this model, this one keeps the prior's width
 direction.members (note)
     {count} combination(s) of the single coefficients of {of:list}: these readings do not tell them apart; they keep
     the width of their prior

@@ -21,6 +21,7 @@ from bayescal._inference.method import Draws, Verdict
 from bayescal._inference.problem import Problem
 from bayescal._inference.programs import padded_length
 from bayescal._inference.record import Record, record_of
+from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame, Reference, build_frame, reference_name
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, Levels
@@ -123,14 +124,47 @@ class Fitted:
 
     @property
     def hold_at(self) -> dict[str, float]:
-        """Temperatures at which the coefficients hold, °C, by the names of the reference's constants, T0 and the like.
+        """Where the coefficients hold, by the names of the constants in the equations: T0, V0 and the like.
 
-        Those of thermometers that an effect depends on. Where none does, constants are means over the readings, at
+        Those of columns that an effect depends on. Where none does, constants are means over the readings, at
         whatever temperatures these were taken.
         """
-        needed = self.model.columns
-        named = (reference_name(n) for n in self.readings.columns if n in needed)
-        return {n: float(self.reference[n]) for n in named if n in self.reference}  # pyright: ignore[reportArgumentType]
+        return {name: value for name, (value, _) in self.held_at.items()}
+
+    @cached_property
+    def held_at(self) -> dict[str, tuple[float, str]]:
+        """`hold_at`, each with its unit."""
+        found: dict[str, tuple[float, str]] = {}
+        for column in self.readings.columns:
+            name, unit = reference_name(column), self.readings.unit(column)
+            if unit is None or column not in self.model.columns:
+                continue
+            if name in self.reference:
+                found[name] = float(self.reference[name]), unit  # pyright: ignore[reportArgumentType]
+            elif (middle := self._middle(column)) is not None:
+                found[name] = middle, unit
+        return found
+
+    def _middle(self, column: str) -> float | None:
+        """The middle of a column's range, where an effect counts the column from it: there it vanishes."""
+        low, high = (self.reference.get(f"{column}_{end}") for end in ("low", "high"))
+        if column == "time" or not (isinstance(low, float) and isinstance(high, float)):
+            return None
+        middle, rows = (
+            0.5 * (low + high),
+            np.unique(np.linspace(0, len(self.readings) - 1, 8, dtype=int)),
+        )
+        few = self.frame.reordered(rows, np.arange(len(rows)), self.frame.step[rows])
+
+        def acts(effect: Effect, at: float) -> bool:
+            shapes = {s.name: s.low for s in effect.column_shapes}
+            return bool(
+                np.any(effect.evaluate(few.with_column(column, np.full(len(rows), at)), shapes))
+            )
+
+        by = [e for e in self.model.effects if column in e.columns and not e.is_placeholder]
+        counted = middle != 0 and any(acts(e, high) and not acts(e, middle) for e in by)
+        return middle if counted else None
 
     def frame_of(self, readings: Measurements) -> Frame:
         """Other readings as this calibration sees them: its T0, its run starts, its groups."""

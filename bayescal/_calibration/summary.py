@@ -12,8 +12,9 @@ from scipy.special import chdtrc
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
+from bayescal._calibration.mixture import has_effect
 from bayescal._core import null_space
-from bayescal._core.formatting import WIDTH, interval, number, with_error
+from bayescal._core.formatting import WIDTH, interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, plain_table
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.unit_conversion import unit_label
@@ -34,6 +35,7 @@ Direction = Float[np.ndarray, "p"]
 
 MOST_TERMS = 8  # terms of a combination that are written out
 TRACE_SHARE = 0.01  # of the largest entry, from which a coefficient is named
+NEARLY_ALL = 0.995  # of the probability: what rounds to 1.00
 MOST_MEMBERS = 4  # of a group, that have a line each
 
 
@@ -47,8 +49,11 @@ def unknowns_parts(
         effects: whose unknowns are shown, beside those of the noise; all if not given.
     """
     rows = unknown_rows(calibration, effects)
+    unsure = " (probability)" * any(
+        name != row[0] and "members" not in row[0] for name, row in rows.items()
+    )
     head = [
-        *("unknown", "mean ± standard uncertainty", "unit"),
+        *(f"unknown{unsure}", "mean ± standard uncertainty", "unit"),
         *("95 % credible interval", "contraction"),
     ]
     shown = plain_table(head, rows.values()) if rows else "every unknown is fixed"
@@ -61,7 +66,7 @@ def unknowns_parts(
             f"noise as stated: χ² = {squares:.4g} with {freedom} degrees of freedom (as much or more by chance in "
             f"{chance:.2g} of cases)"
         )
-    if at := [f"{k} = {v:g} °C" for k, v in calibration.hold_at.items()]:
+    if at := [f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.held_at.items()]:
         lines.append("constants hold at " + ", ".join(at))
     return [shown, *(textwrap.fill(line, WIDTH) for line in lines)]
 
@@ -105,7 +110,9 @@ def _unknown_row(s: dict[str, Any]) -> list[str]:
     (low, high), mean, sd = s["interval95"], s["mean"], s["sd"]
     skewed = low > 0 and sd > 0.5 * mean
     value = f"about {number(mean, 2)}, skewed" if skewed else with_error(mean, sd)
-    return [s["name"], value, unit_label(s["unit"]), interval(low, high, mean, sd), contraction]
+    there = f" ({probability(s['probability'])})" * (s["probability"] < NEARLY_ALL)
+    unit = unit_label(s["unit"])
+    return [f"{s['name']}{there}", value, unit, interval(low, high, mean, sd), contraction]
 
 
 def curves(calibration: Fitted) -> set[str]:
@@ -169,12 +176,15 @@ def _group_row(name: str, members: list[dict[str, Any]]) -> list[str]:
 def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Coefficients, and hyperparameters (noise, group standard deviations, shapes), as rows.
 
-    Each has its name, effect, unit, mean, sd, interval95 and contraction.
+    Each has its name, effect, unit, probability, mean, sd, interval95 and contraction. Of an average over structures
+    these are given that its effect is there, which has the `probability`: a form that another one stands for in other
+    draws is no smaller for that.
 
     Contraction is 1 − (posterior variance)/(prior variance): 1 where the readings said everything, 0 where they
     said nothing; None where the prior is flat or has no variance, and of a value that the method holds.
     """
     layout, levels = calibration.layout, calibration.levels
+    there = {e.name: has_effect(calibration, e.name) for e in calibration.model.effects}
     coefficients, hyperparameters = [], []
     for b in layout.blocks:
         c = b.coefficient
@@ -184,23 +194,32 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
         prior = None if c.flat or learned else c.size
         values = calibration.samples(b.name).reshape(-1, b.size).T
         for name, own in zip(b.member_names(levels), values, strict=True):
-            coefficients.append(_row(name, b.effect.name, c.unit, own, prior))
+            row = _row(name, b.effect.name, c.unit, own, prior, there[b.effect.name])
+            coefficients.append(row)
     for h in (h for h in layout.hypers if h.kind != "promoted"):
         effect = "noise" if h.kind == "noise" else h.name.rpartition(".")[0]
         values = calibration.samples(h.name)
-        hyperparameters.append(_row(h.name, effect, h.unit, values, deviation(h.prior)))
+        own = there.get(effect, np.ones(len(values), dtype=bool))
+        hyperparameters.append(_row(h.name, effect, h.unit, values, deviation(h.prior), own))
     return coefficients, hyperparameters
 
 
 def _row(
-    name: str, effect: str, unit: str, values: np.ndarray, prior: float | None
+    name: str,
+    effect: str,
+    unit: str,
+    values: np.ndarray,
+    prior: float | None,
+    there: np.ndarray,
 ) -> dict[str, Any]:
+    values = values[there] if there.sum() > 1 else values
     low, high = np.quantile(values, [0.025, 0.975])
     sd = float(values.std(ddof=1))
     return {
         "name": name,
         "effect": effect,
         "unit": unit,
+        "probability": float(there.mean()),
         "mean": float(values.mean()),
         "sd": sd,
         "interval95": [float(low), float(high)],

@@ -31,9 +31,9 @@ UNEVEN = "Importance weights of φ are uneven ({}): exact NUTS."
 NOT_SAMPLED = (
     "The posterior was not sampled ({}): this is the Gaussian approximation about its mode."
 )
-NO_MORE = "Importance weights are uneven ({}), and chains, which would be exact, were not run ({})."
+NO_MORE = "Importance weights are uneven ({}), and chains, which would be exact, were not run to their end ({})."
 FEW = "{:.0f} effective draws, and no more ({})."
-PATIENCE = "{:g} s for chains; a time limit gives them more"
+PATIENCE = "{:g} s were too few; a time limit gives them more"
 # Where k̂ says that the weights are sound, more proposals mend too few effective draws. Chains would take 1,500
 # iterations of four at seven gradients or more each, 42,000 gradients: up to as many proposals cost less.
 MOST_DRAWS = 65_536

@@ -234,7 +234,8 @@ def derived(readings: Measurements, every: bool = False) -> dict[str, np.ndarray
 
 
 def reference_name(column: str) -> str:
-    return {"temperature": "T0", "lab_temperature": "L0"}.get(column, f"{column}_0")
+    known = {"temperature": "T0", "lab_temperature": "L0", "supply_voltage": "V0"}
+    return known.get(column, f"{column}_0")
 
 
 def reference_of(readings: Measurements) -> Reference:

@@ -371,7 +371,7 @@ def _chapter(chapter: Chapter, pictures: Pictures) -> dict[str, Any]:
         "ranges": report_text.ranges_table(report_text.ranges(chapter.used)),
         "effects": report_text.effects(chapter),
         "noise": c.model.noise.in_words,
-        "reference": [(n, report_text.measured(v, "degC")) for n, v in c.hold_at.items()],
+        "reference": [(n, f"{v:g} {unit_label(u)}") for n, (v, u) in c.held_at.items()],
         "coefficients": replace(rows, rows=rows.rows[: 4 * MOST_ROWS]),
         "further_tables": [pair for one in annexes() for pair in one.coefficient_tables(data)],
         "skewed": report_text.skewed(chapter),

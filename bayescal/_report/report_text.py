@@ -14,7 +14,7 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import sources_of
-from bayescal._calibration.mixture import inclusion
+from bayescal._calibration.mixture import has_effect
 from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.summary import (
     curve_extent,
@@ -131,10 +131,10 @@ def files(chapter: Chapter) -> ResultTable:
 
 def coefficients(chapter: Chapter) -> ResultTable:
     """Coefficients, then hyperparameters: k = 2 interval and 95 % credible interval, apart."""
-    untold, shares = coefficients_not_measured(chapter.used), inclusion(chapter.used)
+    untold = coefficients_not_measured(chapter.used)
 
     def row(r: dict[str, Any]) -> dict[str, Any]:
-        mean, sd, likely = r["mean"], r["sd"], shares.get(r["effect"], 1.0)
+        mean, sd, likely = r["mean"], r["sd"], r["probability"]
         held = not sd > 1e-9 * abs(mean)
         note = " (held)" * held + " (mostly its prior)" * (r["name"] in untold)
         note += f" (probability {probability(likely)})" * (likely < 1)
@@ -489,12 +489,15 @@ def _extent(c: Calibration, effect: Effect) -> str:
 
 
 def _size(c: Calibration, effect: Effect) -> str:
-    """Of the largest coefficient, where there are several; of one for each member, from the least to the largest."""
-    found = []
+    """Of the largest coefficient, where there are several; of one for each member, from the least to the largest.
+
+    In an average over structures given that the effect is there.
+    """
+    found, there = [], has_effect(c, effect.name)
     for i, one in enumerate(effect.coefficients):
         name, unit = effect.coefficient_name(i), unit_label(one.unit)
         between = f"{name}.group_sd"
-        draws = c.samples(between if one.per and between in c.posterior.data_vars else name)
+        draws = c.samples(between if one.per and between in c.posterior.data_vars else name)[there]
         mean, sd = draws.mean(axis=0), draws.std(axis=0)
         if draws.ndim > 1:
             ends = (number(float(v), 2) for v in (mean.min(), mean.max()))
@@ -515,7 +518,7 @@ def _shape(c: Calibration, effect: Effect, name: str) -> str:
     fixed = dict(c.model.fixed).get(effect.shape_name(shape))
     if fixed is not None:
         return f"{number(fixed)} {unit_label(shape.unit)}".rstrip()
-    draws = c.samples(effect.shape_name(shape))
+    draws = c.samples(effect.shape_name(shape))[has_effect(c, effect.name)]
     return (
         f"{with_error(float(draws.mean()), float(draws.std()))} {unit_label(shape.unit)}".rstrip()
     )

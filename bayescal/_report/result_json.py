@@ -41,6 +41,7 @@ OF_NOISE = {
     **{"white": "white", "correlated": "correlated", "diffusion": "diffusion"},
     **{"tau": "correlated.time", "slope": "slope", "curvature": "curvature", "freedom": "freedom"},
 }
+AVERAGED = ("probability", "mean", "sd", "interval95")  # of an unknown, over structures
 FORMER = "bayescal.result/1"  # of 0.2.0, where `hyperparameters` were `spreads`
 PACKAGES = (
     "bayescal",
@@ -59,9 +60,10 @@ def result(trail: SearchPath) -> dict[str, Any]:
     final = trail.final.calibration
     coefficients, hyperparameters = summary(final)
     averaged = () if trail.average is None else chain(*summary(trail.average))
-    known = {r["name"]: {k: r[k] for k in ("mean", "sd", "interval95")} for r in averaged}
+    known = {r["name"]: {k: r[k] for k in AVERAGED} for r in averaged}
     for row in (*coefficients, *hyperparameters):
         row["averaged"] = known.get(row["name"])
+        del row["probability"]  # one, of a single structure
     found: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "allan", "missing")}
     for i, step in enumerate(trail.steps):
         found["check"] += [{"step": i, **row} for row in step.check.data()]
@@ -81,7 +83,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
             "method": final.method,
             "seed": final.seed,
             "versions": versions(),
-            "reference": final.reference,
+            "reference": {**final.reference, **final.hold_at},
             "fixed": dict(final.model.fixed),
             "settings": unusual(),
             "readings": {**_source(final.readings), "groups": _groups(final.readings)},
@@ -94,7 +96,10 @@ def result(trail: SearchPath) -> dict[str, Any]:
             },
             "other_path": None
             if trail.other_path is None
-            else {**as_json(trail.other_path), "in_words": str(trail.other_path)},
+            else {
+                **{k: v for k, v in as_json(trail.other_path).items() if k != "correlated"},
+                "in_words": str(trail.other_path),
+            },
             "search": search_data(trail),
             "steps": [step_data(s) for s in trail.steps],
             **found,

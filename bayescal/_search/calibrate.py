@@ -561,4 +561,5 @@ def _other_path(structures: Structures) -> OtherPath | None:
     if other.structure.effects == best.structure.effects:
         return None
     law, effects = other.problem.noise, tuple(sorted(other.structure.effects))
-    return OtherPath(law.name, effects, other.total - best.total, law.in_words)
+    correlated = law.independent != best.problem.noise.independent
+    return OtherPath(law.name, effects, other.total - best.total, law.in_words, correlated)

@@ -8,7 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayescal._calibration.claim import Claim, as_kept, distinct
-from bayescal._calibration.judgement import CORRELATED_SD, of_noise, of_thermometers, surprising
+from bayescal._calibration.judgement import (
+    CORRELATED_SD,
+    WITHIN_RUNS_SHARE,
+    of_noise,
+    of_thermometers,
+    surprising,
+)
 from bayescal._calibration.leave_group_out import FEW_IN_GROUP, scheme
 from bayescal._core.settings import settings
 from bayescal._model.unknown_effect import FREED, JUMP
@@ -208,7 +214,31 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[Claim]:
     if (best := holdout_better(last, earlier)) and best.holdout_rmse and last.holdout_rmse:
         errors = {"then": best.holdout_rmse, "now": last.holdout_rmse, "unit": unit}
         reasons.append(Claim(WORSE, what="the hold-out data", step=best.title, **errors))
-    return [*reasons, *surprising(last.left_out), *_contradicted(last)]
+    return [*reasons, *surprising(last.left_out), *_runs_apart(last), *_contradicted(last)]
+
+
+def _runs_apart(step: Step) -> list[Claim]:
+    """Runs that stand apart, each predicted from the others, all along, by what the model has no name for.
+
+    The state in which a run begins, a noise that wanders or a step between runs takes up any such difference. A
+    deviation from run to run is a name for it, with a spread that a new run is predicted with.
+    """
+    out, calibration = step.left_out, step.calibration
+    if out is None or out.group != "run" or not np.isfinite(out.residual).all():
+        return []
+    if any(
+        b.coefficient.group_sd and b.coefficient.part != "start" for b in calibration.layout.blocks
+    ):
+        return []
+    _, codes = calibration.readings.groups("run")
+    means = np.bincount(codes, out.residual) / np.bincount(codes)
+    within = out.residual - means[codes]
+    if np.sum(within**2) >= WITHIN_RUNS_SHARE * np.sum(out.residual**2):
+        return []
+    # A run is predicted from the mean of the others, from which it is further off than from the mean of all.
+    apart = float(np.ptp(means)) * (1 - 1 / out.count)
+    sizes = {"apart": apart, "within": float(np.sqrt(np.mean(within**2)))}
+    return [Claim("runs.unlike", **sizes, unit=calibration.unit)]
 
 
 def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:

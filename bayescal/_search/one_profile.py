@@ -6,7 +6,7 @@ lag and a warm-up are told apart by their forms alone, and a free curve of that 
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -53,18 +53,27 @@ def said_of_profiles(calibration: Calibration) -> list[Claim]:
     warm = [n for n in warm if n != "temperature_point" and repeated(readings, n)]
     if not (thermal and warm):
         return []
-    told = {"column": warm[0], "another": another_run(calibration, warm[0])}
+    told = {"column": warm[0], "another": another_run(calibration, warm[:1])}
     return [Claim("profile.one", *(e.name for e in thermal), **told)]
 
 
-def another_run(calibration: Calibration, column: str) -> str:
-    """The run that would tell most: the range from the other side, at the record's fastest rate, with dwells."""
-    readings = calibration.readings
+def another_run(calibration: Calibration, columns: Sequence[str]) -> str:
+    """The run that would tell most: the range from the other side, at the record's fastest rate, with dwells.
+
+    Readings at the temperatures of a stepped test show no rate between them: none is said then.
+    """
+    readings, (column, *others) = calibration.readings, columns
+    if others or column not in calibration.frame.rates:
+        return f"Vary {' and '.join(columns)} otherwise in another run."
     values, rates = readings[column], np.abs(np.asarray(calibration.frame.rates[column]))
-    begins = float(np.median([values[codes][0] for codes in _rows_of_runs(readings)]))
+    runs = _rows_of_runs(readings)
+    begins = float(np.median([values[rows][0] for rows in runs]))
     low, high = float(values.min()), float(values.max())
     ends = (low, high) if abs(begins - low) > abs(begins - high) else (high, low)
-    pace = 60.0 * float(np.quantile(rates[rates > 0], 0.95)) if np.any(rates > 0) else math.nan
+    pace = 60.0 * float(np.quantile(rates[rates > 0], 0.95)) if np.any(rates > 0) else 0.0
+    mean = max(
+        60.0 * np.ptp(values[rows]) / (np.ptp(readings["time"][rows]) or 1.0) for rows in runs
+    )
     taus = [
         float(np.mean(calibration.samples(e.shape_name(s))))
         for e in calibration.model.effects
@@ -74,7 +83,7 @@ def another_run(calibration: Calibration, column: str) -> str:
     dwell = (
         f", a dwell of {number(DWELL_LAGS * max(taus) / 60.0, 2)} min at either end" if taus else ""
     )
-    ramp = f"ramps of {number(pace, 2)} °C/min" if math.isfinite(pace) else "ramps"
+    ramp = f"ramps of {number(pace, 2)} °C/min" if pace > 0.9 * mean else "ramps"
     return (
         f"One run of another profile would tell: from {number(ends[0], 3)} to {number(ends[1], 3)} °C and back, "
         f"{ramp}{dwell}."

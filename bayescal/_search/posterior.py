@@ -199,12 +199,14 @@ class OtherPath:
         in_words: the same.
         added: what was added under it.
         log_bayes_factor: of that end against the trail's own, natural logarithm; negative.
+        correlated: whether one of the two laws alone is correlated in time.
     """
 
     noise: str
     added: tuple[str, ...]
     log_bayes_factor: float
     in_words: str
+    correlated: bool = False
 
     def __str__(self) -> str:
         what = " and ".join(self.added) if self.added else "nothing"
@@ -212,7 +214,7 @@ class OtherPath:
             f"The runner-up model is nearly as probable: noise law {self.in_words}, with {what} added (log "
             f"Bayes factor {self.log_bayes_factor:.1f})"
         )
-        if self.in_words not in ("white", "Ornstein–Uhlenbeck"):
+        if not self.correlated:
             return f"{said}. A repeat of the campaign would decide."
         return (
             f"{said}: a dependence on time can look like correlated noise, and correlated noise like an effect. A "

@@ -230,9 +230,12 @@ class SearchPath(Printed):
         lines = steps_parts(self.rows)
         found = [n for n, p in self.added.items() if p is not None]
         sure = [n for n in found if (self.added[n] or 0.0) >= settings().found_probability]
-        likely = [f"{n} ({probability(self.added[n])})" for n in found if n not in sure]
+        rest = {n: probability(self.added[n]) for n in found if n not in sure}
+        likely = [f"{n} ({p})" for n, p in rest.items() if (self.added[n] or 0.0) > 0.5]
+        others = [f"{n} ({p})" for n, p in rest.items() if not (self.added[n] or 0.0) > 0.5]
         lines += [f"found: {', '.join(sure)}"] if sure else []
         lines += [f"more probable than not: {', '.join(likely)}"] if likely else []
+        lines += [f"in the model shown, one of several: {', '.join(others)}"] if others else []
         return lines
 
     @property

@@ -19,9 +19,11 @@ import numpy as np
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim
+from bayescal._data.time_in_runs import run_codes
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model import unknown_effect
 from bayescal._model.effect import Effect
+from bayescal._search.one_profile import another_run
 
 # Share of a term's squares that what was added leaves to it, below which its variance grows tenfold (a variance
 # inflation factor of 10: D. Belsley, E. Kuh and R. Welsch, Regression Diagnostics, 1980).
@@ -43,6 +45,8 @@ class TakenOver(NamedTuple):
         left: of its squares beside the first model's others, what these leave.
         moved: of its coefficient, former standard uncertainties.
         kept: its coefficient, in parts of what it was.
+        runs: how many runs the readings have.
+        another: the run that would tell.
     """
 
     term: Effect
@@ -50,6 +54,8 @@ class TakenOver(NamedTuple):
     left: float
     moved: float
     kept: float
+    runs: int
+    another: str
 
     @property
     def measured(self) -> bool:
@@ -85,6 +91,7 @@ class TakenOver(NamedTuple):
         if self.measured:
             return Claim("term.confounded", self.term.name, **told)
         code = "term.replaced" if self.kept < CORRECTED_SHARE else "term.replaceable"
+        told |= {"cure": "runs" if self.runs > 1 else "one run", "another": self.another}
         return Claim(code, self.term.name, **told, kept=self.kept, moved=self.moved)
 
 
@@ -104,7 +111,7 @@ def taken_over(first: Calibration, last: Calibration) -> list[TakenOver]:
             continue
         by = [e for e in added if not _own_columns(e) & _own_columns(term)]
         if by:
-            found.append(_followed(term, by, first.linear, last.linear))
+            found.append(_followed(term, by, first, last))
     return sorted(found, key=lambda one: -one.moved)
 
 
@@ -116,8 +123,9 @@ def _own_columns(effect: Effect) -> set[str]:
 
 
 def _followed(
-    term: Effect, by: Sequence[Effect], first: LinearModel, last: LinearModel
+    term: Effect, by: Sequence[Effect], before: Calibration, after: Calibration
 ) -> TakenOver:
+    first, last = before.linear, after.linear
     own = np.array([owner == term.name for owner in last.owners])
     theirs = np.isin(last.owners, [e.name for e in by])
     others = np.isin(last.owners, first.owners) & ~own
@@ -129,7 +137,9 @@ def _followed(
     )
     (m0, s0), (m1, _) = _coefficient(first, term.name), _coefficient(last, term.name)
     kept = abs(m1) / abs(m0) if m0 else np.inf
-    return TakenOver(term, tuple(by), beside / max(without, 1e-300), abs(m1 - m0) / s0, kept)
+    left, moved = beside / max(without, 1e-300), abs(m1 - m0) / s0
+    runs = len(run_codes(after.readings)[0]) if after.readings.has("time") else 1
+    return TakenOver(term, tuple(by), left, moved, kept, runs, another_run(after, term.varies))
 
 
 def _coefficient(line: LinearModel, name: str) -> tuple[float, float]:

@@ -302,7 +302,7 @@ def provenance_of(
         k: float(v)
         for k, v in calibration.reference.items()
         if not isinstance(v, dict) and not k.endswith(("_low", "_high"))
-    }
+    } | calibration.hold_at
     said = why_not(calibration)
     unreliable = (f"{NOT_RELIABLE}{said}",) if said else ()
     return Provenance(

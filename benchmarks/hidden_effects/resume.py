@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
+import random
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
-from benchmarks.record import add_line, measured
+from benchmarks.record import add_line, cases_of, core, measured
 
 SECONDS = 3300.0  # of one instrument's part, unless BAYESCAL_SECONDS says otherwise
 T = TypeVar("T")
@@ -30,6 +32,9 @@ def go_on(
 ) -> None:
     """Measure the cases that have no row yet, a line each; after `SECONDS`, or at BAYESCAL_UNTIL, say so and stop.
 
+    Of a release only until BAYESCAL_SAMPLE rows stand, of cases drawn at random, others for every code; those that have
+    a row of an older code first.
+
     Args:
         path: of the file.
         fields: of a row, that tell cases apart.
@@ -40,6 +45,12 @@ def go_on(
     begun, done = time.time(), measured(path, fields)
     end = begun + float(os.environ.get("BAYESCAL_SECONDS", SECONDS))
     end = min(end, float(os.environ.get("BAYESCAL_UNTIL", "inf")))  # of the epoch, as `begun` is
+    if sample := int(os.environ.get("BAYESCAL_SAMPLE", 0)):
+        drawn = list(cases)
+        random.Random(core()).shuffle(drawn)
+        known = cases_of(path, fields)
+        drawn.sort(key=lambda case: case[0] not in known)
+        cases = islice((c for c in drawn if c[0] not in done), max(0, sample - len(done)))
     missing = (case for key, case in cases if key not in done and time.time() < end)
     for row, told in _measured(missing, measure, workers):
         add_line(path, row, fields)

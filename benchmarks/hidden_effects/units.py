@@ -46,9 +46,12 @@ NOISES = ("white", "ornstein_uhlenbeck", "random_walk")
 def main() -> None:
     """Measure the units that are missing, and render the page."""
     go_on_by_seed(PATH, range(FIRST_SEED, FIRST_SEED + UNITS), measure)
-    rows = read_lines(PATH)
-    if rows:
-        (DOCS / "units.md").write_text(page(rows), encoding="utf-8")
+    render()
+
+
+def render() -> None:
+    """Render the page from the rows that stand."""
+    (DOCS / "units.md").write_text(page(read_lines(PATH)), encoding="utf-8")
 
 
 def measure(seed: int) -> tuple[dict[str, Any], str]:

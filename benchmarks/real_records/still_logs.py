@@ -44,7 +44,12 @@ def main() -> None:
                 print(f"still_logs: {name}", flush=True)
                 results["channels"][name] = measure(path, channel)
                 write("still_logs", results)
-    still_logs_page.write(LOGS, results["channels"])
+    render()
+
+
+def render() -> None:
+    """Render the page from the results that stand."""
+    still_logs_page.write(LOGS, read("still_logs")["channels"])
 
 
 def measure(path: Path, channel: str) -> dict[str, Any]:

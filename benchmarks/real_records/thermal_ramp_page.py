@@ -143,7 +143,7 @@ def _table(channels: dict[str, Any], split: str) -> str:
     head = [
         *("channel", "added, in order", "noise", "fitted error", "held-out error"),
         *("in the record", "with the noise's state", "in 95 % intervals", "floor", "evidence"),
-        *("trusted", "CPU time"),
+        *("trusted", "time (of the processor)"),
     ]
     rows = []
     for name, splits in channels.items():

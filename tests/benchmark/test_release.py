@@ -1,4 +1,4 @@
-"""What is stated was measured: a sentence of a page against its rows, and rows against the last whole release."""
+"""What is stated was measured: a sentence of a page against its rows, and rows against the last release."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks import record, release
-from benchmarks.release import HEADLINE, older_than_the_last
+from benchmarks.hidden_effects import resume
+from benchmarks.release import Part, older_than_the_last
 from benchmarks.stated import Stated, otherwise_than
 
 
@@ -20,17 +21,46 @@ def test_a_figure_that_was_altered_is_named() -> None:
     assert otherwise_than(one, "nothing").endswith("nothing of it")
 
 
-def test_rows_older_than_the_last_whole_release_are_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for module in (record, release):
         monkeypatch.setattr(module, "RESULTS", tmp_path)
+    for module in (record, release, resume):
         monkeypatch.setattr(module, "core", lambda: "new")
-    part = HEADLINE[0].name
-    for case, core in enumerate(("old", "released", "new")):
-        record.add_line(tmp_path / f"{part}.jsonl", {"case": case, "core": core})
-    assert older_than_the_last() == [], "no release was measured whole"
-    record.write("release", {"of": "released", "rows": {part: 3}})
+    return tmp_path
+
+
+def test_rows_older_than_the_last_release_are_named(results: Path) -> None:
+    part = Part("own_unit", 3)
+    for case, core in enumerate(("old", "released", "released", "new")):
+        record.add_line(results / "own_unit.jsonl", {"case": case, "core": core, "seconds": 1800.0})
+    assert older_than_the_last() == [], "nothing was released"
+    record.write("release", {"of": "released", "rows": {}})
     (said,) = older_than_the_last()
-    assert said.startswith(f"{part}: 1 rows are older than the last release")
-    assert release.rows_of(HEADLINE[0])[:2] == (3, 2)
+    assert said.startswith("own_unit: 1 rows more"), "3 of the 4 suffice to a sample of 12 of them"
+    assert release.left(part) == (4, 1, 2, 1.0)
+    assert release.left(part, every=True) == (4, 1, 3, 1.5)
+
+
+def test_a_release_draws_cases_and_says_how_many_came_out_as_before(
+    results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = results / "own_unit.jsonl"
+    for seed in range(40):
+        record.add_line(file, {"seed": seed, "final": ["lag"], "core": "old"})
+    monkeypatch.setenv("BAYESCAL_ANEW", "1")
+    monkeypatch.setenv("BAYESCAL_SAMPLE", "10")
+    for _ in range(2):  # once more measures nothing more
+        resume.go_on_by_seed(
+            file, range(80), lambda seed: ({"seed": seed, "final": ["lag"] * (seed % 2)}, "")
+        )
+    rows = record.read_lines(file)
+    anew = [row for row in rows if row["core"] == "new"]
+    assert len(rows) == 40 and len(anew) == 10, "of cases that have a row, before others"
+    assert sorted(row["seed"] for row in anew) != list(range(10)), "drawn, not the first"
+    same = sum(row["before"]["same"] for row in anew)
+    assert same == sum(row["seed"] % 2 for row in anew)
+    assert f"Of 10 measured anew {same} came out as before" in record.cores_of(rows)
+    assert release.outcome(Part("own_unit", 10)) == {
+        "rows": 40, "of it": 10, "anew": 10, "as before": same,
+    }  # fmt: skip

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models import inclinometer
+from bayescal._cli.output import fit_data
+from bayescal_models import inclinometer, mems_gyro
 from bayescal_models.inclinometer import model, reference_problem
 from bayescal_models.inclinometer.campaign import Accelerometer, Campaign
 from bayescal_models.inclinometer.simulator import WARM_UP_TIME
@@ -207,3 +209,18 @@ def test_a_population_of_devices_is_learned() -> None:
     )
     assert 18 < spread < 60
     assert 0.25 < slope < 0.8
+
+
+def test_a_reference_voltage_is_stated_wherever_the_temperature_is(tmp_path: Path) -> None:
+    """In V, beside T0: an effect counts the supply from the middle of its range."""
+    readings = mems_gyro.simulate({}, seed=3)
+    volts = 5.0 + 0.02 * np.sin(np.arange(len(readings)))
+    volts[:2] = 4.9465, 5.0245
+    readings = readings.with_column("supply_voltage", volts, "V")
+    model, quick = mems_gyro.INSTRUMENT.baseline(), bc.LeastSquares(draws=100)
+    assert "V0" not in bc.fit(model, readings, quick).hold_at
+    found = bc.fit(model + "bias.supply", readings, quick)
+    assert f"constants hold at T0 = {found.hold_at['T0']:g} °C, V0 = 4.9855 V" in str(found)
+    assert fit_data(found)["reference"]["V0"] == pytest.approx(4.9855)
+    bc.compensator(found).export(tmp_path / "gyro.h")
+    assert "V0 = 4.9855" in (tmp_path / "gyro.h").read_text()

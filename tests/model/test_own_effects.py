@@ -129,6 +129,6 @@ def test_an_effect_in_a_wrong_unit_is_asked_about(size: float, shown: bool) -> N
             assert re.search(
                 r"at most \S+ °/s at its plausible size, where the noise is 0\.\d+ °/s", words
             )
-            assert "check the unit of its basis" in words
+            assert "check the units of the output" in words and "unit of its basis" in words
     for result in (with_it, found):
         assert ("unit? bias.damp contributes" in str(result)) == shown

@@ -14,6 +14,7 @@ import bayescal as bc
 from bayescal._calibration import guards
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.guards import conflicts
+from bayescal._calibration.leave_group_out import leave_one_group_out
 from bayescal._search.gate import gate, in_one_order
 from bayescal.effects import deviation
 from bayescal_models import mems_gyro, ng_accelerometer, quartz_beam_accelerometer
@@ -364,6 +365,27 @@ def test_a_step_between_runs_shuts_the_gate_and_one_within_a_run_does_not(betwee
     assert found.ok is not between, found.reason
     if between:
         assert re.match(r"Runs stand (4\.9|5)\S* °/s apart \(unknown\(time, jump\)", found.reason)
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_readings_of_two_devices_shut_the_gate_where_no_spread_has_a_name(named: bool) -> None:
+    """A noise that wanders takes up how far they are apart, and so does the state in which a run begins."""
+    readings = mems_gyro.simulate({}, seed=1, campaign=mems_gyro.Campaign(average=60))
+    model = INSTRUMENT.for_readings(readings).baseline().with_noise(bc.OrnsteinUhlenbeck(60.0, 1e5))
+    model += "bias.run" if named else "bias.thermal_lag"
+
+    def judged(apart: float):
+        other = readings["run"] == np.unique(readings["run"])[-1]
+        mixed = readings.with_column("output", readings["output"] + apart * other)
+        fitted = bc.fit(model, mixed, bc.LeastSquares(draws=200), strict=False)
+        return gate(steps(fitted, {}, {"left_out": leave_one_group_out(fitted)}))
+
+    found = judged(4.0)
+    assert ("runs.unlike" in {one.code for one in found.claims}) is not named, found.reason
+    if not named:
+        apart = re.search(r"all along: (\S+) °/s between runs", found.reason)
+        assert apart and float(apart[1]) == pytest.approx(4.0, abs=0.5)
+        assert "runs.unlike" not in {one.code for one in judged(0.0).claims}
 
 
 def test_an_input_of_the_wrong_sign_is_no_missing_effect() -> None:

@@ -117,6 +117,17 @@ def test_coefficients_are_printed_as_they_leave(trail, average) -> None:
     text, whole = screen_of(trail), screen_of(trail, verbose=True)
     assert "averaged over bias.hysteresis" in text and "--structure best" in text
     assert "STRUCTURES" in whole and "bias.run.group_sd" in whole
+    added = next(r for r in result_of(trail)["coefficients"] if r["effect"] == "bias.hysteresis")
+    draws = average.samples(added["name"])
+    there = draws != 0
+    assert 0.2 < there.mean() < 0.6, "another effect stands for it in the other draws"
+    known = added["averaged"]
+    assert known["probability"] == pytest.approx(there.mean(), abs=0.01)
+    assert known["mean"] == pytest.approx(draws[there].mean(), rel=1e-2)
+    assert abs(known["mean"]) > 2 * known["sd"], "no smaller for that"
+    assert f"{added['name']} ({known['probability']:.2f})" in text
+    low, high = row["interval95"]
+    assert ("interval hardly" in text) == (high - low < 2.4 * row["sd"])
     assert "bias.run" not in text.partition("COEFFICIENTS")[2].partition("IN SHORT")[0]
 
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal._search import search_path
 from bayescal._search.calibrate import step_of
 from bayescal._search.gate import gate, judged
+from bayescal._search.one_profile import another_run
+from bayescal._search.posterior import OtherPath
 from bayescal._search.taken_over import taken_over
 from bayescal_models import mems_gyro, still_sensor
 
@@ -72,6 +77,33 @@ def test_what_has_no_name_and_repeats_as_the_profile_does_is_confounded_with_it_
     (found,) = taken_over(*fits(readings, "unknown(elapsed)"))
     assert found.confounded and not found.measured
     assert found.claim.code == "term.replaceable"
+    said = str(found.claim)
+    assert "in the model without unknown(elapsed)" in said and "in one run?" in said
+    assert "One run of another profile would tell: from" in said
+    alone = str(found._replace(runs=1).claim)
+    assert "longer than the run?" in alone and "in one run?" not in alone
+
+
+def test_a_stepped_test_gives_no_pace_of_its_ramps() -> None:
+    """Between its readings the temperature goes faster than any rate that they show."""
+    ramped, _ = of_a_bad_thermometer()
+    assert "°C/min" in another_run(ramped, ["temperature"])
+    assert another_run(ramped, ["temperature", "input"]).startswith("Vary temperature and input")
+    rates = {"temperature": 1e-3 * ramped.frame.rates["temperature"]}
+    stepped = SimpleNamespace(
+        readings=ramped.readings,
+        frame=SimpleNamespace(rates=rates),
+        model=ramped.model,
+        samples=ramped.samples,
+        posterior=ramped.posterior,
+    )
+    assert "°C/min" not in another_run(stepped, ["temperature"])  # pyright: ignore[reportArgumentType]
+
+
+def test_only_laws_of_which_one_is_correlated_are_told_apart_as_such() -> None:
+    white = OtherPath("white", ("bias.drift",), -0.3, "white")
+    assert "correlated" not in str(white)
+    assert "correlated noise differs" in str(replace(white, correlated=True))
 
 
 def test_a_cause_that_is_confounded_with_a_term_is_a_note() -> None:
@@ -158,3 +190,16 @@ def test_a_group_of_one_reading_says_nothing() -> None:
     readings = still_sensor.simulate(seed=6, interval=300)
     single = readings.with_column("run", np.arange(len(readings)).astype(str))
     assert np.isnan(left_out(fits(single)[0]).surprise).all()
+
+
+def test_an_effect_below_one_half_is_not_called_more_probable_than_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(search_path, "steps_parts", lambda rows: [])
+    added = {"bias.run": 0.99, "bias.warm_up": 0.7, "bias.drift": 0.28, "unknown(elapsed)": None}
+    path: Any = SimpleNamespace(rows=[], added=added)
+    assert search_path.SearchPath._parts(path) == [
+        "found: bias.run",
+        "more probable than not: bias.warm_up (0.70)",
+        "in the model shown, one of several: bias.drift (0.28)",
+    ]

@@ -252,8 +252,8 @@ def _covered(calibration: Calibration, local_gravity: float) -> Iterator[tuple[s
 
 
 def _quantities(calibration: Calibration, local_gravity: float) -> Iterator[tuple[str, Real]]:
-    for name, value in calibration.hold_at.items():
-        yield f"{name}, at which constants hold", real(value, "degC", local_gravity)
+    for name, (value, unit) in calibration.held_at.items():
+        yield f"{name}, at which constants hold", real(value, unit, local_gravity)
     coefficients, hyperparameters = summary(calibration)
     untold = coefficients_not_measured(calibration)
     for row in coefficients:
