@@ -44,18 +44,18 @@ class Part(NamedTuple):
 
 PLANNED = ("--workers", "2")
 HEADLINE = (
-    Part("ordinary_test", 30, ("--count", "60", "--readings", "200", "1600", *PLANNED)),
-    Part("good_records", 30, ("--count", "60", *PLANNED)),
+    Part("ordinary_test", 24, ("--count", "60", "--readings", "200", "1600", *PLANNED)),
+    Part("good_records", 24, ("--count", "60", *PLANNED)),
     Part("own_unit", 12, ("--count", "12", *PLANNED)),
     Part("no_family", 12, ("--count", "21", *PLANNED)),
-    Part("hidden_effects", 100),
-    Part("false_discoveries", 50),
-    Part("units", 16),
-    Part("dividing_head", 60),
-    Part("triad_coverage", 60),
-    Part("triads", 200),
-    Part("gauntlet", 60),
-    Part("wrong_model", 30),
+    Part("hidden_effects", 70),
+    Part("false_discoveries", 30),
+    Part("units", 12),
+    Part("dividing_head", 40),
+    Part("triad_coverage", 40),
+    Part("triads", 120),
+    Part("gauntlet", 40),
+    Part("wrong_model", 20),
 )
 
 
