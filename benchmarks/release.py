@@ -50,12 +50,12 @@ HEADLINE = (
     Part("no_family", 12, ("--count", "21", *PLANNED)),
     Part("hidden_effects", 70),
     Part("false_discoveries", 30),
-    Part("units", 12),
+    Part("units", 2),
     Part("dividing_head", 40),
-    Part("triad_coverage", 40),
-    Part("triads", 120),
-    Part("gauntlet", 40),
-    Part("wrong_model", 20),
+    Part("triad_coverage", 20),
+    Part("triads", 60),
+    Part("gauntlet", 20),
+    Part("wrong_model", 10),
 )
 
 

@@ -14,6 +14,11 @@ from bayescal_models import mems_gyro
 from benchmarks.hidden_effects.drawn import by_law as drawn_by_law
 from benchmarks.hidden_effects.searched import noise_of
 
+# Three axes and the dividing head have banks of their own: `triads.py`, `dividing_head.py`.
+INSTRUMENTS = (
+    *("ng_accelerometer", "mems_gyro", "quartz_beam_accelerometer"),
+    *("differential_pair", "inclinometer", "still_sensor"),
+)
 SIZES = (1 / 3, 3.0)  # of the plausible size
 # Campaigns of each kind for each instrument; single: times each candidate; several: only where there is a long one.
 COUNTS = {

@@ -21,8 +21,7 @@ import numpy as np
 
 import bayescal as bc
 from bayescal._data.time_in_runs import run_codes
-from bayescal_models import INSTRUMENTS
-from benchmarks.hidden_effects.bank import instrument_named
+from benchmarks.hidden_effects.bank import INSTRUMENTS, instrument_named
 from benchmarks.hidden_effects.resume import chosen, go_on
 from benchmarks.hidden_effects.searched import Searched, noise_of
 from benchmarks.intervals import proportion

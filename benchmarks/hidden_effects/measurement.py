@@ -28,9 +28,9 @@ from bayescal._model.summed_noise import OrnsteinUhlenbeck
 from bayescal._search.calibrate import _other_path
 from bayescal._search.scores import View
 from bayescal._search.structures import Structure
-from bayescal_models import INSTRUMENTS
 from benchmarks.hidden_effects import page
 from benchmarks.hidden_effects.bank import (
+    INSTRUMENTS,
     OUTSIDE,
     Case,
     by_law,
