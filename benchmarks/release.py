@@ -54,7 +54,7 @@ HEADLINE = (
     Part("dividing_head", 40),
     Part("triad_coverage", 20),
     Part("triads", 60),
-    Part("gauntlet", 20),
+    Part("gauntlet", 6),
     Part("wrong_model", 10),
 )
 
