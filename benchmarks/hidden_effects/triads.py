@@ -96,8 +96,8 @@ def summarise() -> None:
         for name in (*PLANS, "all")
     }
     write("triads", summary)
-    for name, counts in summary.items():
-        print(f"{name:20s} {counts}")
+    for name, count in summary.items():
+        print(f"{name:20s} {count}")
 
 
 def counts(rows: list[dict[str, Any]]) -> dict[str, Any]:
