@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import record, release
-from benchmarks.hidden_effects import resume
+from benchmarks.hidden_effects import resume, triads
 from benchmarks.release import Part, older_than_the_last
 from benchmarks.stated import Stated, otherwise_than
 
@@ -64,3 +64,15 @@ def test_a_release_draws_cases_and_says_how_many_came_out_as_before(
     assert release.outcome(Part("own_unit", 10)) == {
         "rows": 40, "of it": 10, "anew": 10, "as before": same,
     }  # fmt: skip
+
+
+def test_counts_of_three_axes_are_summed_up(
+    results: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(triads, "RESULTS", results)
+    row = {"instrument": "gyro_triad", "hidden": {"square.constant": 1.0}, "oracle": 20.0}
+    row |= {"final": ["square.constant"], "sets": [], "seconds": 2.0}
+    record.add_line(results / "triads.jsonl", row)
+    triads.summarise()
+    assert record.read("triads")["all"]["found where the oracle is above 15"].startswith("1/1")
+    assert "gyro_triad" in capsys.readouterr().out
