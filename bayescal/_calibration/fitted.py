@@ -150,17 +150,14 @@ class Fitted:
         low, high = (self.reference.get(f"{column}_{end}") for end in ("low", "high"))
         if column == "time" or not (isinstance(low, float) and isinstance(high, float)):
             return None
-        middle, rows = (
-            0.5 * (low + high),
-            np.unique(np.linspace(0, len(self.readings) - 1, 8, dtype=int)),
-        )
+        middle = 0.5 * (low + high)
+        rows = np.unique(np.linspace(0, len(self.readings) - 1, 8, dtype=int))
         few = self.frame.reordered(rows, np.arange(len(rows)), self.frame.step[rows])
 
         def acts(effect: Effect, at: float) -> bool:
             shapes = {s.name: s.low for s in effect.column_shapes}
-            return bool(
-                np.any(effect.evaluate(few.with_column(column, np.full(len(rows), at)), shapes))
-            )
+            there = few.with_column(column, np.full(len(rows), at))
+            return bool(np.any(effect.evaluate(there, shapes)))
 
         by = [e for e in self.model.effects if column in e.columns and not e.is_placeholder]
         counted = middle != 0 and any(acts(e, high) and not acts(e, middle) for e in by)

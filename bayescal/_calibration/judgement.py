@@ -225,20 +225,27 @@ def _left_over(calibration: Calibration, check: Check, missing: Mapping[str, str
 
 def _between_runs(calibration: Calibration) -> list[Claim]:
     """A function of time that only tells runs apart: of which of them a new run would be is not known."""
-    _, codes = calibration.readings.groups("run")
     for name in calibration.model.names:
         if covariate_in(name) not in IN_TIME:
             continue
         added = calibration.linear.contribution(name)
-        means = np.bincount(codes, added) / np.bincount(codes)
-        # Squares about the runs' means against all squares: next to none within runs means that the function does
-        # nothing but tell runs apart.
-        if np.sum((added - means[codes]) ** 2) < WITHIN_RUNS_SHARE * np.sum(
-            (added - added.mean()) ** 2
-        ):
+        means, within = of_runs(calibration, added)
+        if only_between_runs(added - added.mean(), within):
             apart = float(np.ptp(means))
             return [Claim("runs.apart", name, apart=apart, unit=calibration.unit)]
     return []
+
+
+def of_runs(calibration: Calibration, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The mean of each run, and what a value of each reading is more than its run's."""
+    _, codes = calibration.readings.groups("run")
+    means = np.bincount(codes, values) / np.bincount(codes)
+    return means, values - means[codes]
+
+
+def only_between_runs(values: np.ndarray, within: np.ndarray) -> bool:
+    """Whether values do nothing but tell runs apart: next to none of their squares are those within runs."""
+    return bool(np.sum(within**2) < WITHIN_RUNS_SHARE * np.sum(values**2))
 
 
 def _of_scatter(check: Check) -> list[Claim]:

@@ -64,10 +64,9 @@ def unknowns_parts(
         )
     if at := [f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.held_at.items()]:
         lines.append("constants hold at " + ", ".join(at))
-    if given := [
-        *filter(None, (if_there(s) for s in summary(calibration)[0] if s["name"] in rows))
-    ]:
-        lines.append("if it is there: " + ", ".join(given))
+    given = (if_there(s) for s in summary(calibration)[0] if s["name"] in rows)
+    if said := ", ".join(filter(None, given)):
+        lines.append(f"if it is there: {said}")
     return [shown, *(textwrap.fill(line, WIDTH) for line in lines)]
 
 
@@ -205,8 +204,8 @@ def summary(calibration: Fitted) -> tuple[list[dict[str, Any]], list[dict[str, A
         prior = None if c.flat or learned else c.size
         values = calibration.samples(b.name).reshape(-1, b.size).T
         for name, own in zip(b.member_names(levels), values, strict=True):
-            row = _row(name, b.effect.name, c.unit, own, prior, there[b.effect.name])
-            coefficients.append(row)
+            effect = b.effect.name
+            coefficients.append(_row(name, effect, c.unit, own, prior, there[effect]))
     for h in (h for h in layout.hypers if h.kind != "promoted"):
         effect = "noise" if h.kind == "noise" else h.name.rpartition(".")[0]
         values = calibration.samples(h.name)

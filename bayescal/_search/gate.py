@@ -10,9 +10,10 @@ import numpy as np
 from bayescal._calibration.claim import Claim, as_kept, distinct
 from bayescal._calibration.judgement import (
     CORRELATED_SD,
-    WITHIN_RUNS_SHARE,
     of_noise,
+    of_runs,
     of_thermometers,
+    only_between_runs,
     surprising,
 )
 from bayescal._calibration.leave_group_out import FEW_IN_GROUP, scheme
@@ -230,10 +231,8 @@ def _runs_apart(step: Step) -> list[Claim]:
         b.coefficient.group_sd and b.coefficient.part != "start" for b in calibration.layout.blocks
     ):
         return []
-    _, codes = calibration.readings.groups("run")
-    means = np.bincount(codes, out.residual) / np.bincount(codes)
-    within = out.residual - means[codes]
-    if np.sum(within**2) >= WITHIN_RUNS_SHARE * np.sum(out.residual**2):
+    means, within = of_runs(calibration, out.residual)
+    if not only_between_runs(out.residual, within):
         return []
     # A run is predicted from the mean of the others, from which it is further off than from the mean of all.
     apart = float(np.ptp(means)) * (1 - 1 / out.count)

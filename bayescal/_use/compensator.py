@@ -46,9 +46,8 @@ from bayescal._use.operating_equation import (
 )
 
 Method = Literal["draws", "first order"]
-SETTLED = (
-    0.1  # of the standard uncertainty: half a percent of it, in the root of the sum of squares
-)
+# Of the standard uncertainty, that something may still move: half a percent of it, in the root of the sum of squares.
+SETTLED = 0.1
 
 
 @dataclass(frozen=True)
