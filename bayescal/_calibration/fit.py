@@ -76,6 +76,7 @@ def fit(
     model = sized(model, readings, record)
     layout, levels = bind(model, readings, reference=reference)
     problem = Problem(layout, record)
+    _refuse_lost(problem, readings)
 
     def run() -> Outcome:
         return method.run(problem, seed, start)
@@ -152,6 +153,20 @@ def _refuse_stuck(readings: Measurements) -> None:
             f"{readings.file}: the output is {largest:.3g} and changes by {np.ptp(output):.3g} only: too few of its "
             "digits are left to calculate with. Subtract a constant from it, or give the nominal zero"
         )
+
+
+def _refuse_lost(problem: Problem, readings: Measurements) -> None:
+    """A constant so far from where its prior has it that the square of that has no digits left for the noise."""
+    eps = float(np.finfo(float).eps)
+    for b in problem.layout.x_blocks:
+        at = slice(b.start, b.start + b.size)
+        sd = problem.sizes.plain[at] * problem.weight_of_x[at]
+        if b.origin and np.any(sd) and eps * (away := np.max(np.abs(b.mean) / sd)) * away > 1:
+            raise ModelError(
+                f"{readings.file}: the output stands {away:.2g} times the plausible size of {b.name} from its prior's "
+                "mean: too few digits are left to calculate with. Subtract a constant from it, give the nominal zero, "
+                "or look at the unit"
+            )
 
 
 def load(

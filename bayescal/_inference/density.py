@@ -21,7 +21,7 @@ from bayescal._inference.noise_on_record import (
     sloped_log_densities,
     variance,
 )
-from bayescal._inference.problem import SHIFT, Moved, Problem, Values, differences
+from bayescal._inference.problem import SHIFT, Problem, Values, differences
 from bayescal._inference.products import DEGREES, Axes, Polynomials, Products, basis_of
 from bayescal._model.composition import Linearised
 
@@ -264,53 +264,37 @@ class Density:
             made += self._slopes_about_the_mode(v, hyper, prior, found)
         return value, made
 
-    def _moved(self, v: np.ndarray, hyper: Values) -> list[tuple[int, Moved]]:
-        """What each coordinate moves that moves columns."""
-        problem = self.problem
-        here = problem.acted(self.x, hyper) if problem.moving else None
-        return [(i, problem.along(self.x, v, i, here)) for i in problem.moving]
-
     def _slopes_by_readings(
         self, v: np.ndarray, hyper: Values, prior: Prior, found: Conditional
     ) -> np.ndarray:
         """What moves the products moves the density by, x's posterior held (see `Products.slopes`)."""
         problem, made, p = self.problem, np.zeros(len(v)), len(found.z)
         line, move = self._line(v, hyper)[0], found.mean - self.x
-        extra = self.extra(line)
-        moved = self._moved(v, hyper)
-        # Beside J and the residuals at the mean: the slopes of J, and of what it leaves, by each coordinate.
-        table = self._beside(line)
-        table[:, -1] -= line.jacobian @ move
-        beside = [table]
-        for _, m in moved:
-            output = m.mean + m.columns @ move[m.at]
-            beside += [m.columns, output[:, None]]
-        # By log σ²: ½·(E[eᵀΣ⁻¹e] − n) over x's posterior. The expectation is the squares at the mean plus tr C·JᵀΣ⁻¹J
-        # = p − tr W·var z, the degrees of freedom that x took.
+        moved = problem.moved(self.x, v, hyper)
+        left = self.residual(line) - line.jacobian @ move
+        # [J·C^½ | e], C the covariance of x and e what its mean leaves; and Σ⁻¹ times it.
+        table = np.column_stack([line.jacobian @ found.root, left])
         if self.even:
+            # By log σ²: ½·(E[eᵀΣ⁻¹e] − n) over x's posterior. The expectation is the squares at the mean plus
+            # tr C·JᵀΣ⁻¹J = p − tr W·var z, the degrees of freedom that x took.
             taken = found.squares + p - float(prior.weight @ found.variance_of_z)
             beyond = 0.5 * (taken - problem.record.size)
             for i in problem.layout.positions("noise"):
                 made[i] = beyond * problem.log_variance_slope(v, i)
-            shared = float(problem.noise.shared_variance(hyper))
-            white = np.column_stack(beside) / math.sqrt(shared)
+            pulled = table / float(problem.noise.shared_variance(hyper))
         else:
-            whiten = self._white(line, hyper)
-            turned = np.column_stack([line.jacobian @ found.root, table[:, -1]])
-            made += noise_slopes(problem, v, whiten, turned)
-            white = whiten(np.column_stack(beside)) if moved else table
-        # −½·d(eᵀΣ⁻¹e + tr C·JᵀΣ⁻¹J) for a change dJ of the columns and −d(output) of e, all of it whitened.
-        across, end = white[:, :p] @ found.covariance, p + 1
+            by_name, pulled = self._white(line, hyper).slopes(table)
+            made += by_parameter(problem, v, by_name)
+        # −½·d(eᵀΣ⁻¹e + tr C·JᵀΣ⁻¹J) for a change dJ of the columns and −d(output) of e.
         for i, m in moved:
-            by_j, output = white[:, end : end + len(m.at)], white[:, end + len(m.at)]
-            made[i] += white[:, p] @ output - np.sum(across[:, m.at] * by_j)
-            end += len(m.at) + 1
+            output = m.mean + m.columns @ move[m.at]
+            across = pulled[:, :-1].T @ m.columns
+            made[i] += pulled[:, -1] @ output - np.sum(found.root[m.at].T * across)
             if np.any(m.inputs):  # and the variance that noise on inputs adds
                 up, down = (line._replace(inputs=line.inputs + s * m.inputs) for s in (1, -1))
-                further = 0.5 * (problem.extra(up) - problem.extra(down))  # exact of a square
-                squares = np.sum(across * white[:, :p], axis=1) + white[:, p] ** 2
-                own = variance(problem.noise, hyper, problem.record) + extra
-                made[i] += 0.5 * np.sum((squares - 1) * further / own)
+                more = 0.5 * (problem.extra(up) - problem.extra(down))  # exact of a square
+                own = variance(problem.noise, hyper, problem.record) + self.extra(line)
+                made[i] += 0.5 * np.sum((np.sum(pulled**2, axis=1) - 1 / own) * more)
         return made
 
     def _slopes_about_the_mode(
@@ -343,7 +327,7 @@ class Density:
         tightness = np.where(prior.sd > 0, found.z / np.where(prior.sd > 0, prior.sd, 1.0), 0.0)
         for i, log_sd in problem.log_sd_slopes(v, hyper):
             made[i] -= q @ (2 * prior.weight * tightness * log_sd)
-        for i, (at, by_j, mean, _) in self._moved(v, hyper):
+        for i, (at, by_j, mean, _) in problem.moved(self.x, v, hyper):
             output = mean + by_j @ move[at]
             weighted = terms.curvature * output
             made[i] += terms.slope @ output - np.sum(terms.curvature @ (across[:, at] * by_j))
@@ -380,7 +364,7 @@ def noise_slopes(
         white: of the noise there.
         table: T, output unit.
     """
-    return by_parameter(problem, v, white.slopes(table))
+    return by_parameter(problem, v, white.slopes(table)[0])
 
 
 def by_parameter(

@@ -31,7 +31,8 @@ CURVED, LEAST_CURVATURE = 1e-3, 0.05  # step for the curvature; the least that c
 STEP_VARIANCE, FINEST = 0.1, 1e-5  # of a step's square over the variance there, at most; of a step
 CLIMB, LONGEST_STEP_SD = 100, 1.5  # steps uphill at most; the longest, in prior standard deviations
 NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
-NOTHING_LEFT = 1e-8  # log density that a step would gain, below which φ̂ is found
+NOTHING_LEFT = 1e-8  # log density that a step would gain, below which φ̂ is found,
+ROUGHLY = 0.01  # and where nothing hangs on it
 
 
 class Mode(NamedTuple):
@@ -56,6 +57,7 @@ def find_mode(
     still: float = STILL_SD,
     curved: bool = True,
     start: Mapping[str, float] = NOTHING_KNOWN,
+    wanted_from: float = -math.inf,
 ) -> Mode:
     """The mode, from the best of some coordinates of φ. Deterministic.
 
@@ -69,6 +71,7 @@ def find_mode(
         curved: whether the Gaussian fit there is asked for too; without, its covariance is the climb's guess.
         start: φ by name where the mode may be, a start beside the prior draws; what it does not name is at its prior's
             middle.
+        wanted_from: log density, below which a mode found to a hundredth of a nat will do.
     """
     x, dim = _start(problem) if x is None else x, len(problem.hypers)
     flat = flat_scales(problem, x, np.zeros(dim))
@@ -82,7 +85,7 @@ def find_mode(
         wanted = [known, *wanted]
 
     def climbed(starts: Sequence[np.ndarray], x: np.ndarray) -> _Summit:
-        return _climbed(problem, starts, covariance, x, flat, still)
+        return _climbed(problem, starts, covariance, x, flat, still, wanted_from)
 
     highest = partial(max, key=attrgetter("value"))
     top = climbed(wanted if dim else wanted[:1], x)
@@ -140,6 +143,7 @@ def _climbed(
     x: np.ndarray,
     flat: np.ndarray,
     still: float,
+    wanted_from: float,
 ) -> _Summit:
     """The mode of φ from the best of some starts.
 
@@ -151,14 +155,14 @@ def _climbed(
     density = Density(problem, x, flat, starts[0])
     # Where the output is affine the linearisation is exact wherever it is made: one climb, no alternation.
     if problem.affine:
-        v, wide = climb(density, starts, covariance, nothing)
+        v, wide = climb(density, starts, covariance, nothing, wanted_from)
         value, found = density.at(v)
         return _Summit(value, 0.0, v, x if found is None else found.mean, wide, density)
     v = starts[int(np.argmax(density.values(np.array(starts))))] if len(starts) > 1 else starts[0]
     density, value = _about_x(problem, x, v, flat, still)
     change, wide = math.inf, covariance
     for _ in range(ROUNDS):
-        goal, wide = climb(density, [v], wide, nothing)
+        goal, wide = climb(density, [v], wide, nothing, wanted_from)
         for _ in range(HALVINGS):
             there, higher = _about_x(problem, density.x, goal, flat, still)
             if higher > value - nothing:
@@ -200,6 +204,7 @@ def climb(
     starts: Sequence[np.ndarray],
     covariance: np.ndarray | None,
     nothing: float = NOTHING_LEFT,
+    wanted_from: float = -math.inf,
 ) -> tuple[np.ndarray, np.ndarray]:
     """φ̂ of a density, uphill by BFGS from the best of some coordinates, and the covariance of a Gaussian fit there.
 
@@ -208,6 +213,7 @@ def climb(
         starts: coordinates.
         covariance: first guess of the inverse curvature.
         nothing: what counts as nothing to gain, nats.
+        wanted_from: log density, below which a hundredth of a nat does.
     """
     dim = len(starts[0])
     if not dim:
@@ -222,7 +228,7 @@ def climb(
         # Beyond a step or two of the prior's width the slope here says nothing of the density there.
         step *= min(1.0, LONGEST_STEP_SD / max(float(np.max(np.abs(step))), 1e-300))
         gain = float(slope @ step)
-        if not gain > nothing:
+        if not gain > (nothing if value > wanted_from else ROUGHLY):
             break
         for _ in range(HALVINGS):
             there, next_slope = density.slope(v + step)

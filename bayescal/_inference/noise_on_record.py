@@ -63,16 +63,19 @@ class Whitening(NamedTuple):
         n, m = table.shape
         return np.asarray(made)[:n, :m], 2.0 * float(np.sum(np.asarray(log_sd)[:n]))
 
-    def slopes(self, table: Float[np.ndarray, "n m"]) -> dict[str, float]:
-        """Of −½·(trace of TᵀΣ⁻¹T + log|Σ|) by each of the law's parameters, the table held.
-
-        Of independent readings the trace needs each row's sum of squares alone.
-        """
-        # Σᵢ|tᵢ|²/σᵢ² hangs on the norms of the rows alone: a column of these stands for the table.
+    def slopes(
+        self, table: Float[np.ndarray, "n m"]
+    ) -> tuple[dict[str, float], Float[np.ndarray, "n m"]]:
+        """Of −½·(trace of TᵀΣ⁻¹T + log|Σ|) by each of the law's parameters, the table T held; and Σ⁻¹T."""
+        n, own = len(table), table
+        # Σᵢ|tᵢ|²/σᵢ² of independent readings hangs on the norms of the rows alone: a column of these stands for T.
         if self.law.independent:
-            table = np.sqrt(np.einsum("ij,ij->i", table, table))[:, None]
-        made = _slopes(*self._arguments(table), np.float64(self.record.size))
-        return {name: float(one) for name, one in made.items()}
+            own = np.sqrt(np.einsum("ij,ij->i", table, table))[:, None]
+        made, by_table = _slopes(*self._arguments(own), np.float64(self.record.size))
+        pulled = -_back(self.law, self.record, np.asarray(by_table)[:n, : own.shape[1]])
+        if self.law.independent:
+            pulled = table * (pulled / np.where(own > 0, own, 1.0))
+        return {name: float(one) for name, one in made.items()}, pulled
 
     def _arguments(self, table: np.ndarray) -> tuple[Any, ...]:
         law, record = self.law, self.record
@@ -133,12 +136,14 @@ def whitening(
 
 def _forth(law: Noise, record: Record, array: np.ndarray, axis: int) -> np.ndarray:
     """What belongs to readings, in the order in which a law takes these."""
-    return array if law.independent else np.take(array, record.in_time[0], axis=axis)
+    if law.independent or record.ordered:
+        return array
+    return np.take(array, record.in_time[0], axis=axis)
 
 
 def _back(law: Noise, record: Record, array: Float[np.ndarray, "n ..."]) -> np.ndarray:
     """The other way round."""
-    if law.independent:
+    if law.independent or record.ordered:
         return array
     found = np.empty_like(array)
     found[record.in_time[0]] = array
@@ -166,11 +171,11 @@ def _slopes(law: Noise, frame: Frame, table, extra, values, size):
     # Rows of zeros whiten to zero; only the log determinant of readings that pad a record must be left out.
     counted = jnp.arange(frame.size) < size
 
-    def value(values):
+    def value(values, table):
         white, log_sd = law.whiten(table, extra, values, frame)
         return -0.5 * jnp.sum(white**2) - jnp.sum(jnp.where(counted, log_sd, 0.0))
 
-    return jax.grad(value)(values)
+    return jax.grad(value, argnums=(0, 1))(values, table)
 
 
 @program
@@ -481,6 +486,8 @@ def sloped_log_densities(
     count = max(map(len, own.values()))
     # A call costs as much as a few values of a short record: one program serves one value and some.
     together = FEWEST_DRAWS_TOGETHER if law.independent and not frame.long else 1
+    if count > 1 and not law.independent:
+        together = ABREAST
     found = []
     for start in range(0, count, together):
         pick = np.minimum(start + np.arange(together), count - 1)

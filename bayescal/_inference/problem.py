@@ -282,25 +282,55 @@ class Problem:
         jacobian[:, acting] = found.jacobian
         return Linearised(found.mean + still @ x, jacobian, found.inputs)
 
-    def acted(self, x: Float[np.ndarray, "p"], hyper: Values) -> Linearised:
+    def acted(
+        self, x: Float[np.ndarray, "p"], hyper: Values, terms: Sequence[Term] | None = None
+    ) -> Linearised:
         """The same of the terms that hang on φ alone, where the output is affine: a constant of it rounds nothing."""
-        made = self.composed(self._acting, x, hyper, sloped=True)
-        return linearised(self.host, self._acting, made)
+        terms = self._acting if terms is None else terms
+        return linearised(self.host, terms, self.composed(terms, x, hyper, sloped=True))
 
     def extra(self, line: Linearised) -> Float[np.ndarray, "n"] | float:
         """Variance that noise on inputs adds to each reading, output unit squared."""
         return variance_of_inputs(self.terms, line) if self.noisy else 0.0
 
-    def along(
-        self, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"], i: int, here: Linearised
-    ) -> Moved:
-        """What one coordinate of φ moves, beside what `acted` at v."""
-        moved = v.copy()
-        moved[i] += STEP
-        there = self.acted(x, self.hyper(moved))
-        mean, columns, inputs = ((b - a) / STEP for a, b in zip(here, there, strict=True))
-        which = np.flatnonzero(np.any(columns != 0, axis=0))
-        return Moved(self._still[1][which], columns[:, which], mean, inputs)
+    @property
+    def _apart(self) -> bool:
+        """Whether what moves some terms leaves what the others add as it is."""
+        return self.affine and not self.noisy
+
+    @cached_property
+    def _hanging(self) -> list[tuple[int, tuple[Term, ...], Int[np.ndarray, "q"]]]:
+        """Each coordinate of φ that moves the output, the terms by which it does, and where these stand in x."""
+        found, places = [], np.arange(self.size)
+        for i in self.moving:
+            name, terms = self.hypers[i].name, self._acting
+            own = [
+                t
+                for t in terms
+                if name in t.known.shape_names
+                or (t.place == "phi" and name in (*t.members, t.group_sd_name))
+            ]
+            if own:
+                terms = tuple(own) if self._apart else terms
+                at = [places[t.at] for t in terms if t.place == "x"]
+                found.append((i, terms, np.concatenate([places[:0], *at])))
+        return found
+
+    def moved(
+        self, x: Float[np.ndarray, "p"], v: Float[np.ndarray, "d"], hyper: Values
+    ) -> list[tuple[int, Moved]]:
+        """What each coordinate of φ moves that moves columns, at an x and v."""
+        found = []
+        whole = None if self._apart or not self.moving else self.acted(x, hyper)
+        for i, terms, places in self._hanging:
+            here = self.acted(x, hyper, terms) if whole is None else whole
+            further = v.copy()
+            further[i] += STEP
+            there = self.acted(x, self.hyper(further), terms)
+            mean, columns, inputs = ((b - a) / STEP for a, b in zip(here, there, strict=True))
+            which = np.flatnonzero(np.any(columns != 0, axis=0))
+            found.append((i, Moved(places[which], columns[:, which], mean, inputs)))
+        return found
 
     # joint draws: x (b, p), φ by name, one value a draw or one for all -----------------------------
 

@@ -79,6 +79,7 @@ class Record:
     _shaped: OrderedDict[Any, np.ndarray] = field(default_factory=OrderedDict)
     _bases: dict[Any, Basis | None] = field(default_factory=dict)
     _bytes: int = 0
+    _latest: dict[Any, tuple[float, np.ndarray]] = field(default_factory=dict)
     _last: tuple[Any, Any] | None = None  # slots, and what the instrument responded to them
     _for_laws: dict[Noise, tuple[Noise, programs.Leaves]] = field(default_factory=dict)
     plain: dict[Any, Any] = field(default_factory=dict)  # what problems know of a coefficient
@@ -132,6 +133,11 @@ class Record:
         return np.asarray(self.frame.order), np.asarray(self.frame.step)
 
     @cached_property
+    def ordered(self) -> bool:
+        """Whether readings stand in the order of time already."""
+        return bool(np.all(np.diff(self.in_time[0]) == 1))
+
+    @cached_property
     def products(self) -> ColumnProducts:
         """Columns of an affine output that structures share, and their products."""
         return ColumnProducts(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
@@ -160,7 +166,10 @@ class Record:
             return self._fixed_columns(effect.basis)
         near = len(values) == 1 and abs(v := effect.priors[0].coordinate(values[0])) <= REACH
         if near and (basis := self.basis_along(effect)) is not None:
-            return basis.at(v)
+            last = self._latest.get(effect.key)
+            if last is None or last[0] != v:
+                self._latest[effect.key] = last = v, basis.at(v)
+            return last[1]
         return self._kept_at(effect, values)
 
     def _kept_at(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:

@@ -255,16 +255,18 @@ class Structures:
 
     def _refitted(self, structure, near, hints) -> Weighed:
         problem = self._bound(structure, near)
+        log_prior = self.log_prior(structure)
+        # Of what is that far behind nothing is asked but that it is.
+        wanted = self.best.total - log_prior - OTHER_LAW_NATS if self.visited else -math.inf
         if near is None:
-            mode = find_mode(problem, still=STILL_SD, curved=False)
+            found = find_mode(problem, still=STILL_SD, curved=False, wanted_from=wanted)
         else:
             known, width = carried(problem, near.problem, near.mode)
             begin = starts(problem, near.problem, known, hints)
             x = problem.x_of(near.problem, near.mode.x)
-            mode = find_mode(problem, begin, width, x, STILL_SD, curved=False)
+            found = find_mode(problem, begin, width, x, STILL_SD, False, wanted_from=wanted)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
-        problem, mode, log_evidence = averaged(problem, mode, sized)
-        log_prior = self.log_prior(structure)
+        problem, mode, log_evidence = averaged(problem, found, sized, wanted)
         return Weighed(structure, log_evidence, log_prior, problem, mode)
 
     def roughly(self, structure: Structure, near: Weighed) -> float:
@@ -422,7 +424,9 @@ def has_size(effect: Effect) -> bool:
     )
 
 
-def averaged(problem: Problem, mode: Mode, sized: Sequence[Effect]) -> tuple[Problem, Mode, float]:
+def averaged(
+    problem: Problem, mode: Mode, sized: Sequence[Effect], wanted_from: float = -math.inf
+) -> tuple[Problem, Mode, float]:
     """The structure at its likeliest sizes, and its log evidence averaged over all.
 
     One effect's size at a time, the others' at their likeliest.
@@ -431,6 +435,7 @@ def averaged(problem: Problem, mode: Mode, sized: Sequence[Effect]) -> tuple[Pro
         problem: the structure, its sizes those of a start.
         mode: where it has its mode, its Gaussian fit not made.
         sized: effects with a plausible size.
+        wanted_from: log density, below which the fit that the climb left will do.
     """
     if not math.isfinite(mode.log_evidence):
         return problem, mode, mode.log_evidence
@@ -444,22 +449,25 @@ def averaged(problem: Problem, mode: Mode, sized: Sequence[Effect]) -> tuple[Pro
             chosen[name] = max(gains, key=gains.__getitem__)
         if chosen == before:
             break
-    if chosen != begun:
-        problem = Problem(problem.layout, problem.record, dict(chosen))
-        mode = find_mode(problem, [mode.v], mode.covariance, mode.x, STILL_SD)
-        at_sizes = _AtSizes(problem, mode, chosen)
+    gained = at_sizes.density(chosen) - at_sizes.density(begun)
+    if mode.log_density + gained < wanted_from:
+        volume = 0.5 * float(np.linalg.slogdet(2 * np.pi * mode.covariance)[1])
+        mode = mode._replace(log_evidence=mode.log_density + volume)
+        log_evidence = mode.log_evidence + gained
     else:
+        if chosen != begun:
+            problem = Problem(problem.layout, problem.record, dict(chosen))
+            mode = find_mode(problem, [mode.v], mode.covariance, mode.x, STILL_SD, curved=False)
+            at_sizes = _AtSizes(problem, mode, chosen)
         mode = at_mode(Density(problem, mode.x, mode.flat, mode.v), mode.v, mode.change, quick=True)
+        log_evidence = mode.log_evidence
     # Σ over the sizes of one effect, the others at their likeliest: as if ratios of evidence multiplied. They do
     # where effects do not overlap; where they do, one of them mostly has its size by the other's.
-    log_evidence = mode.log_evidence
+    here = at_sizes.density(chosen)
+    if not math.isfinite(here):  # no digits at the sizes that the mode was found at
+        return problem, mode, -math.inf
     for name in chosen:
-        gains = at_sizes.of(name, chosen)
-        here = gains[chosen[name]]
-        if not math.isfinite(here):  # no digits at the sizes that the mode was found at
-            return problem, mode, -math.inf
-        here -= math.log(SIZE_FACTORS[chosen[name]])
-        log_evidence += float(np.logaddexp.reduce(list(gains.values()))) - here
+        log_evidence += float(np.logaddexp.reduce([*at_sizes.of(name, chosen).values()])) - here
     return problem, mode, log_evidence
 
 
@@ -479,16 +487,17 @@ class _AtSizes:
 
     def of(self, name: str, chosen: Mapping[str, float]) -> dict[float, float]:
         """For each size of one effect, the others as chosen."""
-        found = {}
-        for factor, probability in SIZE_FACTORS.items():
-            sd = self.prior.sd.copy()
-            for other, places in self.places.items():
-                share = (factor if other == name else chosen[other]) / self.made_at[other]
-                for place in places:
-                    sd[place] *= share
-            # A size is a prior standard deviation: the products are as they are, and only the small solve is done
-            # anew.
-            got = condition(self.gram, self.size, self.prior._replace(sd=sd), self.at)
-            value = -math.inf if got is None else got.log_marginal
-            found[factor] = value + math.log(probability)
-        return found
+        return {
+            factor: self.density({**chosen, name: factor}) + math.log(probability)
+            for factor, probability in SIZE_FACTORS.items()
+        }
+
+    def density(self, factors: Mapping[str, float]) -> float:
+        """At some sizes, without their probabilities."""
+        sd = self.prior.sd.copy()
+        for name, places in self.places.items():
+            for place in places:
+                sd[place] *= factors[name] / self.made_at[name]
+        # A size is a prior standard deviation: the products are as they are, and only the small solve is done anew.
+        found = condition(self.gram, self.size, self.prior._replace(sd=sd), self.at)
+        return -math.inf if found is None else found.log_marginal

@@ -209,18 +209,7 @@ def test_a_saved_calibration_keeps_the_sizes_it_was_made_with(tmp_path: Path) ->
 @pytest.mark.parametrize("noise_law", NOISE_LAWS)
 @pytest.mark.parametrize(
     ("name", "size"),
-    [
-        ("bias.temperature_quadratic", 0.2),
-        pytest.param(
-            *("bias.thermal_lag", 5.0),
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="three runs of one profile: a free curve of the elapsed time is more probable (under white "
-                "noise 17 times); the lag has a start for each run, which is not there",
-            ),
-        ),
-        ("bias.hysteresis", 80.0),
-    ],
+    [("bias.temperature_quadratic", 0.2), ("bias.thermal_lag", 5.0), ("bias.hysteresis", 80.0)],
 )
 def test_a_hidden_effect_is_found(name: str, size: float, noise_law: str) -> None:
     readings = still_sensor.simulate({name: size}, seed=5, interval=30, noise_law=noise_law)

@@ -74,3 +74,12 @@ def test_an_output_of_too_few_digits_is_refused() -> None:
     far = readings.with_column("output", readings["output"] + 1e14)
     with pytest.raises(bc.ModelError, match="too few of its digits are left"):
         bc.fit(INSTRUMENT.baseline(), far)
+
+
+def test_a_constant_beyond_all_digits_of_its_prior_is_refused_at_once() -> None:
+    readings = mems_gyro.simulate({}, seed=1)
+    far = readings.with_column("output", readings["output"] + 1e12)
+    with pytest.raises(
+        bc.ModelError, match=r"times the plausible size of bias\.constant .* digits"
+    ):
+        bc.fit(INSTRUMENT.baseline(), far)
