@@ -29,7 +29,7 @@ from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
-from bayescal._inference.laplace import Mode, find_mode, flat_scales
+from bayescal._inference.laplace import Mode, at_mode, find_mode, flat_scales
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import WeightedDraws, weighted_draws
@@ -410,9 +410,10 @@ def _fit(channel: _AtRest, terms: Terms, known: Mapping[str, float] | None = Non
         least = starts[-1]  # further terms as small as any start has them
         starts.append(np.array([known.get(n, v) for n, v in zip(priors, least, strict=True)]))
     order = np.argsort(-_density(problem).values(np.array(starts)))[:STARTS]
-    tries = [find_mode(problem, [starts[i]], still=SETTLED, curved=False) for i in order]
+    tries = [find_mode(problem, [starts[i]], curved=False, wanted_from=math.inf) for i in order]
     best = max(tries, key=lambda t: t.log_density)
-    return find_mode(problem, [best.v], covariance=best.covariance, still=SETTLED)
+    best = find_mode(problem, [best.v], best.covariance, still=SETTLED, curved=False)
+    return at_mode(_density(problem), best.v, best.change, quick=True)
 
 
 def _starts(

@@ -407,9 +407,11 @@ class Record:
         self, count: int, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]
     ) -> Iterator[tuple[dict[str, np.ndarray], dict[str, np.ndarray]]]:
         """Values for `count` draws, some at once, readings padded; the last draw stands in for missing ones."""
-        # Full stretches and half ones: two lengths to compile, whatever the number of draws.
+        # Full stretches and half ones: two lengths to compile, whatever the number of draws; and a sixth, where
+        # computing is what costs.
         most = max(DRAWS_A_CALL, CALL_NUMBERS // self.padded_size)
-        together = most // (1 if count > most // 2 else 2)
+        parts = (6, 2, 1) if DRAWS_A_CALL * self.padded_size > 2 * CALL_NUMBERS else (2, 1)
+        together = next((most // n for n in parts if count <= most // n), most)
         for start in range(0, count, together):
             pick = np.minimum(start + np.arange(together), count - 1)
             yield tuple(  # pyright: ignore[reportReturnType]
