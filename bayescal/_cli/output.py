@@ -274,7 +274,7 @@ def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
         others = f"{len(shares) - SHOWN_STRUCTURES} others"
         shares[SHOWN_STRUCTURES:] = [(others, probability(more))]
     named = ", ".join(f"{name} {share}" for name, share in shares)
-    far = " (where some lie far off, ± holds them, the interval hardly)" * _far_off(trail)
+    far = " (± holds draws far off, the interval hardly)" * _far_off(trail)
     return _filled(f"averaged over {named}{far}; --structure best uses the first alone")
 
 

@@ -73,8 +73,8 @@ class LeastSquares(Method):
         reasons += [] if np.all(np.isfinite(found.covariance)) else [trust.SINGULAR]
         kind = "Gauss–Newton" if self.curvature == "gauss-newton" else "full-Hessian"
         notes = [
-            f"Covariance is the {kind} Laplace approximation; noise and between-group standard deviations by "
-            "restricted likelihood, held at their estimate (so intervals do not carry the uncertainty of the noise)."
+            f"{kind} covariance; noise and between-group standard deviations held at their restricted-likelihood "
+            "estimates, so that intervals do not carry their uncertainty."
         ]
         return Outcome(
             layout=layout,

@@ -70,8 +70,10 @@ class Verdict:
         return cls(**made)
 
     def __str__(self) -> str:
-        head = "converged" if self.ok else "NOT converged: " + " ".join(self.reasons)
-        return " ".join([f"{head} ({self.sampler}).", *self.notes])
+        head, why = (
+            ("converged", ".") if self.ok else ("NOT converged", ": " + " ".join(self.reasons))
+        )
+        return " ".join([f"{head} ({self.sampler}){why}", *self.notes])
 
 
 @dataclass(frozen=True)
