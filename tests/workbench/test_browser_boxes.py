@@ -146,7 +146,7 @@ def test_axe_finds_nothing_serious(begun: Bench, ground: str) -> None:
             at_rest = {"name": "Change … bias.constant", "disabled": False}
             seen.page.get_by_role("button", **at_rest).wait_for()
             found[name] = serious(seen.page)
-        seen.press("Write the report")
+        seen.tab("Report").press("Write the report")
         report = seen.download("Download report.html").read_text("utf-8")
     with browser(dark=dark) as seen:
         seen.page.set_content(report)
