@@ -142,7 +142,7 @@ def test_a_changed_state_is_refused(session: Session) -> None:
 @pytest.mark.slow
 @needs_installation
 def test_report_and_exports_are_the_command_lines(session: Session, tmp_path: Path) -> None:
-    session.add("bias.thermal_lag")
+    session.add("bias.warm_up")
     for what, suffix in {"c": "h", "json": "json", "python": "py"}.items():
         made = session.export(what)
         kept = made.parent / "calibration.nc"
@@ -161,5 +161,5 @@ def test_report_and_exports_are_the_command_lines(session: Session, tmp_path: Pa
 
     assert undated(made) == undated(asked)
     told = json.loads((made.parent / "result.json").read_text("utf-8"))
-    assert [s["title"] for s in told["steps"]] == ["baseline", "+ bias.thermal_lag"]
+    assert [s["title"] for s in told["steps"]] == ["baseline", "+ bias.warm_up"]
     assert told["method"] == "marginal"
