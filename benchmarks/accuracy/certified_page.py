@@ -29,9 +29,8 @@ NONLINEAR = """## NIST, nonlinear: 27 sets from both starts
 
 By `LeastSquares` as every fit has it (`bayescal/_inference/least_squares.py`), unknowns scaled by
 their start; standard deviations are Gauss–Newton, the noise Σr²/(n − p). No set gets a hint. The
-hard ones show: BoxBOD and MGH10 from start 1 are met by the second try, damped by the unknowns' own
-scales, after the first has run away or is still on its way after 1000 steps; MGH17 from start 1 and
-Bennett5 take hundreds of steps along a curved valley.
+hard ones are BoxBOD and MGH10 from start 1, where Gauss–Newton runs away and a trust region of steps
+begins anew, and MGH17 from start 1 and Bennett5, which lie in a curved valley.
 
 """
 AFTER_NONLINEAR = """
@@ -98,8 +97,8 @@ def _nonlinear(rows: list[dict[str, Any]]) -> str:
     lines = []
     for row in rows:
         sd = "–" if row["set"] in MEANINGLESS else f"{row['sd']:.1f}"
-        lines.append([row["set"], row["start"], f"{row['parameters']:.1f}", sd, row["steps"]])
-    head = ("set", "start", "parameters, digits", "standard deviations, digits", "steps")
+        lines.append([row["set"], row["start"], f"{row['parameters']:.1f}", sd])
+    head = ("set", "start", "parameters, digits", "standard deviations, digits")
     return NONLINEAR + table(head, lines) + AFTER_NONLINEAR
 
 
