@@ -34,7 +34,8 @@ begins anew, and MGH17 from start 1 and Bennett5, which lie in a curved valley.
 
 """
 AFTER_NONLINEAR = """
-Lanczos1 is data without noise: its residuals are rounding, and so would be the standard deviations.
+Lanczos1 is data without noise: its residuals are rounding, and so would be the standard deviations; that no step
+makes them smaller is said (*not converged*).
 """
 
 LINEAR = """## NIST, linear: 11 sets
