@@ -27,6 +27,7 @@ SHARES = (np.arange(10) + 0.5)[:, None] / 10  # of the channels that show what t
 REACH, STEP = 3.5, 0.25  # of the shape's grid, prior standard deviations
 RAGGED_STEP = 0.02  # the same where the evidence has many maxima, as over a period
 CLOSE_SD = np.linspace(-4.0, 4.0, 25)  # about what a channel found, in its standard deviations
+FINEST_SD = 1e-4  # of a shape, prior standard deviations, that its grid tells
 LIKELIER_BY = 0.1  # by which an effect's probability moves before the channel is searched again
 NEWS_NATS = 0.125  # nats that others tell of a shape before its structures are weighed again: half a standard deviation
 # Most probable structures with the effect and without, of which a channel is asked.
@@ -154,7 +155,8 @@ class SharedShape:
         weight = np.exp(joint - joint.max()).sum(axis=0)
         weight /= weight.sum()
         mean = float(weight @ self.v)
-        sd = math.sqrt(float(weight @ (self.v - mean) ** 2))
+        # One point of the grid may hold it all: what the grid tells is no finer than its closest points.
+        sd = max(math.sqrt(float(weight @ (self.v - mean) ** 2)), FINEST_SD)
         middle, low, high = (
             float(self.shape.prior.value(mean + s * CENTRAL_95 * sd)) for s in (0, -1, 1)
         )
@@ -207,7 +209,7 @@ def _grid(shape: Shape, own: Shape, best: Sequence[Weighed], name: str) -> Float
         at = [h.name for h in weighed.problem.hypers].index(name)
         sd = math.sqrt(weighed.mode.covariance[at, at])
         # About what the channel found the evidence may have a peak narrower than the even step.
-        there.append(weighed.mode.v[at] + np.clip(sd, 1e-4, 1.0) * CLOSE_SD)
+        there.append(weighed.mode.v[at] + np.clip(sd, FINEST_SD, 1.0) * CLOSE_SD)
     values = own.prior.value(np.concatenate(there[1:]))
     moved = [shape.prior.coordinate(float(value)) for value in values]
     return _apart(np.concatenate([even, moved]))

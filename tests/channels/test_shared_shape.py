@@ -88,6 +88,17 @@ def test_a_shape_that_others_move_or_narrow_is_news(moved, narrower, tells) -> N
     assert not now._replace(probability=0.0).informs(then._replace(probability=0.0))
 
 
+def test_a_shape_that_one_point_of_the_grid_holds_is_heard() -> None:
+    """Its spread on the grid was zero, and what another channel concluded from that no number."""
+    v = np.arange(-3.0, 3.0, 0.1)
+    says = {"certain": 9e3 - 0.5 * ((v - 0.5) / 1e-3) ** 2, "in doubt": 1.0 - 0.5 * (v - 0.7) ** 2}
+    shape = bc.Shape("tau", "s", 60.0, 1200.0, shared=True)
+    heard = SharedShape(LAG, shape, v, 0.2, says).from_others("in doubt")
+    assert heard.low < heard.high
+    found = ShapeEvidence(v, says["in doubt"]).concluded(heard, shape)
+    assert np.isfinite(found).all() and found.v == pytest.approx(0.5, abs=1e-3)
+
+
 def test_what_a_channel_concludes_alone_is_the_posterior_of_its_own_prior() -> None:
     shared = three_channels()
     log_ratio, shape = shared.says["in doubt"], shared.shape
