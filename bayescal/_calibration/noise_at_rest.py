@@ -348,12 +348,17 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
         )
     parts = [*blocks, *(r[:, None] for r in rows)]
     lengths = [len(part) for part in parts]
-    beside = {UNCERTAINTY: np.concatenate([_of_lost(p, size) for p in parts])} if runs.lost else {}
+    beside: dict[str, Any] = (
+        {UNCERTAINTY: np.concatenate([_of_lost(p, size) for p in parts])} if runs.lost else {}
+    )
+    columns: dict[str, Any] = {
+        n: np.concatenate([_means(v, part) for part in parts]) for n, v in given.items()
+    }
     still = Measurements.from_arrays(
         CHANNEL,
         run=np.repeat([f"{k:06d}" for k in range(len(parts))], lengths),
         time=runs.step * np.concatenate([np.arange(length) for length in lengths]),
-        **{n: np.concatenate([_means(v, part) for part in parts]) for n, v in given.items()},
+        **columns,
         **beside,
     )
     reference = reference_of(still)

@@ -50,7 +50,8 @@ class Host:
 
     def __init__(self, record: Record) -> None:
         self.record = record
-        self.size, self.slots, self.codes = record.size, record.slots, record.codes
+        self.size, self.slots = record.size, record.slots
+        self.codes: Mapping[str, Any] = record.codes
 
     def columns(self, term: Term, shapes: Sequence[Any], moves: dict, sloped: bool) -> tuple:
         of, record = term.known.columns, self.record

@@ -356,7 +356,9 @@ class Record:
             own, at = values[at : at + len(c.of.shapes)], at + len(c.of.shapes)
             # One draw is no stretch of draws: it would be computed as often as these are.
             of_draws = any(np.ndim(v) for v in own)
-            made = self.columns_of_draws(c.of, own, {}) if of_draws else self.columns(c.of, own)
+            made = (
+                self.columns_of_draws(c.of, own, {}) if of_draws else self.columns(c.of, tuple(own))
+            )
             shift = c.factor * made[..., c.index]
             found[c.column] = found.get(c.column, 0.0) + shift
         return found
