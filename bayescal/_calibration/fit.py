@@ -157,11 +157,13 @@ def _refuse_stuck(readings: Measurements) -> None:
 
 def _refuse_lost(problem: Problem, readings: Measurements) -> None:
     """A constant so far from where its prior has it that the square of that has no digits left for the noise."""
-    eps = float(np.finfo(float).eps)
     for b in problem.layout.x_blocks:
         at = slice(b.start, b.start + b.size)
         sd = problem.sizes.plain[at] * problem.weight_of_x[at]
-        if b.origin and np.any(sd) and eps * (away := np.max(np.abs(b.mean) / sd)) * away > 1:
+        if not (b.origin and np.all(sd > 0)):
+            continue
+        away = float(np.max(np.abs(b.mean) / sd))
+        if away**2 * np.finfo(float).eps > 1:
             raise ModelError(
                 f"{readings.file}: the output stands {away:.2g} times the plausible size of {b.name} from its prior's "
                 "mean: too few digits are left to calculate with. Subtract a constant from it, give the nominal zero, "

@@ -29,7 +29,7 @@ from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
-from bayescal._inference.laplace import Mode, at_mode, find_mode, flat_scales
+from bayescal._inference.laplace import Mode, find_mode, flat_scales, with_fit
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._inference.sampling import WeightedDraws, weighted_draws
@@ -418,7 +418,7 @@ def _fit(channel: _AtRest, terms: Terms, known: Mapping[str, float] | None = Non
     tries = [find_mode(problem, [starts[i]], curved=False, wanted_from=math.inf) for i in order]
     best = max(tries, key=lambda t: t.log_density)
     best = find_mode(problem, [best.v], best.covariance, still=SETTLED, curved=False)
-    return at_mode(_density(problem), best.v, best.change, quick=True)
+    return with_fit(problem, best)
 
 
 def _starts(

@@ -350,23 +350,6 @@ def turn(root: Float[np.ndarray, "p p"], back: Float[np.ndarray, "p"]) -> np.nda
     return made
 
 
-def noise_slopes(
-    problem: Problem, v: Float[np.ndarray, "d"], white: Whitening, table: Float[np.ndarray, "n m"]
-) -> Float[np.ndarray, "d"]:
-    """Slopes of the log marginal likelihood by the coordinates of a Gaussian law's parameters; zero by others.
-
-    With x integrated out, C its covariance and e the residuals at its mean, a parameter moves it by what it moves
-    −½·(tr TᵀΣ⁻¹T + log|Σ|) by, the table T = [J·C^½ | e] held.
-
-    Args:
-        problem: the structure on its record.
-        v: coordinates of φ.
-        white: of the noise there.
-        table: T, output unit.
-    """
-    return by_parameter(problem, v, white.slopes(table)[0])
-
-
 def by_parameter(
     problem: Problem, v: Float[np.ndarray, "d"], by_name: dict[str, float]
 ) -> Float[np.ndarray, "d"]:

@@ -336,6 +336,12 @@ def at_mode(
     return mode._replace(covariance=covariance, log_evidence=value + volume, indefinite=indefinite)
 
 
+def with_fit(problem: Problem, mode: Mode) -> Mode:
+    """A mode whose Gaussian fit was not made, with it; its curvatures are by differences on one side."""
+    density = Density(problem, mode.x, mode.flat, mode.v)
+    return at_mode(density, mode.v, mode.change, quick=True)
+
+
 def gaussian_fit(
     density: Density, v: np.ndarray, quick: bool = False
 ) -> tuple[np.ndarray, float, bool]:

@@ -23,7 +23,7 @@ from scipy.linalg.lapack import dgeqrf, dtrtri, dtrtrs  # pyright: ignore[report
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.progress import stage
 from bayescal._inference import trust
-from bayescal._inference.density import Density, noise_slopes, turn
+from bayescal._inference.density import Density, by_parameter, turn
 from bayescal._inference.gaussian import LOG_2PI, Prior
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
@@ -376,7 +376,7 @@ class _Refinement:
                 slopes = self._slopes(v, excess, (squares, spent))
             if sloped and isinstance(white, Whitening):
                 turned = table @ turn(root, theta - mean)
-                slopes += noise_slopes(self.problem, v, white, turned)
+                slopes += by_parameter(self.problem, v, white.slopes(turned)[0])
             return _Given(total, mean, root, squares, spent, slopes)
 
         return given

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import condition
-from bayescal._inference.laplace import Mode, at_mode, find_mode, flat_scales
+from bayescal._inference.laplace import Mode, find_mode, flat_scales, with_fit
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
@@ -459,7 +459,7 @@ def averaged(
             problem = Problem(problem.layout, problem.record, dict(chosen))
             mode = find_mode(problem, [mode.v], mode.covariance, mode.x, STILL_SD, curved=False)
             at_sizes = _AtSizes(problem, mode, chosen)
-        mode = at_mode(Density(problem, mode.x, mode.flat, mode.v), mode.v, mode.change, quick=True)
+        mode = with_fit(problem, mode)
         log_evidence = mode.log_evidence
     # Σ over the sizes of one effect, the others at their likeliest: as if ratios of evidence multiplied. They do
     # where effects do not overlap; where they do, one of them mostly has its size by the other's.
