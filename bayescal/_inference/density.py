@@ -19,6 +19,7 @@ from bayescal._inference.noise_on_record import (
     bends,
     density_terms,
     sloped_log_densities,
+    total_log_density,
     variance,
 )
 from bayescal._inference.problem import SHIFT, Problem, Values, differences
@@ -171,7 +172,12 @@ class Density:
                 if found is None:
                     continue
                 step = found.mean - x - move
-                there, further = look(move + step)
+                if (
+                    value - found.rest < NEWTON_NATS
+                ):  # the quadratic's minimum: nothing is left to gain
+                    step, there, further = 0.0 * step, value, terms
+                else:
+                    there, further = look(move + step)
                 if there <= value:
                     break
             else:
@@ -236,9 +242,11 @@ class Density:
         """The log density at several coordinates."""
         if self.alone:
             problem = self.problem
-            found = sloped_log_densities(
-                problem.noise, problem.record, problem.record.y, problem.hyper(vs.T)
-            )[0]
+            law, record, hyper = problem.noise, problem.record, problem.hyper(vs.T)
+            if record.padded.long and not law.independent:  # their slopes take longer than they do
+                found = total_log_density(law, record, record.y[None], hyper)
+            else:
+                found = sloped_log_densities(law, record, record.y, hyper)[0]
             return np.nan_to_num(found + problem.log_priors(vs), nan=NOWHERE, neginf=NOWHERE)
         return np.array([self.at(v)[0] for v in vs])
 

@@ -150,8 +150,8 @@ def _climbed(
     Each round climbs the density about x̂ given φ, and must raise it about the next x̂. Otherwise it goes part of the
     way: rounds that lost again what they had gained could go in circles.
     """
-    # A step of `still` standard deviations gains about still²/2 nats: a fiftieth of that is nothing.
-    nothing = max(NOTHING_LEFT, 0.01 * still**2)
+    # A step of `still` standard deviations gains about still²/2 nats.
+    nothing = max(NOTHING_LEFT, 0.5 * still**2)
     density = Density(problem, x, flat, starts[0])
     # Where the output is affine the linearisation is exact wherever it is made: one climb, no alternation.
     if problem.affine:

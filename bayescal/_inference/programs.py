@@ -157,10 +157,12 @@ def columns_along(basis: Basis, frame: Frame, shapes: ByName, moves: ByName) -> 
 
 
 @program
-def several_along(bases: tuple[Basis, ...], frame: Frame, shapes: list[ByName]) -> list[Array]:
-    """Columns (s, n, k) of several effects, each at several values of its shapes."""
-    each = zip(bases, shapes, strict=True)
-    return [jax.vmap(partial(matrix, *basis, frame))(own) for basis, own in each]
+def several_along(
+    bases: tuple[Basis, ...], frame: Frame, shapes: list[ByName], moves: ByName
+) -> list[Array]:
+    """Columns (s, n, k) of several effects, each at several values of its shapes, the readings' columns moved alike."""
+    at = [partial(matrix, *basis, _moved(frame, moves)) for basis in bases]
+    return [jax.vmap(f)(own) if own else f({})[None] for f, own in zip(at, shapes, strict=True)]
 
 
 @program

@@ -6,6 +6,8 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
+from types import MappingProxyType
 from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
@@ -24,8 +26,9 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame, Reference, build_frame
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
-from bayescal._model.terms import ColumnsOf, coordinates
+from bayescal._model.terms import ColumnsOf, Correction, coordinates
 
+NOTHING_ACTS: Mapping[Correction, tuple[float, ...]] = MappingProxyType({})
 KEPT_BYTES = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
 DRAWS_A_CALL = 48  # draws in one call of a program, or half of that,
@@ -220,10 +223,9 @@ class Record:
             for key, of in every.items()
             if len(of.shapes) == 1 and not (of.corrections or of.ragged or key in self._bases)
         ]
-        shapes = [{of.own[0]: at_nodes(of)} for of in some]
-        made = programs.several_along(tuple(of.basis for of in some), self.padded, shapes)
+        made = self.columns_of_several(some, [[at_nodes(of)] for of in some])
         for of, columns in zip(some, made, strict=True):
-            self._bases[of.key] = self._summed(np.asarray(columns)[:, : self.size])
+            self._bases[of.key] = self._summed(columns)
 
     def _summed(self, found: Float[np.ndarray, "s n k"]) -> Basis | None:
         """The singular vectors of columns at the nodes, where they interpolate between some of these."""
@@ -244,6 +246,26 @@ class Record:
             if step == 1 or np.max(np.abs(columns @ shares - nodes.T)) <= KEPT_OF_IT * largest:
                 break
         return Basis(columns.reshape(self.size, count, len(shares)), shares)
+
+    def columns_of_several(
+        self,
+        effects: Sequence[ColumnsOf],
+        values: Sequence[Sequence[np.ndarray]],
+        acting: Mapping[Correction, tuple[float, ...]] = NOTHING_ACTS,
+    ) -> list[Float[np.ndarray, "s n k"]]:
+        """Columns of several effects, each at several values of its shapes, in one program.
+
+        Args:
+            effects: whose.
+            values: of each one's shapes, (s,) each.
+            acting: what corrects columns of the readings for all, with its shapes.
+        """
+        shapes = [dict(zip(of.own, v, strict=True)) for of, v in zip(effects, values, strict=True)]
+        of_any = effects[0].on([*acting]), [*values[0], *chain(*acting.values())]
+        bases = tuple(of.basis for of in effects)
+        shifts = self._longer(self._corrected(*of_any))
+        made = programs.several_along(bases, self.padded, shapes, shifts)
+        return [np.asarray(columns)[:, : self.size] for columns in made]
 
     def _fixed_columns(self, key: programs.Basis) -> Float[np.ndarray, "n k"]:
         if key not in self._fixed:

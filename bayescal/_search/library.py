@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -25,6 +25,7 @@ SOBOL = Path(__file__).with_name("sobol.npz")
 RAGGED_SHAPES = 128  # where the evidence has many maxima over one of them
 # Of candidates' columns, held at once; those of more are made each time.
 HELD_NUMBERS = 2**23
+ACTING_STEP = 0.05  # of a shape that acts on them, prior standard deviations, which no score feels
 LEVELS = 4  # of a learned spread, of an amplitude
 
 
@@ -65,7 +66,7 @@ class Library:
     points: dict[str, list[GridPoint]] = field(default_factory=dict)
     sizes: dict[str, list[Size]] = field(default_factory=dict)
     width: int = 0
-    _bases: dict[str, np.ndarray] = field(default_factory=dict)
+    _bases: dict[tuple[str, bool], tuple[Any, np.ndarray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         counts = dict(self.structures.layout.counts)
@@ -141,21 +142,59 @@ class Library:
         points: list[GridPoint],
         acting: Mapping[Correction, tuple[float, ...]],
     ) -> Float[np.ndarray, "points n k"]:
-        """A candidate's basis at some of its points: of a short record that at all of them is kept, as measured."""
-        effect, record = self.structures.candidates[name], self.structures.record
-        needed = [c for c in acting if c.column in effect.columns]
-        if not needed and name in self._bases:
-            return self._bases[name][[p.index for p in points]]
-        kept = not needed and self.width * record.size <= HELD_NUMBERS
-        wanted = self.points[name] if kept else points
-        values = [*np.transpose([[*p.shapes.values()] for p in wanted])]
-        values += [value for c in needed for value in acting[c]]
-        made = record.columns_of_draws(ColumnsOf.of(effect).on(needed), values, {})
-        made = made[None] if made.ndim == 2 else made
-        if not kept:
-            return made
-        self._bases[name] = made
-        return made[[p.index for p in points]]
+        """A candidate's basis at some of its points; of a short record that at all of them is kept.
+
+        As measured, and beside the latest correction.
+        """
+        record, needed = self.structures.record, self._needed(name, acting)
+        held = self._bases.get((name, bool(needed)))
+        if held is not None and held[0] == needed:
+            return held[1][[p.index for p in points]]
+        if self.width * record.size > HELD_NUMBERS:
+            return self._basis(name, points, needed)
+        if not needed:
+            self._bases[name, False] = needed, self._basis(name, self.points[name], needed)
+        else:
+            names = [n for n in self.points if self._needed(n, acting) == needed]
+            effects = [ColumnsOf.of(self.structures.candidates[n]) for n in names]
+            values = [_shapes(self.points[n]) for n in names]
+            every = record.columns_of_several(effects, values, needed)
+            self._bases |= {(n, True): (needed, own) for n, own in zip(names, every, strict=True)}
+        return self._bases[name, bool(needed)][1][[p.index for p in points]]
+
+    def _needed(
+        self, name: str, acting: Mapping[Correction, tuple[float, ...]]
+    ) -> dict[Correction, tuple[float, ...]]:
+        """Corrections of the columns that a candidate depends on, with their shapes on a grid.
+
+        Structures that find nearly the same share what is scored beside them.
+        """
+        columns = self.structures.candidates[name].columns
+        return {c: _nearby(c, at) for c, at in acting.items() if c.column in columns}
+
+    def _basis(
+        self,
+        name: str,
+        points: Sequence[GridPoint],
+        acting: Mapping[Correction, tuple[float, ...]],
+    ) -> Float[np.ndarray, "points n k"]:
+        effect = ColumnsOf.of(self.structures.candidates[name]).on([*acting])
+        values = [*_shapes(points), *itertools.chain(*acting.values())]
+        made = self.structures.record.columns_of_draws(effect, values, {})
+        return made[None] if made.ndim == 2 else made
+
+
+def _shapes(points: Sequence[GridPoint]) -> list[np.ndarray]:
+    """Values of a candidate's shapes at some points, an array for each."""
+    return [*np.transpose([[*p.shapes.values()] for p in points])]
+
+
+def _nearby(correction: Correction, at: tuple[float, ...]) -> tuple[float, ...]:
+    """A correction's shapes, each at the next of even steps of its coordinate."""
+    each = zip(correction.of.priors, at, strict=True)
+    return tuple(
+        float(p.value(round(p.coordinate(x) / ACTING_STEP) * ACTING_STEP)) for p, x in each
+    )
 
 
 def _members(coefficient: Coefficient, counts: Mapping[str, int]) -> int:

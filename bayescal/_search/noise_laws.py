@@ -91,26 +91,35 @@ def on_residuals(
         record: what the expected output leaves of the readings, as `Record.of_noise` has it.
         near: the law on other residuals, whose maximum may be near.
     """
-    priors = law.parameters()
-    starts = [[near.hint[n] for n in priors]] if near.hint else []
-    starts = np.array(
-        starts
-        + [
-            one
-            for values in _stated(law, record)
-            for one in itertools.product(
-                *([p.coordinate(values[n])] if n in values else LEVELS for n, p in priors.items())
-            )
-        ]
-    )
-    if not len(starts):
+    starts = _starts(law, record, near.hint)
+    if not starts:
         return NO_FIT
+    priors = law.parameters()
+    at = [np.array([start[n] for n in priors]) for start in starts]
     alone = Problem(Layout(Model(CHANNEL, (), law), ()), record)
     density = Density(alone, alone.start, np.ones(0))
-    v, _ = climb(density, starts, near.covariance, CLIMBED_NATS)
+    v, _ = climb(density, at, near.covariance, CLIMBED_NATS)
     mode = at_mode(density, v, 0.0, quick=True)
     hint = dict(zip(priors, mode.v.tolist(), strict=True))
     return OnResiduals(float(mode.log_evidence), hint, mode.covariance)
+
+
+def _starts(law: Noise, record: Record, near: Mapping[str, float]) -> list[dict[str, float]]:
+    """Coordinates of a law's parameters, by name, where a climb may begin; none where nothing is left of the readings.
+
+    What is known of some, beside every combination of levels of the others; where a maximum was on other residuals,
+    beside that, and it with one parameter at another level.
+    """
+    priors = law.parameters()
+    known = [{n: priors[n].coordinate(v) for n, v in s.items()} for s in _stated(law, record)]
+    if known and near:
+        others = [{n: level} for n in priors for level in LEVELS]
+        return [{**near, **one} for one in ({}, *known, *others)]
+    return [
+        dict(zip(priors, one, strict=True))
+        for some in known
+        for one in itertools.product(*([some[n]] if n in some else LEVELS for n in priors))
+    ]
 
 
 def _stated(law: Noise, record: Record) -> list[dict[str, float]]:

@@ -38,6 +38,8 @@ UNKNOWN_SHARE = 0.1
 NAMELESS_RMS = 0.2
 # Nats behind the best, from which a structure under another noise law is not refitted.
 OTHER_LAW_NATS = 100.0
+# The same, from which the mode of any is found roughly: what it adds to a probability is below 1e-8.
+ROUGHLY_NATS = 20.0
 # Factors on a candidate's plausible size, which is known to an order of magnitude, and their prior probabilities: real
 # coefficients on the chamber ramp stood 3 to 8 such sizes out.
 SIZE_FACTORS = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}
@@ -257,7 +259,7 @@ class Structures:
         problem = self._bound(structure, near)
         log_prior = self.log_prior(structure)
         # Of what is that far behind nothing is asked but that it is.
-        wanted = self.best.total - log_prior - OTHER_LAW_NATS if self.visited else -math.inf
+        wanted = self.best.total - log_prior - ROUGHLY_NATS if self.visited else -math.inf
         if near is None:
             found = find_mode(problem, still=STILL_SD, curved=False, wanted_from=wanted)
         else:
