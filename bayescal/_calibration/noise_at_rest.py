@@ -76,9 +76,7 @@ WINDOWS = 8  # of the longest, at least
 BESIDE = np.array([3, 4, 5, 6])
 SMOOTH = 0.02  # relative, of a spectrum without lines over as many places: it bends where one noise takes over another
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
-SETTLED = (
-    0.02  # standard deviations that a climb's last step moves by: within 1e-3 nats of the maximum
-)
+SETTLED = 0.02  # standard deviations that a climb's last step moves by: 1e-3 nats of the maximum
 DRAWS = 1024  # proposals of each round
 FEWEST_SHARE = 0.25  # of them, for a sum of little probability or a bound
 KEPT = 2048  # draws by their weights, over all sums together

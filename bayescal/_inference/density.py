@@ -172,9 +172,7 @@ class Density:
                 if found is None:
                     continue
                 step = found.mean - x - move
-                if (
-                    value - found.rest < NEWTON_NATS
-                ):  # the quadratic's minimum: nothing is left to gain
+                if value - found.rest < NEWTON_NATS:  # nothing is left to gain
                     step, there, further = 0.0 * step, value, terms
                 else:
                     there, further = look(move + step)
