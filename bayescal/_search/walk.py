@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import NamedTuple
 
 from bayescal._core import deadline
@@ -26,8 +25,6 @@ BEAM_STRUCTURES = 4
 NEAR_NATS = 6.0
 # Neighbours that are refitted of each structure looked at, at least and at most.
 REFITTED_NEIGHBOURS = (2, 10)
-FORM_NATS = 40.0  # nats behind the best, up to which a form is refitted by what it gained beside other effects
-NO_GAINS: Mapping[tuple[str, str], float] = MappingProxyType({})
 REFITTED_PAIRS = 4  # pairs of effects among them, for those that show together alone
 
 LIKELIEST = 2  # finer noise laws that are weighed beside fewer effects than the best structure has
@@ -191,7 +188,7 @@ def _look_around(
             structures.expect(other, rough)
     if not math.isfinite(at.total):
         return
-    gains = _weigh_forms(structures, at, end)
+    lost = _weigh_forms(structures, at, end)
     changes = [m for m in _changes_of_noise(structures, at) if among.has(m.to.noise)]
     moves = [*_moves(View(library, at), max_effects, among)]
     # Without what moves a column nothing that depends on it is what it was: what may stand in its place is seen beside
@@ -213,7 +210,7 @@ def _look_around(
     for i, move in enumerate(moves[: REFITTED_NEIGHBOURS[1]]):
         near = move.total > structures.best.total - NEAR_NATS
         if (i < REFITTED_NEIGHBOURS[0] or near) and not end.over:
-            _weigh_forms(structures, structures.weigh(move.to, at, move.hints), end, gains)
+            _weigh_forms(structures, structures.weigh(move.to, at, move.hints), end, lost)
     # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
     if at is structures.best and not structures.noise(here).independent:
         for name in sorted(here.effects):
@@ -225,9 +222,9 @@ def _weigh_forms(
     structures: Structures,
     at: Weighed,
     end: Deadline,
-    there: Mapping[tuple[str, str], float] = NO_GAINS,
+    but: Collection[str] = (),
     finer: bool = False,
-) -> dict[tuple[str, str], float]:
+) -> set[str]:
     """Weigh a structure with the forms of its effects that no score tells of, each in place of the one that it has.
 
     Where the structure is so improbable that no form could make it anything else they are left alone.
@@ -236,29 +233,25 @@ def _weigh_forms(
         structures: that were weighed.
         at: which.
         end: of the search.
-        there: what forms gained beside one effect more or less: one that by that comes nowhere near the best is left
-            alone.
+        but: forms to leave alone.
         finer: whether forms of several shapes are asked for, which take ten times as long, or those of one.
 
     Returns:
-        What each form gains in place of the one that the structure has, nats.
+        The forms that make it so improbable: not to be tried beside one effect more or less.
     """
-    gains = dict[tuple[str, str], float]()
+    lost = set[str]()
     if not at.total > structures.best.total - OTHER_LAW_NATS:
-        return gains
+        return lost
     for name in sorted(at.structure.effects):
         for to in structures.other_forms(at.structure, name):
             (other,) = to.effects - at.structure.effects
             several = len(structures.candidates[other].column_shapes) > 1
-            if not structures.moves_a_column(other) or several != finer or end.over:
-                continue
-            expected = at.total + there.get((name, other), math.inf)
-            if expected < structures.best.total - FORM_NATS:
-                structures.expect(to, expected)
-                continue
-            found = structures.weigh(to, at, [_in_other_form(structures, at, name, other)])
-            gains[name, other] = found.total - at.total
-    return gains
+            asked = structures.moves_a_column(other) and several == finer and other not in but
+            if asked and not end.over:
+                found = structures.weigh(to, at, [_in_other_form(structures, at, name, other)])
+                if not found.total > at.total - OTHER_LAW_NATS:
+                    lost.add(other)
+    return lost
 
 
 def _in_other_form(structures: Structures, at: Weighed, name: str, other: str) -> dict[str, float]:
