@@ -75,7 +75,8 @@ def vector_correction(calibration: Calibration) -> VectorCorrection:
     each = np.moveaxis(taylor, 1, 0).reshape(len(grid), -1)
     for order in range(min(ORDERS, len(grid) - 1) + 1):
         own = powers[:, : order + 1]
-        fitted = np.linalg.lstsq(own, each, rcond=None)[0]
+        q, r = np.linalg.qr(own)  # least squares of all draws at once
+        fitted = np.linalg.solve(r, q.T @ each)
         beyond = each - own @ fitted  # what no polynomial of this order holds
         if np.max(np.abs(beyond)) <= EXACT_SHARE * np.max(np.abs(taylor)):
             beyond = np.zeros_like(beyond)

@@ -29,7 +29,12 @@ def forward(searched: Searched) -> list[str]:
     base, record = searched.base, searched.structures.record
     line = linear_model(base.problem, base.mode)
     slopes, jacobian, counts = line.slopes, line.line.jacobian, dict(base.problem.layout.counts)
-    effects = {n: e for n, e in searched.structures.candidates.items() if not e.is_placeholder}
+    structures = searched.structures  # of which a body's temperature is no column of a linear model
+    effects = {
+        n: e
+        for n, e in structures.candidates.items()
+        if not (e.is_placeholder or structures.moves_a_column(n))
+    }
 
     def columns(name: str, values: tuple[float, ...]) -> np.ndarray:
         effect, made = effects[name], []
@@ -90,7 +95,8 @@ def stepwise() -> dict[str, Any]:
         REPEATS,
     )
     best = clocks(timed)
-    ours, theirs = sorted(timed["search"].made.chosen.effects), timed["lmfit"].made
+    found, theirs = timed["search"].made, timed["lmfit"].made
+    ours = found.reported_names(found.chosen)
     if ours != sorted(HIDDEN):
         raise RuntimeError(f"hidden {HIDDEN}; the search chose {ours}, BIC {theirs}")
     ratio = best["search"] / best["lmfit"]
