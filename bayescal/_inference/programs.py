@@ -161,7 +161,8 @@ def several_along(
     bases: tuple[Basis, ...], frame: Frame, shapes: list[ByName], moves: ByName
 ) -> list[Array]:
     """Columns (s, n, k) of several effects, each at several values of its shapes, the readings' columns moved alike."""
-    at = [partial(matrix, *basis, _moved(frame, moves)) for basis in bases]
+    frame = _moved(frame, moves)
+    at = [partial(matrix, *basis, frame) for basis in bases]
     return [jax.vmap(f)(own) if own else f({})[None] for f, own in zip(at, shapes, strict=True)]
 
 

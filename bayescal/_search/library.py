@@ -150,16 +150,23 @@ class Library:
         held = self._bases.get((name, bool(needed)))
         if held is not None and held[0] == needed:
             return held[1][[p.index for p in points]]
-        if self.width * record.size > HELD_NUMBERS:
-            return self._basis(name, points, needed)
-        if not needed:
-            self._bases[name, False] = needed, self._basis(name, self.points[name], needed)
-        else:
+        candidates, kept = self.structures.candidates, self.width * record.size <= HELD_NUMBERS
+        if needed and kept:  # of all candidates that depend on the same
             names = [n for n in self.points if self._needed(n, acting) == needed]
-            effects = [ColumnsOf.of(self.structures.candidates[n]) for n in names]
+            effects = [ColumnsOf.of(candidates[n]) for n in names]
             values = [_shapes(self.points[n]) for n in names]
             every = record.columns_of_several(effects, values, needed)
-            self._bases |= {(n, True): (needed, own) for n, own in zip(names, every, strict=True)}
+        else:
+            wanted = self.points[name] if kept else points
+            at = [*_shapes(wanted), *itertools.chain(*needed.values())]
+            effect = ColumnsOf.of(candidates[name]).on([*needed])
+            made = record.columns_of_draws(effect, at, {})
+            made = made[None] if made.ndim == 2 else made
+            if not kept:
+                return made
+            names, every = [name], [made]
+        for n, own in zip(names, every, strict=True):
+            self._bases[n, bool(needed)] = needed, own
         return self._bases[name, bool(needed)][1][[p.index for p in points]]
 
     def _needed(
@@ -171,17 +178,6 @@ class Library:
         """
         columns = self.structures.candidates[name].columns
         return {c: _nearby(c, at) for c, at in acting.items() if c.column in columns}
-
-    def _basis(
-        self,
-        name: str,
-        points: Sequence[GridPoint],
-        acting: Mapping[Correction, tuple[float, ...]],
-    ) -> Float[np.ndarray, "points n k"]:
-        effect = ColumnsOf.of(self.structures.candidates[name]).on([*acting])
-        values = [*_shapes(points), *itertools.chain(*acting.values())]
-        made = self.structures.record.columns_of_draws(effect, values, {})
-        return made[None] if made.ndim == 2 else made
 
 
 def _shapes(points: Sequence[GridPoint]) -> list[np.ndarray]:

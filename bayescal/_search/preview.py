@@ -28,8 +28,6 @@ from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
 from bayescal._search.discover import placeholders
 
-MODE_DRAWS = 100  # draws of a fit whose mode alone is used
-
 
 @dataclass(frozen=True, repr=False)
 class Preview(Printed):
