@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ast
 import re
-from collections import Counter
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -116,18 +115,6 @@ def test_files_named_in_the_text_exist(page: str) -> None:
     )
     for path in re.findall(r"`([\w.]+(?:/[\w.]+)*/[\w.]*)`", text):
         assert file_of(path).exists() or path == "demo_output/", path
-
-
-def test_decisions_stand_by_rooms_that_there_are() -> None:
-    text = (ROOT / "docs" / "decisions.md").read_text("utf-8")
-    parts = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
-    for part in parts:
-        heading, *lines = part.splitlines()
-        assert all(file_of(name).is_dir() for name in re.findall(r"`([^`]+)`", heading)), heading
-        dated = [line[2:12] for line in lines if line.startswith("- ")]
-        assert dated and all(re.fullmatch(r"20\d\d-\d\d-\d\d", day) for day in dated), heading
-    said = re.findall(r"^- .{10} (.+\n.*)", text, re.MULTILINE)
-    assert not [one for one, count in Counter(said).items() if count > 1], "said twice"
 
 
 def test_the_picture_shows_every_room_from_the_top_down() -> None:
