@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import reduce
 from itertools import pairwise
 from operator import sub
 from typing import Any
@@ -24,10 +24,9 @@ from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
 from bayescal._core import deadline
-from bayescal._core.deadline import Handover
-from bayescal._core.errors import InputError, TimeIsUp
+from bayescal._core.errors import InputError
 from bayescal._core.formatting import probability
-from bayescal._core.progress import stage, tell
+from bayescal._core.progress import stage
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import said_of, set_aside
@@ -42,29 +41,23 @@ from bayescal._model.model import Model, testable
 from bayescal._model.unknown_effect import freed
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import (
-    ENDED,
-    WORK,
-    discovery_at,
+    SEARCH,
+    missing,
     placeholders,
     structures_over,
-    walked,
     with_causes,
 )
 from bayescal._search.gate import judged, left_out_better
 from bayescal._search.library import Library
-from bayescal._search.posterior import OtherPath, Posterior, Search, ShownStructure
+from bayescal._search.posterior import OtherPath, Posterior, Search
 from bayescal._search.search_path import Gate, SearchPath, Step
 from bayescal._search.structure_average import averaged
-from bayescal._search.structures import Structure, Structures
-from bayescal._search.walk import STOPPED, path
+from bayescal._search.structures import Structure, Structures, Weighed
+from bayescal._search.walk import explore, path
 
 QUICK = LeastSquares(draws=500)
 NOT_LOOKED = "Nothing was looked for."
-CUT = "The search was ended after {:.0f} s ({}), {}: more time may find more."
-NO_SECOND = "before a second structure was weighed"
-# For a larger model to be fitted and checked: times what the first step took, s more, and s more still after Ctrl-C.
-FITTED, SOONEST, PATIENT = 3.0, 3.0, 10.0
-UNJUDGED = "Whether the last model is to be used was not judged ({})."
+NOT_AVERAGED = "Not averaged over the structures ({}): this is the one shown, alone."
 UNDER_WAY = Gate(False, "The search is under way: this model is not its end.")
 
 
@@ -81,7 +74,6 @@ def calibrate(
     seed: int = 0,
     reference: Reference | None = None,
     time_limit: float | None = None,
-    seeds: Sequence[Structure | ShownStructure] = (),
     accept_conflicts: Collection[str] = (),
     ignore: Collection[str] = (),
     covariates: Collection[str] | None = None,
@@ -108,27 +100,28 @@ def calibrate(
             the model needs was wrong, and flags them; clipped ones always.
         seed: of every random number.
         reference: constants of the bases to use in place of the readings' own.
-        time_limit: seconds for everything; the search gets six tenths of them, and what was left out is said. Ctrl-C
-            ends with what there is at any time.
-        seeds: structures to weigh first: `trail.search.structures` of a search of these readings that was ended early.
+        time_limit: seconds for everything; the search gets two thirds of what the first model leaves, and what was left
+            out is said. The first model is fitted in any case, and so is the most probable structure that was
+            evaluated: they may take longer. Ctrl-C ends at any time with what there is; pressed again, with nothing.
         accept_conflicts: coefficients or effects that may differ greatly from their priors; else nothing is looked for.
         ignore: columns that are no causes.
         covariates: of the columns that the instrument does not know, those that may be causes; None for all but other
             channels of the unit.
-        follow: called with the trail so far, as soon as the first model stands and whenever it grows.
+        follow: called with the trail so far: once a second while structures are evaluated, when that ends, and with
+            each model fitted after it. KeyboardInterrupt from it ends the search as Ctrl-C does.
 
     Raises:
         ModelError: the readings lack what the model needs.
         InputError: there is no such column to ignore or to allow.
-        TimeIsUp: the time limit came before the first model was fitted.
     """
-
-    def run() -> SearchPath:
+    if holdout is not None:
+        model.require(holdout)
+    with deadline.until(time_limit):
         causes = with_causes(readings, model.instrument, ignore, covariates)
         used = set_aside(causes, keep_spikes, model.columns)
         kept = None if holdout is None else set_aside(holdout, keep_spikes, model.columns)
         used, accepted = _said_of_holdout(used, kept), frozenset(accept_conflicts)
-        loop = Loop(used, kept, method, seed, reference, max_effects, accepted, resumed=len(seeds))
+        loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
         loop, first = loop.begin(model)
         # Stated values that the readings contradict: the value may be wrong, or an effect missing; the search weighs
         # both.
@@ -136,19 +129,11 @@ def calibrate(
         if first.against and not more:
             return loop.not_looked(first)
         loop, structures, shut = loop.open(first, (*effects, *more), widen_noise)
-        tell = partial(loop.tell, [first], structures, deadline.door(), follow)
-        tell()
-        deadline.allow(loop.grace)
-        try:
-            library, stopped = loop.look(Library(structures), seeds, tell)
-        except TimeIsUp as early:
-            return loop.not_searched(first, early.why)
+        library = Library(structures)
+        follow(loop.so_far([first], structures))
+        with deadline.sooner(SEARCH):
+            stopped = loop.look(library, lambda: follow(loop.so_far([first], structures)))
         return loop.to_best(first, library, shut, stopped, follow)
-
-    if holdout is not None:
-        model.require(holdout)
-    with deadline.until(time_limit), deadline.share(WORK):
-        return deadline.within(run)
 
 
 @dataclass(frozen=True)
@@ -165,7 +150,6 @@ class Loop:
     begun: float = 0.0  # of the search
     step_takes: float = 0.0  # s, as the first one did
     given: tuple[Effect, ...] = ()  # of the model given, to be weighed anew
-    resumed: int = 0  # structures of an earlier search, which are weighed first
 
     def begin(self, model: Model) -> tuple[Loop, Step]:
         """The first step, of the model without what is weighed anew.
@@ -178,7 +162,10 @@ class Loop:
         looked_at = model.effects if self.max_effects > 0 else ()
         given = [e for e in looked_at if self._weighed_anew(e, model)]
         model = reduce(sub, given, model)
-        first = self.step(model, method=self.quick(model))
+        method = self.quick(model)
+        with deadline.finishing():  # whatever the time limit
+            first = self.step(model, method=method)
+        deadline.current().defer_interrupt()
         now = time.monotonic()
         most = max(self.max_effects, len(given))
         taken = {"begun": now, "step_takes": now - before, "given": tuple(given)}
@@ -229,16 +216,6 @@ class Loop:
         # not tuned.
         return tuple(freed(e, 10 ** math.ceil(math.log10(away[n]))) for n, e in named.items())
 
-    @property
-    def finish_takes(self) -> float:
-        """How long the fit of a larger model, its checks and its judgement may take, s."""
-        return SOONEST + FITTED * self.step_takes
-
-    @property
-    def grace(self) -> float:
-        """What these are allowed after Ctrl-C, s."""
-        return PATIENT + self.finish_takes
-
     def quick(self, model: Model) -> Method | None:
         """How steps on the way are fitted: not sampled, for their errors and evidence need no draws.
 
@@ -254,32 +231,12 @@ class Loop:
         )
         return SearchPath(*judged((first,)), self.holdout, None, search)
 
-    def look(
-        self,
-        library: Library,
-        seeds: Sequence[Structure | ShownStructure] = (),
-        tell: Callable[[], None] = lambda: None,
-    ) -> tuple[Library, str]:
-        """Walk over the structures: these as weighed, and why the walk ended early, if it did.
-
-        Raises:
-            TimeIsUp: not even the first model was weighed.
-        """
-        structures = library.structures
-        asked = dict.fromkeys(Structure(frozenset(s.effects), s.noise) for s in seeds)
-        known = [s for s in asked if self._may_be(s, structures)]
-        given = Structure(frozenset(e.name for e in self.given))
-        last = given if given.effects and self._may_be(given, structures) else None
-        keep = min(self.finish_takes, 0.5 * deadline.current().left)
-        return walked(library, self.max_effects, lambda _: tell(), known, last, keep)
-
-    def _may_be(self, s: Structure, structures: Structures) -> bool:
-        return (
-            s.effects <= set(structures.candidates)
-            and s.effects.isdisjoint(structures.barred(s))
-            and len(s.effects) <= self.max_effects
-            and s.noise in ("", *structures.laws)
-        )
+    def look(self, library: Library, follow: Callable[[], None] = lambda: None) -> str:
+        """Walk over the structures, and return why the walk ended early; empty where it did not."""
+        given, structures = Structure(frozenset(e.name for e in self.given)), library.structures
+        may_be = given.effects and given.effects <= {*structures.candidates}
+        last = given if may_be and given.effects.isdisjoint(structures.barred(given)) else None
+        return explore(library, self.max_effects, last, follow)
 
     def to_best(
         self,
@@ -289,82 +246,53 @@ class Loop:
         stopped: str,
         follow: Callable[[SearchPath], None] = lambda _: None,
     ) -> SearchPath:
-        """Fit the models on the way to the most probable structure; where Ctrl-C leaves no time for them, it alone.
-
-        Raises:
-            TimeIsUp: a time limit came, or Ctrl-C once more.
-        """
-
-        def steps(hurried: bool, why: str = stopped) -> SearchPath:
-            return self.steps_to_best(first, library, shut, why, follow, hurried)
-
-        hurried = deadline.current().interrupted
-        with deadline.grace(self.grace) as end:
-            try:
-                return steps(hurried)
-            except (TimeIsUp, KeyboardInterrupt) as early:
-                if hurried or (isinstance(early, TimeIsUp) and not end.interrupted):
-                    raise
-        with deadline.grace(self.grace):
-            return steps(True, stopped or STOPPED.format(time.monotonic() - self.begun))
-
-    def steps_to_best(
-        self,
-        first: Step,
-        library: Library,
-        shut: Sequence[Candidate],
-        stopped: str,
-        follow: Callable[[SearchPath], None] = lambda _: None,
-        hurried: bool = False,
-    ) -> SearchPath:
-        """Fit the models on the way to the most probable structure; that alone, and as it is, where this is hurried."""
-        structures, steps, to = library.structures, [first], deadline.door()
-        chosen = Posterior.of(structures).chosen
-        # As long as the first step took, each: what further effects cost is not known before they are fitted.
-        takes = self.step_takes * (1 + len(chosen.effects) + bool(chosen.noise))
-        in_time = takes < deadline.current().left and not hurried
-        way = path(library, chosen) if in_time else [*dict.fromkeys([Structure(), chosen])]
-        # Where a limit may end sampling, the last model stands before it begins; after Ctrl-C it is fitted anew.
-        limited = deadline.current().ends_at < math.inf
-        twice = limited and not isinstance(self.method, LeastSquares)
-        if hurried and len(way) > 1:
-            best = " + ".join(sorted(chosen.effects)) or "the first model under another noise law"
-            tell(f"interrupted: fitting the best so far, {best}; Ctrl-C again does not wait for it")
-        for before, at in pairwise(way):
-            weighed = structures.weigh(at)
-            model = weighed.sized_model
-            once = at == way[-1] and not (twice or hurried)
-            method = self.method if once else self.quick(model)
-            steps.append(self.step(model, before, at, method=method, start=weighed.phi))
-            self.tell(steps, structures, to, follow)
-        if hurried and self.method != QUICK:
-            steps[-1] = steps[-1].noted([NOT_SAMPLED.format(deadline.current().limit)])
-        elif self.method != QUICK and (len(way) == 1 or twice):
-            steps[-1] = self.sampled(steps[-1], structures.weigh(way[-1]).phi)
-            self.tell(steps, structures, to)
-        if first.calibration.verdict.ok and self.max_effects > 0:  # else nothing was looked for
-            steps = [
-                replace(s, discovery=discovery_at(library, at, shut, stopped))
-                for s, at in zip(steps, way, strict=False)
-            ]
-            why = ENDED if stopped else self.incomplete(steps)
+        """Fit the models on the way to the structure to use; of a walk that ended early, the best one alone."""
+        structures, steps = library.structures, [first]
+        posterior, end = Posterior.of(structures), deadline.current()
+        # What was the best when the walk ended is what is returned: nothing is evaluated after that.
+        search = self.search(structures, stopped=stopped) if stopped else None
+        goal = posterior.best if stopped else posterior.chosen
+        way = [*dict.fromkeys([Structure(), goal])]
+        try:
+            way = way if stopped else path(library, goal)
+            for before, at in pairwise(way[:-1]):
+                with deadline.sooner(1 / 2) as half:
+                    half.ask()
+                    steps.append(self.fitted(structures.weigh(at), before, at))
+                follow(self.so_far(steps, structures))
+        except deadline.EARLY:  # no time for each on the way
+            way = [*dict.fromkeys([*way[: len(steps)], goal])]
+        asked = first.calibration.verdict.ok and self.max_effects > 0
+        found = [missing(library, at, shut, stopped) if asked else None for at in way]
+        if len(way) > len(steps) or self.method != QUICK:
+            last = self.last(structures.weigh(goal), *([None] * 2 if len(way) == 1 else way[-2:]))
+            steps = [*steps[: len(way) - 1], last]
+            follow(self.so_far(steps, structures, search))
+        steps = [replace(s, discovery=one) for s, one in zip(steps, found, strict=True)]
+        if asked:
+            why = "" if stopped else self.incomplete(steps)
             if (last := steps[-1].discovery) and why:
                 steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
             steps[-1] = self.said_of_given(steps[-1])
-        last, shares = steps[-1].calibration, ()
-        used = last
-        if self.max_effects > 0 and last.verdict.ok:
-            with suppress(TimeIsUp):  # what is used of it is an average over the structures
-                used, shares = averaged(last, structures, way[len(steps) - 1].noise, self.seed)
+        used, shares = steps[-1].calibration, ()
+        if self.max_effects > 0 and used.verdict.ok:
+            try:  # what is used is an average over the structures
+                used, shares = averaged(used, structures, goal.noise, self.seed)
+            except deadline.EARLY:
+                steps[-1] = steps[-1].noted([NOT_AVERAGED.format(end.why)])
+                used = steps[-1].calibration
+        one = steps[-1].calibration is used
         steps[-1] = self.held_against(steps[-1], used, structures)
-        trail = self.trail(steps, structures, complete=not stopped, stopped=stopped)
-        if used is last:
-            return replace(trail, shares=shares)
+        search = search or self.search(structures, complete=True)
+        trail = SearchPath(
+            *judged(steps), self.holdout, _other_path(structures), search, shares=shares
+        )
+        if one:
+            return trail
         verdict = trail.final.calibration.verdict
         notes = dict.fromkeys((*verdict.notes, *used.verdict.notes))
         of_last = {"against": verdict.against, "checked": verdict.checked}
-        used = used.with_verdict(**of_last, notes=tuple(notes))
-        return replace(trail, average=used, shares=shares)
+        return replace(trail, average=used.with_verdict(**of_last, notes=tuple(notes)))
 
     def held_against(self, step: Step, used: Calibration, structures: Structures) -> Step:
         """The last step, whose hold-out data are held against what is used of it."""
@@ -395,54 +323,32 @@ class Loop:
         note = f"Weighed anew and left out of the model given: {each}."
         return replace(step, calibration=c.with_verdict(notes=(*c.verdict.notes, note)))
 
-    def sampled(self, step: Step, start: Mapping[str, float] = NOTHING_KNOWN) -> Step:
-        """A step with its posterior sampled, as far as there is time for that and for checking it anew."""
-        with deadline.share(keep=self.step_takes) as end:
-            try:
+    def fitted(self, weighed: Weighed, before: Structure, at: Structure) -> Step:
+        """A step on the way."""
+        model = weighed.sized_model
+        return self.step(model, before, at, method=self.quick(model), start=weighed.phi)
+
+    def last(self, weighed: Weighed, before: Structure | None, at: Structure | None) -> Step:
+        """The last step, by the method asked for; without its sampling where there is no time for that."""
+        model, start = weighed.sized_model, weighed.phi
+        sampling = not isinstance(self.method, LeastSquares)
+        with suppress(*deadline.EARLY), deadline.sooner(keep=self.step_takes) as end:
+            if sampling:
                 end.ask()
-                found = self.step(step.calibration.model, method=self.method, start=start)
-            except TimeIsUp as early:
-                notes = (NOT_SAMPLED.format(early.why), *step.calibration.verdict.notes)
-                return replace(step, calibration=step.calibration.with_verdict(notes=notes))
-        return replace(found, added=step.added, changed=step.changed)
+                return self.step(model, before, at, method=self.method, start=start)
+        with deadline.finishing():
+            method = QUICK if sampling else self.method
+            found = self.step(model, before, at, method=method, start=start)
+        return found.noted([NOT_SAMPLED.format(end.why)]) if sampling else found
 
-    def tell(
-        self,
-        steps: Sequence[Step],
-        structures: Structures,
-        to: Handover,
-        follow: Callable[[SearchPath], None] = lambda _: None,
-    ) -> None:
-        """Hand over the trail so far, and say it to who follows."""
-        steps = tuple(steps)
-        so_far = self.trail(steps, structures, complete=False)
-        with to.offering(lambda why: self.cut(steps, so_far.search, why)):
-            follow(so_far)
-
-    def not_searched(self, first: Step, why: str) -> SearchPath:
-        """The first model alone, sampled and judged, where no second structure was weighed in time."""
-        said = CUT.format(time.monotonic() - self.begun, why, NO_SECOND)
-        search = Search((), 0, complete=False, stopped=said)
-        if not isinstance(self.method, LeastSquares):
-            first = self.sampled(first)
-        return SearchPath(*judged((first,)), self.holdout, None, search)
-
-    def cut(self, steps: Sequence[Step], search: Search | None, why: str) -> SearchPath:
-        """A trail that was ended before its last model was found or judged."""
-        search = search or Search((), 0, complete=False)
-        best, at = next(iter(search.structures), None), "with this as the best so far"
-        # Whether what was found most probable is what the last step holds decides what can be promised of it.
-        if best is None:
-            at = NO_SECOND
-        elif not {*best.effects} <= {*steps[-1].calibration.model.names}:
-            at = f"when {best} was the most probable so far, and was not fitted yet"
-        ended = replace(search, stopped=CUT.format(time.monotonic() - self.begun, why, at))
-        return self._unjudged(steps, Gate(False, UNJUDGED.format(why)), ended)
-
-    def _unjudged(self, steps: Sequence[Step], gate: Gate, search: Search) -> SearchPath:
-        """A trail whose last model says what stands against its use: that it is not the end."""
-        steps = (*steps[:-1], steps[-1].judged((gate.reason,)))
-        return SearchPath(steps, gate, self.holdout, None, search)
+    def so_far(
+        self, steps: Sequence[Step], structures: Structures, search: Search | None = None
+    ) -> SearchPath:
+        """The trail while it grows: its last model says that it is not the end."""
+        *before, last = steps
+        search = search or self.search(structures)
+        steps = (*before, last.judged((UNDER_WAY.reason,)))
+        return SearchPath(steps, UNDER_WAY, self.holdout, None, search)
 
     def incomplete(self, steps: Sequence[Step]) -> str:
         """Why the last model may not be called complete, whatever its probability; empty where it may."""
@@ -480,20 +386,13 @@ class Loop:
             found = step_of(calibration, self.holdout, self.accepted)
         return replace(found, added=added, changed=changed)
 
-    def trail(
-        self, steps: Sequence[Step], structures: Structures, *, complete: bool, stopped: str = ""
-    ) -> SearchPath:
-        search = Search.of(
-            structures,
-            complete=complete,
-            stopped=stopped,
-            seconds=time.monotonic() - self.begun,
-            max_effects=self.max_effects,
-            resumed=self.resumed,
-        )
-        if not (complete or stopped):
-            return self._unjudged(steps, UNDER_WAY, search)
-        return SearchPath(*judged(steps), self.holdout, _other_path(structures), search)
+    def search(
+        self, structures: Structures, *, complete: bool = False, stopped: str = ""
+    ) -> Search:
+        """How the search stands."""
+        seconds = time.monotonic() - self.begun
+        how = {"seconds": seconds, "max_effects": self.max_effects, "stopped": stopped}
+        return Search.of(structures, complete=complete, **how)
 
 
 def step_of(
