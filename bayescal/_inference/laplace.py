@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._core import deadline
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import LOG_2PI, Conditional, column_scale, condition
@@ -225,7 +224,6 @@ def climb(
         wide = covariance
     value, slope = density.slope(v)
     for _ in range(CLIMB):
-        deadline.current().ask()
         step = wide @ slope
         # Beyond a step or two of the prior's width the slope here says nothing of the density there.
         step *= min(1.0, LONGEST_STEP_SD / max(float(np.max(np.abs(step))), 1e-300))

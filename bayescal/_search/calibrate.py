@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import reduce
-from itertools import pairwise
 from operator import sub
 from typing import Any
 
@@ -238,6 +237,22 @@ class Loop:
         last = given if may_be and given.effects.isdisjoint(structures.barred(given)) else None
         return explore(library, self.max_effects, last, follow)
 
+    def goal(self, structures: Structures, stopped: str) -> Structure:
+        """The structure to use: of a walk that ended early the best that it evaluated."""
+        posterior = Posterior.of(structures)
+        return posterior.best if stopped else posterior.chosen
+
+    def way(self, library: Library, stopped: str) -> Iterator[tuple[Structure, Structure]]:
+        """Yield each structure but the last on the way to the one to use, with the next; fewer where time is short."""
+        goal = self.goal(library.structures, stopped)
+        here, steps = Structure(), [goal]
+        with suppress(*deadline.EARLY), deadline.sooner(1 / 2) as half:
+            steps = steps if stopped else path(library, goal)
+        for at in steps:
+            if at != here and (at == goal or not half.over):
+                yield here, at
+                here = at
+
     def to_best(
         self,
         first: Step,
@@ -247,27 +262,19 @@ class Loop:
         follow: Callable[[SearchPath], None] = lambda _: None,
     ) -> SearchPath:
         """Fit the models on the way to the structure to use; of a walk that ended early, the best one alone."""
-        structures, steps = library.structures, [first]
-        posterior, end = Posterior.of(structures), deadline.current()
+        structures, end, steps = library.structures, deadline.current(), [first]
         # What was the best when the walk ended is what is returned: nothing is evaluated after that.
         search = self.search(structures, stopped=stopped) if stopped else None
-        goal = posterior.best if stopped else posterior.chosen
-        way = [*dict.fromkeys([Structure(), goal])]
-        try:
-            way = way if stopped else path(library, goal)
-            for before, at in pairwise(way[:-1]):
-                with deadline.sooner(1 / 2) as half:
-                    half.ask()
-                    steps.append(self.fitted(structures.weigh(at), before, at))
-                follow(self.so_far(steps, structures))
-        except deadline.EARLY:  # no time for each on the way
-            way = [*dict.fromkeys([*way[: len(steps)], goal])]
-        asked = first.calibration.verdict.ok and self.max_effects > 0
-        found = [missing(library, at, shut, stopped) if asked else None for at in way]
-        if len(way) > len(steps) or self.method != QUICK:
-            last = self.last(structures.weigh(goal), *([None] * 2 if len(way) == 1 else way[-2:]))
-            steps = [*steps[: len(way) - 1], last]
+        goal, asked = self.goal(structures, stopped), self.max_effects > 0
+        asked = asked and first.calibration.verdict.ok  # else nothing was looked for
+        found = [missing(library, Structure(), shut, stopped)] if asked else [None]
+        for before, at in self.way(library, stopped):
+            found.append(missing(library, at, shut, stopped) if asked else None)
+            fit_step = self.last if at == goal else self.fitted
+            steps.append(fit_step(structures.weigh(at), before, at))
             follow(self.so_far(steps, structures, search))
+        if len(steps) == 1 and self.method != QUICK:
+            steps = [self.last(structures.weigh(goal))]
         steps = [replace(s, discovery=one) for s, one in zip(steps, found, strict=True)]
         if asked:
             why = "" if stopped else self.incomplete(steps)
@@ -328,7 +335,9 @@ class Loop:
         model = weighed.sized_model
         return self.step(model, before, at, method=self.quick(model), start=weighed.phi)
 
-    def last(self, weighed: Weighed, before: Structure | None, at: Structure | None) -> Step:
+    def last(
+        self, weighed: Weighed, before: Structure | None = None, at: Structure | None = None
+    ) -> Step:
         """The last step, by the method asked for; without its sampling where there is no time for that."""
         model, start = weighed.sized_model, weighed.phi
         sampling = not isinstance(self.method, LeastSquares)

@@ -100,8 +100,9 @@ def by_refit(structures: Structures, name: str, at: Weighed, further: Structure)
     effect, with_it = structures.candidates[form], structures.visited.get(further)
     several = len(structures.forms[name]) > 1
     found = Candidate(effect=name, form=form if several else "", unit=effect.coefficients[0].unit)
-    known = with_it is not None and math.isfinite(with_it.log_evidence)
-    return _refitted(found, effect, at, with_it) if known else found
+    if with_it is None or not math.isfinite(with_it.log_evidence):
+        return found
+    return _refitted(found, effect, at, with_it)
 
 
 def _refitted(found: Candidate, effect: Effect, at: Weighed, with_it: Weighed) -> Candidate:

@@ -333,9 +333,9 @@ def discovery_at(
             structures.weigh(further, here)
         candidate = by_refit(structures, name, here, further)
         near = tuple(sorted(in_sets.get(name, set()) - {name}))
-        candidate = replace(
-            candidate, probability=posterior.inclusion(name), indistinguishable_from=near
-        )
+        # A walk that ended early may have met no structure with it: nothing is known of it then.
+        known = posterior.inclusion(name) or None
+        candidate = replace(candidate, probability=known, indistinguishable_from=near)
         judged.append(found_or_lead(candidate, name in in_sets))
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
     chosen = posterior.best if stopped else posterior.chosen

@@ -115,6 +115,7 @@ def path(library: Library, to: Structure) -> list[Structure]:
     """From the base to a structure, at each step what gains most: by refits where there are any, else by score."""
     structures, steps, at = library.structures, [Structure()], None
     while True:
+        deadline.current().ask()
         here = steps[-1]
         at = structures.weigh(here, at)
         if here == to:
