@@ -41,6 +41,7 @@ from bayescal._model.unknown_effect import freed
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import (
     SEARCH,
+    Discovery,
     missing,
     placeholders,
     structures_over,
@@ -242,14 +243,15 @@ class Loop:
         posterior = Posterior.of(structures)
         return posterior.best if stopped else posterior.chosen
 
-    def way(self, library: Library, stopped: str) -> Iterator[tuple[Structure, Structure]]:
-        """Yield each structure but the last on the way to the one to use, with the next; fewer where time is short."""
-        goal = self.goal(library.structures, stopped)
-        here, steps = Structure(), [goal]
+    def way(
+        self, library: Library, goal: Structure, stopped: str
+    ) -> Iterator[tuple[Structure | None, Structure]]:
+        """Yield the structures from the first to a goal, each after the one before; fewer where time is short."""
+        here, steps = None, [Structure(), goal]
         with suppress(*deadline.EARLY), deadline.sooner(1 / 2) as half:
             steps = steps if stopped else path(library, goal)
-        for at in steps:
-            if at != here and (at == goal or not half.over):
+        for at in dict.fromkeys(steps):
+            if here is None or at == goal or not half.over:
                 yield here, at
                 here = at
 
@@ -267,9 +269,11 @@ class Loop:
         search = self.search(structures, stopped=stopped) if stopped else None
         goal, asked = self.goal(structures, stopped), self.max_effects > 0
         asked = asked and first.calibration.verdict.ok  # else nothing was looked for
-        found = [missing(library, Structure(), shut, stopped)] if asked else [None]
-        for before, at in self.way(library, stopped):
+        found = list[Discovery | None]()
+        for before, at in self.way(library, goal, stopped):
             found.append(missing(library, at, shut, stopped) if asked else None)
+            if before is None:
+                continue
             fit_step = self.last if at == goal else self.fitted
             steps.append(fit_step(structures.weigh(at), before, at))
             follow(self.so_far(steps, structures, search))

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
-from bayescal._core import deadline
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.linear_model import taken_up
 from bayescal._search.library import GridPoint, Library, Size
@@ -98,7 +97,6 @@ class View:
         self.u = np.empty(library.width)
         products: dict[str, list[np.ndarray]] = {name: [] for name in library.points}
         for points in library.blocks():
-            deadline.current().ask()
             white, begin = self.white(points), points[0].at.start
             block = slice(begin, points[-1].at.stop)
             self.cross[:, block] = nuisance.T @ white

@@ -395,10 +395,12 @@ class Session:
             library = Library(structures)
             with deadline.sooner(SEARCH):
                 stopped = loop.look(library, lambda: follow(loop.so_far(steps, structures)))
-            if first.calibration.verdict.ok:
-                self._keep_found(number, missing(library, Structure(), shut, stopped))
-            for before, at in loop.way(library, stopped):
-                found = missing(library, at, shut, stopped)
+            able, goal = first.calibration.verdict.ok, loop.goal(structures, stopped)
+            for before, at in loop.way(library, goal, stopped):
+                found = missing(library, at, shut, stopped) if able else None
+                if before is None:
+                    self._keep_found(number, found)
+                    continue
                 steps.append(loop.fitted(structures.weigh(at), before, at))
                 number = self._append(steps[-1], number, found).number
                 follow(loop.so_far(steps, structures))
