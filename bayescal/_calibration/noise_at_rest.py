@@ -207,10 +207,11 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     end = deadline.current()
     end.defer_interrupt()
     try:
+        end.ask()
         for _ in _fitted_sums(channel, fits, further, kept):
             end.ask()
-    except deadline.EARLY:
-        notes.append(ENDED.format(end.why or "interrupted"))
+    except deadline.TimeIsUp:
+        notes.append(ENDED.format(end.why))
     with deadline.finishing():
         drawn, walk, probabilities = _drawn_sums(channel, fits, seed)
     return WeighedNoise(tuple(drawn), walk, probabilities, tuple(notes), runs)

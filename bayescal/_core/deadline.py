@@ -1,7 +1,7 @@
 """When work has to end: at a time limit, or at Ctrl-C.
 
-Work asks between its pieces (`Deadline.ask`); whoever holds a result catches what that raises (`EARLY`) and finishes
-with it (`finishing`). No call between two questions takes longer than some seconds, so none has to be abandoned.
+Work asks between its pieces (`Deadline.ask`); whoever holds a result catches `TimeIsUp` and finishes with it
+(`finishing`). No call between two questions takes longer than some seconds, so none has to be abandoned.
 """
 
 from __future__ import annotations
@@ -20,10 +20,7 @@ RETRY_SECONDS = 0.02  # until Ctrl-C that came inside JAX is raised
 
 
 class TimeIsUp(Exception):
-    """The time limit has come."""
-
-
-EARLY = (TimeIsUp, KeyboardInterrupt)
+    """The time limit has come, or Ctrl-C; says which."""
 
 
 @dataclass(eq=False)
@@ -85,13 +82,10 @@ class Deadline:
         """Go on, if there is time.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C was pressed.
-            TimeIsUp: the time limit has come.
+            TimeIsUp: there is none.
         """
-        if self.interrupted:
-            raise KeyboardInterrupt
         if self.over:
-            raise TimeIsUp(self.limit)
+            raise TimeIsUp(self.why)
 
     def defer_interrupt(self) -> None:
         """From here on a first Ctrl-C is raised by `ask` alone: there is a result to be returned."""

@@ -82,8 +82,8 @@ class Marginal(Method):
             linear = UNEVEN if problem.affine else TOO_NONLINEAR
             words = linear if problem.noise.gaussian else TOO_HEAVY
             return self._exact(problem, mode, seed, (*notes, words.format(why_not)))
-        except deadline.EARLY as early:
-            return best(str(early) or "interrupted")
+        except deadline.TimeIsUp as early:
+            return best(str(early))
 
     def about_the_mode(
         self, problem: Problem, mode: Mode, seed: int, notes: tuple[str, ...], why: str

@@ -58,12 +58,12 @@ class NUTS(Method):
         frame, y = problem.record.frame, problem.record.y
         with deadline.finishing():
             mode = find_mode(problem, start=start)
-        end, plan = deadline.current(), Plan(self.warmup, self.draws, self.chains, self.dense)
-        end.defer_interrupt()
+        plan = Plan(self.warmup, self.draws, self.chains, self.dense)
+        deadline.current().defer_interrupt()
         try:
             ran, sites = sampled(program(layout, frame), (y,), plan, seed)
-        except deadline.EARLY as early:
-            return Marginal().about_the_mode(problem, mode, seed, (), str(early) or end.why)
+        except deadline.TimeIsUp as early:
+            return Marginal().about_the_mode(problem, mode, seed, (), str(early))
         x, v = (np.asarray(sites[k]) for k in ("x", "v"))
         ran = ran._replace(draws=np.concatenate([x, v], axis=2))
         verdict = trust.chain_verdict(ran, "NUTS", ())

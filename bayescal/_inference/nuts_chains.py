@@ -100,7 +100,6 @@ def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -
 
     Raises:
         TimeIsUp: the deadline came first, or surely would.
-        KeyboardInterrupt: Ctrl-C did.
     """
     end = deadline.current()
     end.ask()

@@ -108,7 +108,7 @@ def calibrate(
         covariates: of the columns that the instrument does not know, those that may be causes; None for all but other
             channels of the unit.
         follow: called with the trail so far: once a second while structures are evaluated, when that ends, and with
-            each model fitted after it. KeyboardInterrupt from it ends the search as Ctrl-C does.
+            each model fitted after it.
 
     Raises:
         ModelError: the readings lack what the model needs.
@@ -248,7 +248,7 @@ class Loop:
     ) -> Iterator[tuple[Structure | None, Structure]]:
         """Yield the structures from the first to a goal, each after the one before; fewer where time is short."""
         here, steps = None, [Structure(), goal]
-        with suppress(*deadline.EARLY), deadline.sooner(1 / 2) as half:
+        with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as half:
             steps = steps if stopped else path(library, goal)
         for at in dict.fromkeys(steps):
             if here is None or at == goal or not half.over:
@@ -289,7 +289,7 @@ class Loop:
         if self.max_effects > 0 and used.verdict.ok:
             try:  # what is used is an average over the structures
                 used, shares = averaged(used, structures, goal.noise, self.seed)
-            except deadline.EARLY:
+            except deadline.TimeIsUp:
                 steps[-1] = steps[-1].noted([NOT_AVERAGED.format(end.why)])
                 used = steps[-1].calibration
         one = steps[-1].calibration is used
@@ -345,7 +345,7 @@ class Loop:
         """The last step, by the method asked for; without its sampling where there is no time for that."""
         model, start = weighed.sized_model, weighed.phi
         sampling = not isinstance(self.method, LeastSquares)
-        with suppress(*deadline.EARLY), deadline.sooner(keep=self.step_takes) as end:
+        with suppress(deadline.TimeIsUp), deadline.sooner(keep=self.step_takes) as end:
             if sampling:
                 end.ask()
                 return self.step(model, before, at, method=self.method, start=start)

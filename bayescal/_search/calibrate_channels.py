@@ -92,7 +92,7 @@ def calibrate_channels(
         for i, channel in enumerate(channels):
             with stage(channel.name), deadline.sooner(1 / (2 * count - i)):
                 channel.look(follow)
-        with suppress(*deadline.EARLY), deadline.sooner(1 / 2):
+        with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2):
             for one in _shared(channels, follow):
                 shared = one
         for i, channel in enumerate(channels):
@@ -160,7 +160,7 @@ class _Channel:
         probable structures are weighed again.
 
         Raises:
-            TimeIsUp, KeyboardInterrupt: there was no time; what stood before stands.
+            TimeIsUp: there was no time; what stood before stands.
         """
         before, shapes = self.structures, self.shared
         if before is None:

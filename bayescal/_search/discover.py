@@ -184,7 +184,7 @@ def discover(
 
 def missing(library: Library, at: Structure, shut: Sequence[Candidate], stopped: str) -> Discovery:
     """What is missing from a structure; where there is no time to score candidates, by what was evaluated alone."""
-    with suppress(*deadline.EARLY), deadline.sooner(1 / 2) as end:
+    with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as end:
         end.ask()
         return discovery_at(library, at, shut, stopped)
     with deadline.finishing():

@@ -47,7 +47,7 @@ def explore(
 
     Args:
         library, max_effects, given: of `walk`. The first structure is evaluated in any case.
-        follow: called at times, and last of all; KeyboardInterrupt from it ends the walk, too.
+        follow: called at times, and last of all.
     """
     begun, followed, structures, ended = time.monotonic(), 0.0, library.structures, ""
     end = deadline.current()
@@ -62,12 +62,11 @@ def explore(
                     follow()
                     followed = time.monotonic()
                 end.ask()
-    except deadline.EARLY as early:
-        interrupted = isinstance(early, KeyboardInterrupt)
-        ended = (STOPPED if interrupted else LIMIT).format(time.monotonic() - begun)
+    except deadline.TimeIsUp as early:
+        ended = (STOPPED if end.interrupted else LIMIT).format(time.monotonic() - begun)
         if len(structures.visited) == 1:
-            ended = NOT_BEGUN.format("interrupted" if interrupted else end.limit)
-        if interrupted:
+            ended = NOT_BEGUN.format(early)
+        if end.interrupted:
             tell("interrupted: fitting the best so far; Ctrl-C again ends without a result")
     follow()
     return ended

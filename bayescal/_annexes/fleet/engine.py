@@ -144,9 +144,10 @@ class Engine:
         if self.client is None:
             for index, task in enumerate(tasks):
                 try:
-                    end.ask()
+                    if index:
+                        end.ask()
                     yield TaskOutcome(index, function(*task), "")
-                except deadline.EARLY:
+                except deadline.TimeIsUp:
                     yield TaskOutcome(index, None, NOT_REACHED.format(end.why))
                 except (BayescalError, OSError) as error:
                     yield TaskOutcome(index, None, str(error))
@@ -171,7 +172,7 @@ class Engine:
                     end.ask()
             except TimeoutError:
                 alone = 0.0 if self.client.nthreads() else alone + LOOK_SECONDS
-            except deadline.EARLY:
+            except deadline.TimeIsUp:
                 self.client.cancel(list(left))
                 for index in left.values():
                     yield TaskOutcome(index, None, NOT_REACHED.format(end.why))

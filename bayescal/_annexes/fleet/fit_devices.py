@@ -607,7 +607,7 @@ class _Fits:
                 model.require(first)
                 model = sized_for(model, first, self.options.reference)
                 self._fit(model, block)
-            except deadline.EARLY:
+            except deadline.TimeIsUp:
                 break
             except BayescalError as error:  # a column is missing, of all its devices
                 wrong.append(error)
