@@ -79,7 +79,6 @@ BEHIND = {
         _calibration.posterior_tree: build_tree
         _calibration.storage: save
         _calibration.summary: null_directions unknown_rows
-        _core: deadline
         _data.header_matching: MISSING_READINGS
         _inference.method: Method
         _model.effect: with_forms

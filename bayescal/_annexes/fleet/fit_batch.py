@@ -63,7 +63,6 @@ from bayescal._annexes.fleet.model_texts import model_texts, shown
 from bayescal._annexes.fleet.odd_devices import Values, odd_effects, odd_values
 from bayescal._annexes.fleet.partial_pooling import learn_population
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
-from bayescal._core import deadline
 from bayescal._core.progress import EVERY
 from bayescal._core.settings import settings
 from bayescal._inference.method import Method
@@ -72,7 +71,16 @@ from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES, READ
 from bayescal._tables.parquet_netcdf import arrow_cells, arrow_headers
 from bayescal._tables.raw_table import Table, after, as_format, refuse_large
-from bayescal.workshop import ReadOptions, note, one_line, parsed_json, sha256_of, stage, tell
+from bayescal.workshop import (
+    ReadOptions,
+    deadline,
+    note,
+    one_line,
+    parsed_json,
+    sha256_of,
+    stage,
+    tell,
+)
 
 if TYPE_CHECKING:
     from distributed import Client
