@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import sub
 from typing import Any
@@ -122,23 +122,26 @@ def calibrate(
         kept = None if holdout is None else set_aside(holdout, keep_spikes, model.columns)
         used, accepted = _said_of_holdout(used, kept), frozenset(accept_conflicts)
         loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
-        loop, first = loop.begin(model)
-        # Stated values that the readings contradict: the value may be wrong, or an effect missing; the search weighs
-        # both.
-        more = loop.freed(first)
-        if first.against and not more:
-            return loop.not_looked(first)
-        loop, structures, shut = loop.open(first, (*effects, *more), widen_noise)
-        library = Library(structures)
-        follow(loop.so_far([first], structures))
+        loop.begin(model, effects, widen_noise)
+        follow(loop.trail())
         with deadline.sooner(SEARCH):
-            stopped = loop.look(library, lambda: follow(loop.so_far([first], structures)))
-        return loop.to_best(first, library, shut, stopped, follow)
+            loop.look(lambda: follow(loop.trail()))
+        return loop.to_best(follow)
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Loop:
-    """What stays the same from step to step: see `calibrate`."""
+    """One search: what is asked (see `calibrate`), and how it stands.
+
+    Attributes:
+        begun: when the first step stood, by `time.monotonic`, s.
+        step_takes: s, as the first step did.
+        given: effects of the model given, to be weighed anew.
+        steps: models fitted so far.
+        library: candidates and the structures evaluated; None where nothing can be looked for.
+        shut: candidates that these readings cannot test.
+        stopped: why the walk ended early; empty where it did not.
+    """
 
     readings: Measurements
     holdout: Measurements | None
@@ -147,12 +150,16 @@ class Loop:
     reference: Reference | None
     max_effects: int
     accepted: frozenset[str]
-    begun: float = 0.0  # of the search
-    step_takes: float = 0.0  # s, as the first one did
-    given: tuple[Effect, ...] = ()  # of the model given, to be weighed anew
+    begun: float = 0.0
+    step_takes: float = 0.0
+    given: tuple[Effect, ...] = ()
+    steps: list[Step] = field(default_factory=list)
+    library: Library | None = None
+    shut: Sequence[Candidate] = ()
+    stopped: str = ""
 
-    def begin(self, model: Model) -> tuple[Loop, Step]:
-        """The first step, of the model without what is weighed anew.
+    def begin(self, model: Model, effects: Sequence[Effect], widen_noise: bool) -> None:
+        """Fit the first step, of the model without what is weighed anew, and open what is to be searched beyond it.
 
         Whether an effect belongs there is what the search is to say: kept because the search began with it, it would
         hide rivals that the same search finds from the baseline.
@@ -160,17 +167,17 @@ class Loop:
         before = time.monotonic()
         # Where nothing is looked for, nothing is weighed.
         looked_at = model.effects if self.max_effects > 0 else ()
-        given = [e for e in looked_at if self._weighed_anew(e, model)]
-        model = reduce(sub, given, model)
+        self.given = tuple(e for e in looked_at if self._weighed_anew(e, model))
+        model = reduce(sub, self.given, model)
         method = self.quick(model)
         with deadline.finishing():  # whatever the time limit
             first = self.step(model, method=method)
         deadline.current().defer_interrupt()
-        now = time.monotonic()
-        most = max(self.max_effects, len(given))
-        taken = {"begun": now, "step_takes": now - before, "given": tuple(given)}
-        reference = first.calibration.reference
-        return replace(self, max_effects=most, reference=reference, **taken), first
+        self.max_effects = max(self.max_effects, len(self.given))
+        self.reference = first.calibration.reference
+        self.begun = time.monotonic()
+        self.step_takes = self.begun - before
+        self.open(first, effects, widen_noise)
 
     def _weighed_anew(self, effect: Effect, model: Model) -> bool:
         instrument, readings = model.instrument, self.readings
@@ -182,20 +189,24 @@ class Loop:
         testable_here = testable(effect, readings) is None
         return on_the_way and effect.name in catalogued and free and testable_here
 
-    def open(
-        self, first: Step, effects: Sequence[Effect], widen_noise: bool
-    ) -> tuple[Loop, Structures, list[Candidate]]:
-        """The structures to look at beyond the first step, and the candidates that these readings cannot test."""
-        loop, c, fixed = self, first.calibration, first.check.fixed
+    def open(self, first: Step, effects: Sequence[Effect], widen_noise: bool) -> None:
+        """Begin with a step that is fitted: the structures to look at beyond it, if anything can be learnt from it."""
+        self.steps, c, fixed = [first], first.calibration, first.check.fixed
+        # Stated values that the readings contradict: the value may be wrong, or an effect missing; the search weighs
+        # both.
+        more = self.freed(first)
+        if first.against and not more:
+            return
         # Without convergence there are no probabilities; and a published calibration that fails is not saved.
         if not c.verdict.ok or (fixed is not None and fixed.wrong):
-            loop, widen_noise = replace(self, max_effects=0), False
+            self.max_effects, widen_noise = 0, False
         # Of the same name as one of the catalogue, the given one counts: its size may be the user's own.
         named = [e for e in self.given if not e.is_placeholder]
-        structures, shut = structures_over(
-            c.model, self.readings, c.reference, effects=(*effects, *named), widen_noise=widen_noise
+        every = (*effects, *more, *named)
+        structures, self.shut = structures_over(
+            c.model, self.readings, c.reference, effects=every, widen_noise=widen_noise
         )
-        return loop, structures, shut
+        self.library = Library(structures)
 
     def freed(self, first: Step) -> tuple[Effect, ...]:
         """Effects of the first model once more, free of stated values that the readings contradict.
@@ -224,65 +235,60 @@ class Loop:
         limited = deadline.current().ends_at < math.inf
         return QUICK if model.noise.gaussian or limited else self.method
 
-    def not_looked(self, first: Step) -> SearchPath:
-        """What is left of the loop where nothing can be learnt from the first model."""
-        search = Search(
-            (), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(map(str, first.against))}"
+    def look(self, follow: Callable[[], None] = lambda: None) -> None:
+        """Walk over the structures, to the end or the deadline."""
+        if self.library is None:
+            return
+        given, structures = (
+            Structure(frozenset(e.name for e in self.given)),
+            self.library.structures,
         )
-        return SearchPath(*judged((first,)), self.holdout, None, search)
-
-    def look(self, library: Library, follow: Callable[[], None] = lambda: None) -> str:
-        """Walk over the structures, and return why the walk ended early; empty where it did not."""
-        given, structures = Structure(frozenset(e.name for e in self.given)), library.structures
         may_be = given.effects and given.effects <= {*structures.candidates}
         last = given if may_be and given.effects.isdisjoint(structures.barred(given)) else None
-        return explore(library, self.max_effects, last, follow)
+        self.stopped = explore(self.library, self.max_effects, last, follow)
 
-    def goal(self, structures: Structures, stopped: str) -> Structure:
+    def goal(self, structures: Structures) -> Structure:
         """The structure to use: of a walk that ended early the best that it evaluated."""
         posterior = Posterior.of(structures)
-        return posterior.best if stopped else posterior.chosen
+        return posterior.best if self.stopped else posterior.chosen
 
     def way(
-        self, library: Library, goal: Structure, stopped: str
-    ) -> Iterator[tuple[Structure | None, Structure]]:
-        """Yield the structures from the first to a goal, each after the one before; fewer where time is short."""
+        self, goal: Structure
+    ) -> Iterator[tuple[Structure | None, Structure, Discovery | None]]:
+        """Yield the structures from the first to a goal, each after the one before, with what is missing from it; fewer
+        where time is short."""
+        assert self.library is not None
+        asked = self.max_effects > 0 and self.steps[0].calibration.verdict.ok
         here, steps = None, [Structure(), goal]
         with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as half:
-            steps = steps if stopped else path(library, goal)
+            steps = steps if self.stopped else path(self.library, goal)
         for at in dict.fromkeys(steps):
             if here is None or at == goal or not half.over:
-                yield here, at
+                found = missing(self.library, at, self.shut, self.stopped) if asked else None
+                yield here, at, found
                 here = at
 
-    def to_best(
-        self,
-        first: Step,
-        library: Library,
-        shut: Sequence[Candidate],
-        stopped: str,
-        follow: Callable[[SearchPath], None] = lambda _: None,
-    ) -> SearchPath:
+    def to_best(self, follow: Callable[[SearchPath], None] = lambda _: None) -> SearchPath:
         """Fit the models on the way to the structure to use; of a walk that ended early, the best one alone."""
-        structures, end, steps = library.structures, deadline.current(), [first]
+        if self.library is None:
+            why = f"{NOT_LOOKED} {' '.join(map(str, self.steps[0].against))}"
+            search = Search((), 0, complete=True, stopped=why)
+            return SearchPath(*judged(self.steps), self.holdout, None, search)
+        structures, end = self.library.structures, deadline.current()
         # What was the best when the walk ended is what is returned: nothing is evaluated after that.
-        search = self.search(structures, stopped=stopped) if stopped else None
-        goal, asked = self.goal(structures, stopped), self.max_effects > 0
-        asked = asked and first.calibration.verdict.ok  # else nothing was looked for
-        found = list[Discovery | None]()
-        for before, at in self.way(library, goal, stopped):
-            found.append(missing(library, at, shut, stopped) if asked else None)
-            if before is None:
-                continue
-            fit_step = self.last if at == goal else self.fitted
-            steps.append(fit_step(structures.weigh(at), before, at))
-            follow(self.so_far(steps, structures, search))
-        if len(steps) == 1 and self.method != QUICK:
-            steps = [self.last(structures.weigh(goal))]
-        steps = [replace(s, discovery=one) for s, one in zip(steps, found, strict=True)]
-        if asked:
-            why = "" if stopped else self.incomplete(steps)
-            if (last := steps[-1].discovery) and why:
+        search = self.search(stopped=self.stopped) if self.stopped else None
+        goal, found = self.goal(structures), list[Discovery | None]()
+        for before, at, is_missing in self.way(goal):
+            found.append(is_missing)
+            if before is not None:
+                fit_step = self.last if at == goal else self.fitted
+                self.steps.append(fit_step(structures.weigh(at), before, at))
+                follow(self.trail(search))
+        if len(self.steps) == 1 and self.method != QUICK:
+            self.steps = [self.last(structures.weigh(goal))]
+        steps = [replace(s, discovery=one) for s, one in zip(self.steps, found, strict=True)]
+        if (last := steps[-1].discovery) is not None:
+            if why := "" if self.stopped else self.incomplete(steps):
                 steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
             steps[-1] = self.said_of_given(steps[-1])
         used, shares = steps[-1].calibration, ()
@@ -294,7 +300,7 @@ class Loop:
                 used = steps[-1].calibration
         one = steps[-1].calibration is used
         steps[-1] = self.held_against(steps[-1], used, structures)
-        search = search or self.search(structures, complete=True)
+        search = search or self.search(complete=True)
         trail = SearchPath(
             *judged(steps), self.holdout, _other_path(structures), search, shares=shares
         )
@@ -354,14 +360,11 @@ class Loop:
             found = self.step(model, before, at, method=method, start=start)
         return found.noted([NOT_SAMPLED.format(end.why)]) if sampling else found
 
-    def so_far(
-        self, steps: Sequence[Step], structures: Structures, search: Search | None = None
-    ) -> SearchPath:
+    def trail(self, search: Search | None = None) -> SearchPath:
         """The trail while it grows: its last model says that it is not the end."""
-        *before, last = steps
-        search = search or self.search(structures)
+        *before, last = self.steps
         steps = (*before, last.judged((UNDER_WAY.reason,)))
-        return SearchPath(steps, UNDER_WAY, self.holdout, None, search)
+        return SearchPath(steps, UNDER_WAY, self.holdout, None, search or self.search())
 
     def incomplete(self, steps: Sequence[Step]) -> str:
         """Why the last model may not be called complete, whatever its probability; empty where it may."""
@@ -399,13 +402,12 @@ class Loop:
             found = step_of(calibration, self.holdout, self.accepted)
         return replace(found, added=added, changed=changed)
 
-    def search(
-        self, structures: Structures, *, complete: bool = False, stopped: str = ""
-    ) -> Search:
+    def search(self, *, complete: bool = False, stopped: str = "") -> Search | None:
         """How the search stands."""
-        seconds = time.monotonic() - self.begun
-        how = {"seconds": seconds, "max_effects": self.max_effects, "stopped": stopped}
-        return Search.of(structures, complete=complete, **how)
+        if self.library is None:
+            return None
+        how = {"seconds": time.monotonic() - self.begun, "max_effects": self.max_effects}
+        return Search.of(self.library.structures, complete=complete, stopped=stopped, **how)
 
 
 def step_of(

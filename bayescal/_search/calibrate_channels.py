@@ -18,11 +18,10 @@ from bayescal._model.effect import Effect, Shape
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
 from bayescal._search.calibrate import Loop
-from bayescal._search.candidate import Candidate
 from bayescal._search.channels import Channels
 from bayescal._search.discover import with_causes
 from bayescal._search.library import Library
-from bayescal._search.search_path import SearchPath, Step
+from bayescal._search.search_path import SearchPath
 from bayescal._search.shared_shape import FromOthers, ShapeEvidence, SharedShape, said
 from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import BEAM_STRUCTURES
@@ -87,71 +86,48 @@ def calibrate_channels(
             accepted = frozenset(accept_conflicts)
             loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
             with stage(name):
-                channels.append(_Channel.begun(name, model, loop, effects, widen_noise))
-                channels[-1].tell(follow)
-        for i, channel in enumerate(channels):
-            with stage(channel.name), deadline.sooner(1 / (2 * count - i)):
-                channel.look(follow)
+                loop.begin(model, effects, widen_noise)
+            channels.append(_Channel(name, loop))
+            channels[-1].tell(follow)
+        for i, c in enumerate(channels):
+            with stage(c.name), deadline.sooner(1 / (2 * count - i)):
+                c.loop.look(partial(c.tell, follow))
         with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2):
             for one in _shared(channels, follow):
                 shared = one
-        for i, channel in enumerate(channels):
-            with stage(channel.name), deadline.sooner(1 / (count - i)):
-                trails[channel.name] = channel.trail(follow)
+        for i, c in enumerate(channels):
+            with stage(c.name), deadline.sooner(1 / (count - i)):
+                trails[c.name] = c.loop.to_best(partial(follow, c.name))
     return Channels(trails, tuple(shared))
 
 
 @dataclass(eq=False)
 class _Channel:
-    """One channel: its loop, its first step, the structures weighed, and what the others say.
+    """One channel: its search, and what it and the others say of what they share.
 
     Attributes:
-        structures: None where nothing can be looked for.
-        shut: candidates that its readings cannot test.
         shared: shapes that all channels share, as the instrument states them, by the candidate that has it.
         heard: what the others said of these when the channel was last asked; at first what the instrument says.
-        says: what it says of them itself, by these structures; empty until it is asked.
-        stopped: why its search ended early, if it did.
+        says: what it says of them itself, by the structures evaluated; empty until it is asked.
     """
 
     name: str
     loop: Loop
-    first: Step
-    structures: Structures | None = None
-    shut: Sequence[Candidate] = ()
     shared: Mapping[str, Shape] = field(default_factory=dict)
     heard: dict[str, FromOthers] = field(default_factory=dict)
     says: dict[str, ShapeEvidence] = field(default_factory=dict)
-    stopped: str = ""
 
-    @classmethod
-    def begun(
-        cls, name: str, model: Model, loop: Loop, effects: Sequence[Effect], widen_noise: bool
-    ) -> _Channel:
-        """Its first model fitted, and what is to be searched beyond it."""
-        loop, first = loop.begin(model)
-        more = loop.freed(first)
-        if first.against and not more:
-            return cls(name, loop, first)
-        loop, structures, shut = loop.open(first, (*effects, *more), widen_noise)
-        found = cls(name, loop, first, structures, shut)
-        if loop.max_effects > 0:
+    def __post_init__(self) -> None:
+        if self.loop.library is not None and self.loop.max_effects > 0:
+            structures = self.loop.library.structures
             of_all = {n: e.shared_shape for n, e in structures.candidates.items()}
-            found.shared = {n: shape for n, shape in of_all.items() if shape is not None}
-        # What the instrument says of a shape is what a channel has heard before any other spoke.
-        odds = structures.log_odds
-        found.heard = {n: FromOthers(odds[n], s.low, s.high) for n, s in found.shared.items()}
-        return found
-
-    def look(self, follow: Follow) -> None:
-        """Search it alone."""
-        if self.structures is not None:
-            self.stopped = self.loop.look(Library(self.structures), lambda: self.tell(follow))
+            self.shared = {n: shape for n, shape in of_all.items() if shape is not None}
+            odds = structures.log_odds
+            self.heard = {n: FromOthers(odds[n], s.low, s.high) for n, s in self.shared.items()}
 
     def tell(self, follow: Follow) -> None:
         """Say how its search stands."""
-        if self.structures is not None:
-            follow(self.name, self.loop.so_far([self.first], self.structures))
+        follow(self.name, self.loop.trail())
 
     def hear(self, others: Mapping[str, FromOthers]) -> bool:
         """Take what the others say for a prior, where that leads elsewhere; whether it does.
@@ -162,9 +138,9 @@ class _Channel:
         Raises:
             TimeIsUp: there was no time; what stood before stands.
         """
-        before, shapes = self.structures, self.shared
-        if before is None:
+        if self.loop.library is None:
             return False
+        before, shapes = self.loop.library.structures, self.shared
         then = {n: self.says[n].concluded(self.heard[n], shapes[n]) for n in others}
         now = {n: self.says[n].concluded(others[n], shapes[n]) for n in others}
         searched = any(now[n].likelier(then[n]) for n in others)
@@ -199,24 +175,18 @@ class _Channel:
         for structure in (Structure(), *(w.structure for w in leaders)):
             deadline.current().ask()
             after.weigh(structure)
-        if searched and (stopped := self.loop.look(Library(after))):
-            raise deadline.TimeIsUp(stopped)
+        loop = replace(self.loop, library=Library(after))
+        if searched:
+            loop.look()
+            if loop.stopped:
+                raise deadline.TimeIsUp(loop.stopped)
         self.says = self.said(after)
-        self.structures, self.heard = after, heard
-        self.stopped = "" if searched else self.stopped
+        self.loop, self.heard = loop, heard
         return True
 
     def said(self, structures: Structures) -> dict[str, ShapeEvidence]:
         """What it says of the shared shapes by its structures."""
         return {n: said(structures, n, shape) for n, shape in self.shared.items()}
-
-    def trail(self, follow: Follow) -> SearchPath:
-        """The models on the way to the most probable structure."""
-        if self.structures is None:
-            return self.loop.not_looked(self.first)
-        library = Library(self.structures)
-        to = partial(follow, self.name)
-        return self.loop.to_best(self.first, library, self.shut, self.stopped, to)
 
 
 def _shared(channels: Sequence[_Channel], follow: Follow) -> Iterator[list[SharedShape]]:
@@ -226,8 +196,8 @@ def _shared(channels: Sequence[_Channel], follow: Follow) -> Iterator[list[Share
     for c in channels:
         for n, now in c.heard.items():
             alone[n] = max(alone.get(n, 0.0), 1 / (1 + math.exp(-now.log_odds)))
-        if c.structures is not None:
-            c.says = c.said(c.structures)
+        if c.loop.library is not None:
+            c.says = c.said(c.loop.library.structures)
     yield list(_said(channels, shapes, alone).values())
     # Coordinate ascent on a joint posterior: each channel given what all others say now.
     for _ in range(ROUNDS):

@@ -51,9 +51,8 @@ from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_
 from bayescal._calibration.summary import unknown_rows
 from bayescal._report.section import of_folder
 from bayescal._search.calibrate import Loop, step_of
-from bayescal._search.discover import SEARCH, missing
+from bayescal._search.discover import SEARCH
 from bayescal._search.gate import judged
-from bayescal._search.library import Library
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.own_files import refuse_unnamed, user_effects
 from bayescal._search.preview import Previews
@@ -384,25 +383,23 @@ class Session:
             ModelError: nothing can be learnt from the current model.
         """
         begin, loop = self.current, self._loop
-        first, freed = begin.step, loop.freed(begin.step)
-        if first.against and not freed:
-            raise ModelError(f"nothing is looked for: {' '.join(map(str, first.against))}")
-        more, steps, number = (*self.own.values(), *freed), [first], begin.number
-        loop = replace(loop, begun=time.monotonic())
+        loop.begun, number = time.monotonic(), begin.number
         with deadline.until(self.settings.time_limit) as self._search:
-            loop, structures, shut = loop.open(first, more, self.settings.widen_noise)
-            library = Library(structures)
+            loop.open(begin.step, tuple(self.own.values()), self.settings.widen_noise)
+            if loop.library is None:
+                why = " ".join(map(str, begin.step.against))
+                raise ModelError(f"nothing is looked for: {why}")
             with deadline.sooner(SEARCH):
-                stopped = loop.look(library, lambda: follow(loop.so_far(steps, structures)))
-            able, goal = first.calibration.verdict.ok, loop.goal(structures, stopped)
-            for before, at in loop.way(library, goal, stopped):
-                found = missing(library, at, shut, stopped) if able else None
+                loop.look(lambda: follow(loop.trail()))
+            structures = loop.library.structures
+            for before, at, found in loop.way(loop.goal(structures)):
                 if before is None:
                     self._keep_found(number, found)
                     continue
-                steps.append(loop.fitted(structures.weigh(at), before, at))
-                number = self._append(steps[-1], number, found).number
-                follow(loop.so_far(steps, structures))
+                step = loop.fitted(structures.weigh(at), before, at)
+                loop.steps.append(step)
+                number = self._append(step, number, found).number
+                follow(loop.trail())
 
     def stop(self) -> None:
         """End `find_all` with the best so far."""
