@@ -252,46 +252,55 @@ def simulated(instrument: str, hidden: tuple[str, ...], folder: Path) -> list[st
     return ["calibrate", str(file), "--instrument", instrument, "--out", out]
 
 
+def left(done: Ended, out: Path, best: Callable[[Path], dict[Path, str]]) -> None:
+    """A process has left the best that it told of, or nothing where Ctrl-C came before the first model."""
+    if done.status in (130, -signal.SIGINT):  # the latter before Python has loaded the command
+        assert not done.best and not out.exists()
+        return
+    assert done.status in (0, 1)
+    for folder, told in best(out).items():
+        agrees(folder, told)
+
+
 @needs_installation
 @pytest.mark.slow
 @pytest.mark.usefixtures("at_a_terminal")
 def test_ctrl_c_of_a_process_leaves_the_best_that_it_told_of(tmp_path) -> None:
     command = simulated(*CALIBRATED[0], tmp_path)
     done = ended(command, lambda _, said: "best so far: +" in said, tmp_path)
-    assert done.status in (0, 1)
-    agrees(tmp_path / "out", done.best[""])
+    assert done.status in (0, 1) and done.best[""] != "nothing to add"
+    left(done, tmp_path / "out", lambda out: {out: done.best[""]})
 
 
 @needs_installation
 @pytest.mark.slow
 @pytest.mark.usefixtures("at_a_terminal")
-def test_ctrl_c_before_there_is_anything_is_130(tmp_path) -> None:
+@pytest.mark.parametrize("seconds", [0.4, 0.9, 1.4, 1.9])
+def test_ctrl_c_while_a_process_begins(seconds: float, tmp_path) -> None:
     command = simulated(*CALIBRATED[0], tmp_path)
-    for seconds in (0.4, 0.8):
-        done = ended(command, lambda since, _, at=seconds: since > at, tmp_path)
-        assert done.status in (130, -signal.SIGINT) and not (tmp_path / "out").exists()
+    done = ended(command, lambda since, _: since > seconds, tmp_path)
+    left(done, tmp_path / "out", lambda out: {out: done.best[""]})
 
 
 MOMENTS = [(i % len(CALIBRATED), kind) for i in range(10) for kind in ("limit", "ctrl-c")]
 
 
+def ended_at(moment: float, kind: str, command: list[str], folder: Path) -> Ended:
+    """Run a command that a time limit or Ctrl-C ends after so many seconds."""
+    if kind == "limit":
+        return ended([*command, "--time-limit", str(moment)], lambda *_: False, folder, moment)
+    return ended(command, lambda since, _: since > moment, folder)
+
+
 @needs_installation
 @pytest.mark.nightly
 @pytest.mark.usefixtures("at_a_terminal")
-@pytest.mark.parametrize(("which", "kind"), MOMENTS)
-def test_the_best_told_of_is_what_is_left_at_any_moment(which: int, kind: str, tmp_path) -> None:
+@pytest.mark.parametrize(("number", "which", "kind"), [(i, *m) for i, m in enumerate(MOMENTS)])
+def test_the_best_told_of_is_what_is_left_at_any_moment(number, which, kind, tmp_path) -> None:
     command = simulated(*CALIBRATED[which], tmp_path)
-    moment = float(np.random.default_rng([which, kind == "limit"]).uniform(2.0, 12.0))
-    if kind == "limit":
-        limited = [*command, "--time-limit", str(moment)]
-        done = ended(limited, lambda *_: False, tmp_path, moment)
-    else:
-        done = ended(command, lambda since, _: since > moment, tmp_path)
-    if done.status not in (130, -signal.SIGINT):
-        assert done.status in (0, 1)
-        agrees(tmp_path / "out", done.best[""])
-    else:  # Ctrl-C before the first model stood
-        assert not done.best and not (tmp_path / "out").exists()
+    moment = float(np.random.default_rng(number).uniform(2.0, 12.0))
+    done = ended_at(moment, kind, command, tmp_path)
+    left(done, tmp_path / "out", lambda out: {out: done.best[""]})
 
 
 @needs_installation
@@ -309,16 +318,11 @@ def test_every_channel_is_left_at_any_moment(moment: float, kind: str, tmp_path)
     out = tmp_path / "out"
     command = ["calibrate", str(tmp_path / "unit.csv"), "--instrument", "still_sensor"]
     command += ["--channels", ",".join(names), "--out", str(out)]
-    if kind == "limit":
-        limited = [*command, "--time-limit", str(moment)]
-        done = ended(limited, lambda *_: False, tmp_path, moment)
-    else:
-        done = ended(command, lambda since, _: since > moment, tmp_path)
-    if done.status in (130, -signal.SIGINT):
-        assert not done.best and not out.exists()
-        return
-    assert done.status in (0, 1)
-    told = json.loads((out / "channels.json").read_text("utf-8"))["channels"]
-    assert [*told] == names
-    for name, one in told.items():
-        agrees(out / one["folder"], done.best.get(name, "nothing to add"))
+    done = ended_at(moment, kind, command, tmp_path)
+
+    def best(out: Path) -> dict[Path, str]:
+        told = json.loads((out / "channels.json").read_text("utf-8"))["channels"]
+        assert [*told] == names
+        return {out / told[n]["folder"]: done.best.get(n, "nothing to add") for n in names}
+
+    left(done, out, best)
