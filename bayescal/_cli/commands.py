@@ -12,8 +12,9 @@ from __future__ import annotations
 import contextlib
 import inspect
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,7 +50,7 @@ from bayescal._report.whole_folder import (
 )
 
 if TYPE_CHECKING:
-    from bayescal._data.measurements import Measurements
+    pass
 
 commands = Commands()
 DEMONSTRATIONS = "bayescal.demos"
@@ -217,65 +218,49 @@ def calibrate(
         **options.causes(None, covariates),
     }
     with use_settings(Settings(finer_noise=not simple_noise)), result_folder(out) as folder:
-        if names:
-            return _several(models, readings, kept, folder, json_, how)
         if output_unit is not None:
             from bayescal._report.report_text import output_factor
 
             scale = first.scale or models[name].instrument.nominal_scale
             output_factor(output_unit, first.unit("output") or "1", scale)
-        from bayescal._cli.output import ConsoleReporter, loop_text
+        from bayescal._cli.output import ConsoleReporter, channels_text, loop_text
         from bayescal._report.result_json import result
-        from bayescal._report.save_search import draw_search, write_results
+        from bayescal._report.save_search import (
+            channels_data,
+            draw_search,
+            searches_of,
+            write_results,
+        )
 
-        told = ConsoleReporter(json_, verbose)
-        trail = bc.calibrate(models[name], first, holdout=kept.get(""), follow=told, **how)
+        told = ConsoleReporter(json_ or bool(names), verbose)
+        if names:
+            how |= {"holdout": kept or None, "follow": told.of_channel}
+            found = bc.calibrate_channels(models, readings, **how)
+        else:
+            found = bc.calibrate(models[name], first, holdout=kept.get(""), follow=told, **how)
         if folder is not None:
-            write_results(trail, folder)
-        print_notes(f for f in trail.final.calibration.readings.flags if f not in first.flags)
-        shown = result(trail) if json_ else loop_text(trail, own, told.begun, verbose, output_unit)
-        answered = Answer(shown, ok=trail.ok, why=trail.gate.reason)
+            write_results(found, folder)
+        trails = found.trails if isinstance(found, bc.Channels) else {"": found}
+        fitted = {n: t.final.calibration.readings for n, t in trails.items()}
+        before = request.flags_of(readings)
+        print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
+        if isinstance(found, bc.Channels):
+            shown, why = channels_data(found) if json_ else channels_text(found), found.reason
+        else:
+            text = "" if json_ else loop_text(found, own, told.begun, verbose, output_unit)
+            shown, why = result(found) if json_ else text, found.gate.reason
+        answered = Answer(shown, ok=found.ok, why=why)
         if folder is None:
             return answered
         usual = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
-        return replace(
-            answered,
-            pictures=lambda: drawn(draw_search, {"": trail}, folder),
-            written=lambda: (
-                f"{folder}/{', '.join(n for n in usual if n in (*files_of(folder), MANIFEST))}"
-            ),
-        )
 
+        def written() -> str:
+            if names:
+                return f"{folder}/{CHANNELS}, and a folder for each channel"
+            return f"{folder}/{', '.join(n for n in usual if n in (*files_of(folder), MANIFEST))}"
 
-def _several(
-    models: Mapping[str, bc.Model],
-    readings: Mapping[str, Measurements],
-    kept: Mapping[str, Measurements],
-    folder: Path | None,
-    json_: bool,
-    how: Mapping[str, Any],
-) -> Answer:
-    """Channels of one unit."""
-    from bayescal._cli.output import ConsoleReporter, channels_in_short
-    from bayescal._report.save_search import channels_data, draw_search, searches_of, write_results
-
-    how = {**how, "follow": ConsoleReporter(begun=True).of_channel}
-    found = bc.calibrate_channels(models, readings, holdout=kept or None, **how)
-    if folder is not None:
-        write_results(found, folder)
-    before = request.flags_of(readings)
-    fitted = {n: t.final.calibration.readings for n, t in found.trails.items()}
-    print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
-    text = f"{found}\n\nIN SHORT\n\n{channels_in_short(found)}"
-    shown = channels_data(found) if json_ else text
-    answered = Answer(shown, ok=found.ok, why=found.reason)
-    if folder is None:
-        return answered
-    return replace(
-        answered,
-        pictures=lambda: drawn(draw_search, searches_of(found), folder),
-        written=lambda: f"{folder}/channels.json, and a folder for each channel",
-    )
+        pictures = partial(drawn, draw_search, searches_of(found), folder)
+        return replace(answered, pictures=pictures, written=written)
 
 
 @commands.example("bayescal fit readings.csv --instrument mems_gyro --out result")

@@ -284,10 +284,10 @@ def _far_off(trail: SearchPath) -> bool:
     return any(row["interval95"][1] - row["interval95"][0] < NARROW * row["sd"] for row in rows)
 
 
-def channels_in_short(found: Channels) -> str:
-    """A paragraph for each channel."""
-    said = (f"{name}: {trail.in_short}" for name, trail in found.trails.items())
-    return "\n".join(textwrap.fill(one, WIDTH, subsequent_indent="  ") for one in said)
+def channels_text(found: Channels) -> str:
+    """`calibrate` of several channels: their table, and a paragraph for each."""
+    said = (_filled(f"{name}: {trail.in_short}") for name, trail in found.trails.items())
+    return "\n".join([f"{found}\n\nIN SHORT\n", *said])
 
 
 def _candidates_of_steps(trail: SearchPath) -> list[str]:
