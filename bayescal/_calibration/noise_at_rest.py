@@ -197,7 +197,8 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     """
     runs = even_runs(readings)
     channel, notes = _channel(readings, runs)
-    fits: dict[Terms, Mode] = {(): _fit(channel, ())}
+    with deadline.finishing():
+        fits: dict[Terms, Mode] = {(): _fit(channel, ())}
     output = np.asarray(readings["output"], float)
     (brief, surely), (clear, line) = _of_neighbours(output, runs), _line(output, runs)
     channel = channel._replace(line=line)
@@ -451,7 +452,10 @@ def _fit(channel: _AtRest, terms: Terms, known: Mapping[str, float] | None = Non
         least = starts[-1]  # further terms as small as any start has them
         starts.append(np.array([known.get(n, v) for n, v in zip(priors, least, strict=True)]))
     order = np.argsort(-_density(problem).values(np.array(starts)))[:STARTS]
-    tries = [find_mode(problem, [starts[i]], curved=False, wanted_from=math.inf) for i in order]
+    tries = list[Mode]()
+    for i in order:
+        deadline.current().ask()
+        tries.append(find_mode(problem, [starts[i]], curved=False, wanted_from=math.inf))
     best = max(tries, key=lambda t: t.log_density)
     best = find_mode(problem, [best.v], best.covariance, still=SETTLED, curved=False)
     return with_fit(problem, best)
