@@ -125,7 +125,6 @@ from ._core.errors import InputError as InputError
 from ._core.errors import ModelError as ModelError
 from ._core.errors import NotConverged as NotConverged
 from ._core.errors import NotDrawn as NotDrawn
-from ._core.errors import TimeIsUp as TimeIsUp
 
 __version__: str
 __all__: list[str]

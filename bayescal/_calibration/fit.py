@@ -16,7 +16,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
-from bayescal._inference.method import Method, Outcome
+from bayescal._inference.method import Method
 from bayescal._inference.origin import with_origin
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
@@ -50,7 +50,7 @@ def fit(
         strict: raise if the fit did not converge; False returns it with its verdict.
         reference: constants of the bases, such as {"T0": 0.0}, in place of the data's own.
         time_limit: seconds, after which what there is is taken: the draws so far, or the Gaussian approximation about
-            the mode; the verdict says so. Ctrl-C does the same.
+            the mode, which is found in any case; the verdict says so. Ctrl-C does the same once the mode is found.
         start: values of shapes, noise parameters and between-group standard deviations, by name and in the units of
             `calibration.samples(name)`, where their mode is looked for beside draws of their priors.
 
@@ -59,7 +59,6 @@ def fit(
         ModelError: readings lack a column, have too few rows for the flat coefficients, or an output that never
             changes; the model is none, or has an effect that is zero in every reading.
         NotConverged: the verdict is not good; carries the calibration.
-        TimeIsUp: the time limit came before the mode was found.
     """
     if not isinstance(model, Model):
         raise ModelError(
@@ -78,11 +77,8 @@ def fit(
     problem = Problem(layout, record)
     _refuse_lost(problem, readings)
 
-    def run() -> Outcome:
-        return method.run(problem, seed, start)
-
     with deadline.until(time_limit):
-        outcome = deadline.within(run)
+        outcome = method.run(problem, seed, start)
     calibration = Calibration(
         model=model,
         readings=readings,

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import ndtri, softmax
 
+from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
@@ -59,6 +60,8 @@ SURE_SD = 6.0
 # °C, range of a temperature at rest, below which it is taken as constant: two steps of a thermometer that is read to
 # 0.1 °C.
 STIRRED_DEGREES = 0.2
+
+ENDED = "the search for the noise law was ended early ({}): sums that were not fitted may be more probable"
 
 Terms = tuple[str, ...]  # names of those of a sum, beside white noise
 # Readings above which means of blocks are taken: the filter then takes a tenth of a second.
@@ -194,17 +197,43 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     """
     runs = even_runs(readings)
     channel, notes = _channel(readings, runs)
-    fits: dict[Terms, Mode] = {(): _fit(channel, ())}
+    with deadline.finishing():
+        fits: dict[Terms, Mode] = {(): _fit(channel, ())}
     output = np.asarray(readings["output"], float)
     (brief, surely), (clear, line) = _of_neighbours(output, runs), _line(output, runs)
     channel = channel._replace(line=line)
     limits = {brief: (surely, NEIGHBOURS_SD), "tone": (clear, LINE_SD)}
     further = tuple(term for term, (sigmas, limit) in limits.items() if sigmas > limit)
     kept = tuple(term for term in further if limits[term][0] > SURE_SD)
+    end = deadline.current()
+    end.defer_interrupt()
+    try:
+        end.ask()
+        for _ in _fitted_sums(channel, fits, further, kept):
+            end.ask()
+    except deadline.TimeIsUp:
+        notes.append(ENDED.format(end.why))
+    with deadline.finishing():
+        drawn, walk, probabilities = _drawn_sums(channel, fits, seed)
+    return WeighedNoise(tuple(drawn), walk, probabilities, tuple(notes), runs)
+
+
+def _fitted_sums(
+    channel: _AtRest, fits: dict[Terms, Mode], further: Terms, kept: Terms
+) -> Iterator[Terms]:
+    """Fit sums until none beside the most probable one is left; yield each.
+
+    Args:
+        channel: what is fitted.
+        fits: white noise alone; the others are put there.
+        further: terms of neighbouring readings, or a tone, that may be there;
+        kept: and those of them that every sum has.
+    """
     among = (*ALONE, *further)
     for term in among:
         terms = (term,) if term in further else _sorted((*kept, term))
         fits[terms] = _fit(channel, terms)
+        yield terms
     looked: Terms = ()
     while (best := max(fits, key=lambda t: _total(fits, t))) != looked:
         looked = best
@@ -212,10 +241,18 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
         for terms in _beside(best, among):
             if terms not in fits:
                 fits[terms] = _fit(channel, terms, known)
+                yield terms
     # What is correlated over a few readings looks like them too.
     for term in kept:
         if (without := tuple(t for t in best if t != term)) not in fits:
             fits[without] = _fit(channel, without)
+            yield without
+
+
+def _drawn_sums(
+    channel: _AtRest, fits: dict[Terms, Mode], seed: int
+) -> tuple[list[RestNoise], RestNoise, dict[Terms, float]]:
+    """Draws of the probable sums, of the most probable one with a random walk, and the probability of each."""
     sampled: dict[Terms, WeightedDraws] = {}
     while True:
         order = sorted(fits, key=lambda t: -_total(fits, t))
@@ -237,7 +274,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
             fit = fits.get(further) or _fit(channel, further)
             sampled[further] = _sampled(channel, further, fit, seed, FEWEST_SHARE)
         walk = _drawn(channel, further, sampled[further], seed, FEWEST_SHARE)
-    return WeighedNoise(tuple(drawn), walk, probabilities, tuple(notes), runs)
+    return drawn, walk, probabilities
 
 
 def _sorted(terms: Terms) -> Terms:
@@ -415,7 +452,10 @@ def _fit(channel: _AtRest, terms: Terms, known: Mapping[str, float] | None = Non
         least = starts[-1]  # further terms as small as any start has them
         starts.append(np.array([known.get(n, v) for n, v in zip(priors, least, strict=True)]))
     order = np.argsort(-_density(problem).values(np.array(starts)))[:STARTS]
-    tries = [find_mode(problem, [starts[i]], curved=False, wanted_from=math.inf) for i in order]
+    tries = list[Mode]()
+    for i in order:
+        deadline.current().ask()
+        tries.append(find_mode(problem, [starts[i]], curved=False, wanted_from=math.inf))
     best = max(tries, key=lambda t: t.log_density)
     best = find_mode(problem, [best.v], best.covariance, still=SETTLED, curved=False)
     return with_fit(problem, best)

@@ -17,6 +17,7 @@ from bayescal._calibration.noise_at_rest import (
     WeighedNoise,
     weigh_noise,
 )
+from bayescal._core import deadline
 from bayescal._core.formatting import number, probability
 from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._data.allan_deviation import (
@@ -183,7 +184,7 @@ class SensorNoise(Printed):
         }
 
 
-def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
+def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = None) -> SensorNoise:
     """Noise density, bias instability and random walk of a sensor at rest, with 95 % intervals.
 
         print(bc.noise(bc.read("still.csv", still_sensor.INSTRUMENT)))
@@ -195,11 +196,13 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
     Args:
         readings: of one channel, evenly spaced in time within runs.
         seed: of the draws.
+        time_limit: seconds, after which the sums fitted so far are what there is, as at Ctrl-C; a note says so.
 
     Raises:
         InputError: no column `time`, no run of 30 readings, uneven steps, or an output that is rounded too coarsely.
     """
-    found = weigh_noise(readings, seed)
+    with deadline.until(time_limit):
+        found = weigh_noise(readings, seed)
     runs, unit = found.runs, readings.unit("output") or ""
     measured = of_runs(readings, np.asarray(readings["output"], float), runs)
     draws = np.concatenate([one.allan_variance(runs.factors, runs.step) for one in found.drawn])

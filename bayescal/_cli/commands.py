@@ -12,8 +12,9 @@ from __future__ import annotations
 import contextlib
 import inspect
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,7 +50,7 @@ from bayescal._report.whole_folder import (
 )
 
 if TYPE_CHECKING:
-    from bayescal._data.measurements import Measurements
+    pass
 
 commands = Commands()
 DEMONSTRATIONS = "bayescal.demos"
@@ -217,78 +218,49 @@ def calibrate(
         **options.causes(None, covariates),
     }
     with use_settings(Settings(finer_noise=not simple_noise)), result_folder(out) as folder:
-        if names:
-            return _several(models, readings, kept, folder, json_, how)
         if output_unit is not None:
             from bayescal._report.report_text import output_factor
 
             scale = first.scale or models[name].instrument.nominal_scale
             output_factor(output_unit, first.unit("output") or "1", scale)
-        from bayescal._cli.output import ConsoleReporter, loop_text
-        from bayescal._report.result_json import earlier, result
-        from bayescal._report.save_search import draw_search, write_results
-
-        told = ConsoleReporter(folder, json_, verbose)
-        if seeds := earlier(folder, models[name], first) if folder else ():
-            print_notes([f"goes on with the search in {folder}, which was ended early"])
-        trail = bc.calibrate(
-            models[name], first, holdout=kept.get(""), seeds=seeds, follow=told, **how
+        from bayescal._cli.output import ConsoleReporter, channels_text, loop_text
+        from bayescal._report.result_json import result
+        from bayescal._report.save_search import (
+            channels_data,
+            draw_search,
+            searches_of,
+            write_results,
         )
 
-        def answer() -> Answer:
-            if folder is not None:
-                write_results(trail, folder)
-            print_notes(f for f in trail.final.calibration.readings.flags if f not in first.flags)
-            shown = (
-                result(trail) if json_ else loop_text(trail, own, told.begun, verbose, output_unit)
-            )
-            return Answer(shown, ok=trail.ok, why=trail.gate.reason)
-
-        answered = deadline.finish(answer)
+        told = ConsoleReporter(json_ or bool(names), verbose)
+        if names:
+            how |= {"holdout": kept or None, "follow": told.of_channel}
+            found = bc.calibrate_channels(models, readings, **how)
+        else:
+            found = bc.calibrate(models[name], first, holdout=kept.get(""), follow=told, **how)
+        if folder is not None:
+            write_results(found, folder)
+        trails = found.trails if isinstance(found, bc.Channels) else {"": found}
+        fitted = {n: t.final.calibration.readings for n, t in trails.items()}
+        before = request.flags_of(readings)
+        print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
+        if isinstance(found, bc.Channels):
+            shown, why = channels_data(found) if json_ else channels_text(found), found.reason
+        else:
+            text = "" if json_ else loop_text(found, own, told.begun, verbose, output_unit)
+            shown, why = result(found) if json_ else text, found.gate.reason
+        answered = Answer(shown, ok=found.ok, why=why)
         if folder is None:
             return answered
         usual = ("result.json", CALIBRATION, AVERAGED, "loop.png", MANIFEST)
-        return replace(
-            answered,
-            pictures=lambda: drawn(draw_search, {"": trail}, folder),
-            written=lambda: (
-                f"{folder}/{', '.join(n for n in usual if n in (*files_of(folder), MANIFEST))}"
-            ),
-        )
 
+        def written() -> str:
+            if names:
+                return f"{folder}/{CHANNELS}, and a folder for each channel"
+            return f"{folder}/{', '.join(n for n in usual if n in (*files_of(folder), MANIFEST))}"
 
-def _several(
-    models: Mapping[str, bc.Model],
-    readings: Mapping[str, Measurements],
-    kept: Mapping[str, Measurements],
-    folder: Path | None,
-    json_: bool,
-    how: Mapping[str, Any],
-) -> Answer:
-    """Channels of one unit."""
-    found = bc.calibrate_channels(models, readings, holdout=kept or None, **how)
-    from bayescal._cli.output import channels_in_short
-    from bayescal._report.save_search import channels_data, draw_search, searches_of, write_results
-
-    def answer() -> Answer:
-        if folder is not None:
-            write_results(found, folder)
-        before = request.flags_of(readings)
-        fitted = {n: t.final.calibration.readings for n, t in found.trails.items()}
-        print_notes(flag for flag in request.flags_of(fitted) if flag not in before)
-        shown = (
-            channels_data(found) if json_ else f"{found}\n\nIN SHORT\n\n{channels_in_short(found)}"
-        )
-        return Answer(shown, ok=found.ok, why=found.reason)
-
-    answered = deadline.finish(answer)
-    if folder is None:
-        return answered
-    return replace(
-        answered,
-        pictures=lambda: drawn(draw_search, searches_of(found), folder),
-        written=lambda: f"{folder}/channels.json, and a folder for each channel",
-    )
+        pictures = partial(drawn, draw_search, searches_of(found), folder)
+        return replace(answered, pictures=pictures, written=written)
 
 
 @commands.example("bayescal fit readings.csv --instrument mems_gyro --out result")
@@ -313,17 +285,13 @@ def fit(
         from bayescal._calibration.description import identity
         from bayescal._cli.output import fit_data
 
-        def answer() -> Answer:
-            judged = calibration
-            if calibration.verdict.ok:
-                judged = calibration.with_verdict(against=(*map(str, calibration.conflicts),))
-            if folder is not None:
-                with whole_folder(folder, identity(judged)) as hidden:
-                    judged.save(hidden / CALIBRATION)
-            shown = fit_data(judged) if json_ else judged
-            return Answer(shown, ok=judged.verdict.reliable, why=judged.verdict.why_not)
-
-        answered = deadline.finish(answer)
+        if calibration.verdict.ok:
+            calibration = calibration.with_verdict(against=(*map(str, calibration.conflicts),))
+        if folder is not None:
+            with whole_folder(folder, identity(calibration)) as hidden:
+                calibration.save(hidden / CALIBRATION)
+        shown, verdict = fit_data(calibration) if json_ else calibration, calibration.verdict
+        answered = Answer(shown, ok=verdict.reliable, why=verdict.why_not)
         return (
             answered
             if folder is None
@@ -358,21 +326,16 @@ def discover(
     from bayescal._cli.output import unexplained_text
     from bayescal._report.result_json import experiment_data, missing_data
 
-    def answer() -> Answer:
-        end, checked = deadline.current(), bc.check(loaded)
-        text = f"{found}\n{unexplained_text(loaded, checked, effects)}".rstrip()
-        data = missing_data(found, 0, checked)
-        if next_experiment and not end.over:
-            ranked = bc.next_experiment(loaded, found.rivals) if len(found.rivals) > 1 else None
-            text += f"\n\n{ranked or 'next experiment: nothing here has a rival to be told from'}"
-            data["next_experiment"] = None if ranked is None else experiment_data(ranked)
-        if end.over and next_experiment:
-            text += (
-                f"\n\nwhat was asked for beside the search was left out or cut short ({end.why})"
-            )
-        return Answer(text, data)
-
-    return deadline.finish(answer)
+    checked, end = bc.check(loaded), deadline.current()
+    text = f"{found}\n{unexplained_text(loaded, checked, effects)}".rstrip()
+    data = missing_data(found, 0, checked)
+    if next_experiment and end.over:
+        text += f"\n\nnext experiment: left out ({end.why})"
+    elif next_experiment:
+        ranked = bc.next_experiment(loaded, found.rivals) if len(found.rivals) > 1 else None
+        text += f"\n\n{ranked or 'next experiment: nothing here has a rival to be told from'}"
+        data["next_experiment"] = None if ranked is None else experiment_data(ranked)
+    return Answer(text, data)
 
 
 @commands.example(
@@ -390,6 +353,7 @@ def compare(
     typed: list[str] | None = None,
     average: str | None = None,
     method: str = "marginal",
+    time_limit: float | None = None,
     seed: int = 0,
 ) -> Answer:
     """Set model structures side by side: leave-one-group-out, leave-one-out, evidence, weights."""
@@ -405,10 +369,10 @@ def compare(
         model.require(readings)
     print_notes(readings.flags)
     constants, how = request.reference_of(reference, readings), request.method_named(method)
-    fits = {
-        name: bc.fit(model, readings, how, seed=seed, strict=False, reference=constants)
-        for name, model in models.items()
-    }
+    fits, given = {}, {"seed": seed, "strict": False, "reference": constants}
+    for i, (name, model) in enumerate(models.items()):
+        with deadline.sooner(1 / (len(models) - i)):
+            fits[name] = bc.fit(model, readings, how, **given)
     comparison = bc.compare(fits)
     failed = [f"{n}: {' '.join(c.verdict.reasons)}" for n, c in fits.items() if not c.verdict.ok]
     return Answer(comparison, as_json(comparison), ok=not failed, why="; ".join(failed))
@@ -461,6 +425,7 @@ def noise(
     quantile: float = 0.95,
     topic: str = "/imu0",
     average: str | None = None,
+    time_limit: float | None = None,
     seed: int = 0,
     out: Path | None = None,
     json_: bool = False,
@@ -477,9 +442,10 @@ def noise(
         readings = {next((s.output for s in one.sources if s.output), "output"): one}
     with result_folder(out) as folder:
         found = {}
-        for name, one in readings.items():
+        for i, (name, one) in enumerate(readings.items()):
             print_notes(one.flags)
-            found[name] = bc.noise(one, seed=seed)
+            with deadline.sooner(1 / (len(readings) - i)):
+                found[name] = bc.noise(one, seed=seed)
             if not json_:
                 print(f"{name}\n\n{found[name]}\n")
         if json_:

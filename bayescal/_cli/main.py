@@ -1,9 +1,8 @@
 """The command line.
 
 Exit status: 0 done; 1 not converged, or the noise gate failed, or a picture could not be drawn (results are written all
-the same), or a time limit came before there was a result; 2 bad input: one sentence on stderr, or a list of all that is
-wrong with the files; nothing written. Ctrl-C ends with what there is, and the status that this has; 130 where there is
-nothing yet, and where it is pressed again.
+the same); 2 bad input: one sentence on stderr, or a list of all that is wrong with the files; nothing written. Ctrl-C
+ends with what there is, and the status that this has; 130 where there is nothing yet, and where it is pressed again.
 
 Heavy modules load inside the commands, so that `bayescal --help` answers at once.
 """
@@ -21,7 +20,7 @@ import typer
 
 from bayescal._cli import commands, deliverables
 from bayescal._core.annex import absent_annexes, annexes
-from bayescal._core.errors import BayescalError, NotConverged, NotDrawn, TimeIsUp
+from bayescal._core.errors import BayescalError, NotConverged, NotDrawn
 from bayescal._core.folder_settings import obey_no_folder
 from bayescal._core.quoting import one_line
 from bayescal._search.own_files import in_one_line, own_file_line
@@ -72,7 +71,7 @@ def command() -> int:
         status = app(standalone_mode=False, prog_name="bayescal")
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
-    except (NotConverged, TimeIsUp, NotDrawn) as error:
+    except (NotConverged, NotDrawn) as error:
         return _failed(str(error), 1)
     except BayescalError as error:
         return _failed(str(error), 2, listed="\n- " in str(error))

@@ -464,16 +464,14 @@ def answering(
 
     @functools.wraps(command)
     def run(**values: Any) -> None:
-        name, limit = command.__name__, values.get("time_limit")
         with ExitStack() as during:
             if not endless:
-                during.enter_context(stage(name, EVERY))
-                if "time_limit" in values:
-                    during.enter_context(deadline.until(limit, apart=True))
+                during.enter_context(stage(command.__name__, EVERY))
+                during.enter_context(deadline.until(values.get("time_limit")))
             answer = command(**{n: _taken(p.annotation, n, values) for n, p in declared.items()})
             if answer is None:
                 return
-            made = deadline.finish(lambda: answer.tell(values.get("json_", False)))
+            made = answer.tell(values.get("json_", False))
         answer.leave(made)
 
     run.__signature__ = inspect.Signature(seen)  # pyright: ignore[reportAttributeAccessIssue]

@@ -22,7 +22,6 @@ from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._report.report_text import in_output_unit
-from bayescal._report.result_json import Keeper
 from bayescal._report.section import of_trail
 from bayescal._search.calibrate import SearchPath
 from bayescal._search.channels import Channels
@@ -175,30 +174,30 @@ def _headed(head: str, *parts: object) -> str:
 
 
 class ConsoleReporter:
-    """Follows a search: the first table at once, result.json where there is a folder, a line where the best so far
-    changes or ten seconds have passed.
+    """Follows a search: the first table at once, a line where the best so far changes or ten seconds have passed.
 
     Attributes:
-        begun: whether the first table is printed.
+        begun: whether the first table is printed, or is not to be.
     """
 
-    def __init__(self, folder: Path | None, json_: bool, verbose: bool = False) -> None:
-        self.keep = None if folder is None else Keeper(folder)
-        self.begun, self.verbose = json_, verbose
-        self._told = (0, "")
+    def __init__(self, begun: bool, verbose: bool = False) -> None:
+        self.begun, self.verbose = begun, verbose
+        self._told = dict[str, tuple[int, str]]()
 
     def __call__(self, trail: SearchPath) -> None:
+        self.of_channel("", trail)
+
+    def of_channel(self, name: str, trail: SearchPath) -> None:
+        """The same for one channel of a unit."""
         if not self.begun:
             print(first_text(trail, self.verbose), flush=True)
             self.begun = True
         if line := trail.progress:
             assert trail.search is not None  # where a line is told of it
             best = (len(trail.steps), str(trail.search.structures[0]))
-            if best != self._told or progress.quiet() >= progress.EVERY:
-                progress.tell(line)
-                self._told = best
-        if self.keep is not None:
-            self.keep(trail)
+            if best != self._told.get(name) or progress.quiet() >= progress.EVERY:
+                progress.tell(f"{name}: {line}" if name else line)
+                self._told[name] = best
 
 
 def loop_text(
@@ -285,10 +284,10 @@ def _far_off(trail: SearchPath) -> bool:
     return any(row["interval95"][1] - row["interval95"][0] < NARROW * row["sd"] for row in rows)
 
 
-def channels_in_short(found: Channels) -> str:
-    """A paragraph for each channel."""
-    said = (f"{name}: {trail.in_short}" for name, trail in found.trails.items())
-    return "\n".join(textwrap.fill(one, WIDTH, subsequent_indent="  ") for one in said)
+def channels_text(found: Channels) -> str:
+    """`calibrate` of several channels: their table, and a paragraph for each."""
+    said = (_filled(f"{name}: {trail.in_short}") for name, trail in found.trails.items())
+    return "\n".join([f"{found}\n\nIN SHORT\n", *said])
 
 
 def _candidates_of_steps(trail: SearchPath) -> list[str]:

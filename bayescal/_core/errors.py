@@ -4,7 +4,6 @@ BayescalError
 ├── InputError      a file, a column, a unit or an option cannot be used as it is   (exit status 2)
 ├── ModelError      a model cannot be composed, or not with these readings          (exit status 2)
 ├── NotConverged    a fit ended without a result to trust; carries the calibration  (exit status 1)
-├── TimeIsUp        the time limit came before there was any result                 (exit status 1)
 └── NotDrawn        a picture or a page failed; the result that it is of is written (exit status 1)
 """
 
@@ -43,20 +42,6 @@ class NotConverged(BayescalError):
     def __init__(self, message: str, calibration: Any = None) -> None:
         super().__init__(message)
         self.calibration = calibration
-
-
-class TimeIsUp(BayescalError):
-    """A time limit came before anything stood that could be a result.
-
-    Attributes:
-        why: what left no time, in a few words.
-    """
-
-    def __init__(self, why: str) -> None:
-        super().__init__(
-            f"Ended before there was a result ({why}): nothing is kept. Give more time, or fewer readings (--average)"
-        )
-        self.why = why
 
 
 class NotDrawn(BayescalError):

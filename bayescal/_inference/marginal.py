@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import ClassVar, Literal, NamedTuple
@@ -65,28 +65,25 @@ class Marginal(Method):
     name: ClassVar[str] = "marginal"
 
     def run(self, problem, seed, start=NOTHING_KNOWN):
-        with stage("finding the mode"):
+        with stage("finding the mode"), deadline.finishing():
             problem, notes, mode = sampled_products.choose(problem, self.promote, start)
             mode = find_mode(problem, start=start) if mode is None else mode
-        layout, noise = problem.layout, problem.noise
-        deadline.offer(lambda why: self.about_the_mode(problem, mode, seed, notes, why))
-        if self.sampler == "nuts" or not mode.log_evidence > -np.inf:
-            return self._exact(problem, mode, seed, notes)
-
-        def result(judged: _Judged, why: str = "") -> Outcome:
-            return self._from_weights(layout, judged, notes, seed, why)
-
-        with stage("sampling"):
-            judged = self._sampled(problem, mode, seed, result)
-            if judged.limit < judged.k_hat <= K_HAT:
-                judged = self._sampled(problem, mode, seed, result, heavy=True)
-        if not judged.why_not:
-            return result(judged)
-        if not self.chains:
-            return result(judged, "chains=False")
-        deadline.offer(partial(result, judged))
-        words = TOO_HEAVY if not noise.gaussian else TOO_NONLINEAR if not problem.affine else UNEVEN
-        return self._exact(problem, mode, seed, (*notes, words.format(judged.why_not)))
+        layout, best = problem.layout, partial(self.about_the_mode, problem, mode, seed, notes)
+        deadline.current().defer_interrupt()
+        try:
+            if self.sampler == "nuts" or not mode.log_evidence > -np.inf:
+                return self._exact(problem, mode, seed, notes)
+            with stage("sampling"):
+                for judged in self._sampled(problem, mode, seed):
+                    why_not = judged.why_not
+                    best = partial(self._from_weights, layout, judged, notes, seed)
+            if not (why_not and self.chains):
+                return best("chains=False" if why_not else "")
+            linear = UNEVEN if problem.affine else TOO_NONLINEAR
+            words = linear if problem.noise.gaussian else TOO_HEAVY
+            return self._exact(problem, mode, seed, (*notes, words.format(why_not)))
+        except deadline.TimeIsUp as early:
+            return best(str(early))
 
     def about_the_mode(
         self, problem: Problem, mode: Mode, seed: int, notes: tuple[str, ...], why: str
@@ -99,14 +96,9 @@ class Marginal(Method):
         return replace(found, verdict=replace(found.verdict, notes=notes))
 
     def _sampled(
-        self,
-        problem: Problem,
-        mode: Mode,
-        seed: int,
-        result: Callable[[_Judged, str], Outcome],
-        heavy: bool = False,
-    ) -> _Judged:
-        """Joint draws with their weights, and why these are not to be trusted.
+        self, problem: Problem, mode: Mode, seed: int, heavy: bool = False
+    ) -> Iterator[_Judged]:
+        """Joint draws with their weights, and why these are not to be trusted; the last are the best.
 
         Where proposals do not suffice, twice as many are tried: up to the usual number, and beyond it as long as k̂ says
         that the weights are sound. `heavy`: coefficients proposed with tails that are not too thin for a nonlinear
@@ -122,10 +114,12 @@ class Marginal(Method):
             expected = effective_size(judged.weights) / tried * most
             if judged.k_hat <= judged.limit and expected >= settings().effective_draws:
                 limit = max(limit, most)
+            yield judged
             if not judged.why_not or tried >= limit:
-                return judged
-            deadline.offer(partial(result, judged))
+                break
             proposals = min(2 * tried, limit) - tried  # those that there are stay
+        if not heavy and judged.limit < judged.k_hat <= K_HAT:
+            yield from self._sampled(problem, mode, seed, heavy=True)
 
     def _from_weights(self, layout, judged: _Judged, notes, seed, why: str) -> Outcome:
         """Draws by weights that are sound or, if `why` leaves no time for better ones, as they are."""

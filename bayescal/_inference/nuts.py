@@ -56,10 +56,14 @@ class NUTS(Method):
         layout = replace(problem.layout, promoted=())
         problem = Problem(layout, problem.record)
         frame, y = problem.record.frame, problem.record.y
-        mode = find_mode(problem, start=start)
-        deadline.offer(lambda why: Marginal().about_the_mode(problem, mode, seed, (), why))
+        with deadline.finishing():
+            mode = find_mode(problem, start=start)
         plan = Plan(self.warmup, self.draws, self.chains, self.dense)
-        ran, sites = sampled(program(layout, frame), (y,), plan, seed)
+        deadline.current().defer_interrupt()
+        try:
+            ran, sites = sampled(program(layout, frame), (y,), plan, seed)
+        except deadline.TimeIsUp as early:
+            return Marginal().about_the_mode(problem, mode, seed, (), str(early))
         x, v = (np.asarray(sites[k]) for k in ("x", "v"))
         ran = ran._replace(draws=np.concatenate([x, v], axis=2))
         verdict = trust.chain_verdict(ran, "NUTS", ())

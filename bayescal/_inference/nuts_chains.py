@@ -19,7 +19,6 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from bayescal._core import deadline
-from bayescal._core.errors import TimeIsUp
 from bayescal._core.jit import ALWAYS, known
 from bayescal._inference.density import Density
 from bayescal._inference.laplace import Mode
@@ -123,8 +122,8 @@ def iterate(kernel: Any, key: Array, arguments: tuple, begin: Any, plan: Plan) -
         if done == 0:
             steps = max(1.0, float(np.mean(np.max(np.atleast_2d(kept[2])[:count], axis=-1))))
             least = took * min(1.0, FEWEST_STEPS / steps) * (all_of_them - done)
-            if least > end.left:
-                raise TimeIsUp(f"{end.why}, where chains take {_duration(least)} or more")
+            if time.monotonic() + least > end.ends_at:
+                raise deadline.TimeIsUp(f"{end.why}, where chains take {_duration(least)} or more")
         if done >= warmup:
             place = slice(done - warmup, done - warmup + count)
             for all_of_it, new in zip(jax.tree.leaves(found), jax.tree.leaves(kept), strict=True):

@@ -377,9 +377,8 @@ def _against(chapter: Chapter) -> Iterator[str]:
     gate = chapter.data["gate"]
     reasons = [*chapter.data["verdict"]["reasons"], *[gate["reason"]] * (not gate["ok"])]
     if reasons:
-        ended = chapter.data["search"] and chapter.data["search"]["stopped"] and not gate["ok"]
         first = re.split(r"(?<=[.?]) ", reasons[0])[0]  # the rest stands at the gate
-        yield first if ended else f"Not to be used as it is: {first}"
+        yield f"Not to be used as it is: {first}"
 
 
 def _found(chapter: Chapter) -> str:
@@ -393,10 +392,7 @@ def _found(chapter: Chapter) -> str:
         if search.get("stopped"):
             weighed = "When the search was ended, nothing had been found missing from"
         if not chapter.data["missing"]:
-            count = search.get("weighed", 0)
             weighed = "Nothing was looked for beside"
-            if count > 1 and search.get("stopped"):
-                weighed = f"{count} structures were weighed, and none was fitted but"
         names = c.model.names
         model = f"{len(names)} effects" if len(names) > NAMED else ", ".join(names) or "no effect"
         return f"{weighed} the first model ({model})."

@@ -16,7 +16,7 @@ from bayescal._core import deadline
 from bayescal._core.as_json import as_json, write_json
 from bayescal._core.errors import InputError
 from bayescal._report.report_text import conclusion
-from bayescal._report.result_json import RESULT, UNDER_WAY, result
+from bayescal._report.result_json import RESULT, result
 from bayescal._report.section import PICTURE, of_trail
 from bayescal._report.whole_folder import (
     AVERAGED,
@@ -67,7 +67,7 @@ def write_results(found: SearchPath | Channels, folder: Path) -> None:
         InputError: as there.
     """
     folder = Path(folder)
-    with whole_folder(folder, without=UNDER_WAY) as hidden:
+    with whole_folder(folder) as hidden:
         for inner, trail in searches_of(found).items():
             write_search(trail, hidden / inner)
         if isinstance(found, SearchPath):

@@ -21,7 +21,7 @@ from bayescal._core.json_shape import read_json
 from bayescal._core.result_table import ResultTable
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
-from bayescal._report.result_json import FORMER, RESULT, SCHEMA, hashes, refuse_unfinished, result
+from bayescal._report.result_json import FORMER, RESULT, SCHEMA, hashes, result
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, files_of, refuse_mixed
 from bayescal._search.calibrate import step_of
 from bayescal._search.discover import discover
@@ -186,7 +186,6 @@ def _read_result(path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path} is no result of this version: its schema is {schema!r}, not {SCHEMA!r}"
         )
-    refuse_unfinished(path, data)
     return data
 
 

@@ -73,7 +73,7 @@ def is_inside(name: str) -> bool:
 
 @contextmanager
 def whole_folder(
-    folder: Path, calibration: str | None = None, without: str = "", *, more: bool = False
+    folder: Path, calibration: str | None = None, *, more: bool = False
 ) -> Iterator[Path]:
     """A hidden folder to write to, whose files take their place in `folder` in one step.
 
@@ -83,7 +83,6 @@ def whole_folder(
     Args:
         folder: an existing one.
         calibration: identity of the calibration that the files are of; None: as a manifest written inside says.
-        without: name of a file that has had its day.
         more: whether results that stand there stay, and what is written belongs to them.
 
     Raises:
@@ -101,7 +100,7 @@ def whole_folder(
             _link_results(visible, hidden)
         yield hidden
         list_files(hidden, calibration)
-        _take_its_place(hidden, visible, without)
+        _take_its_place(hidden, visible)
     except OSError as error:
         raise InputError(f"the folder {folder} cannot be written: {why(error)}") from error
     except InputError as error:  # of a file in it, which the user knows by its place
@@ -127,7 +126,7 @@ def _link_results(visible: Path, hidden: Path) -> None:
     """Bring the results that stand in a folder, and in those in it, to the one that takes its place."""
     inner = (p for p in visible.iterdir() if p.is_dir() and not p.is_symlink())
     for place in (visible, *inner):
-        for name in sorted(_gone(place, "")):
+        for name in sorted(_gone(place)):
             there = hidden / place.relative_to(visible) / name
             there.parent.mkdir(exist_ok=True)
             _link(place / name, there)
@@ -208,17 +207,17 @@ def _identity(files: dict[str, str]) -> str:
     return hashlib.sha256(told.encode()).hexdigest()
 
 
-def _gone(folder: Path, without: str) -> set[str]:
-    """What another run replaces: results as the run before left them, and a file that has had its day."""
+def _gone(folder: Path) -> set[str]:
+    """What another run replaces: results as the run before left them."""
     try:
         files = files_of(folder)
     except InputError:
         files = {}
     same = {n for n, d in files.items() if (folder / n).is_file() and sha256_of(folder / n) == d}
-    return {*same, *([MANIFEST] if same else []), *([without] if without else [])}
+    return {*same, MANIFEST} if same else set()
 
 
-def _take_its_place(hidden: Path, visible: Path, without: str) -> None:
+def _take_its_place(hidden: Path, visible: Path) -> None:
     places = [*(p.name for p in hidden.iterdir() if p.is_dir()), "."]
     new = {place: {p.name for p in (hidden / place).iterdir()} for place in places}
     for entry in (hidden / place / name for place in places for name in new[place]):
@@ -228,14 +227,12 @@ def _take_its_place(hidden: Path, visible: Path, without: str) -> None:
             raise InputError(
                 f"{there} cannot be written: {stands} stands in its place. Move it, or choose another --out"
             )
-    settled = {place: new[place] | _gone(visible / place, without) for place in places}
+    settled = {place: new[place] | _gone(visible / place) for place in places}
     stays = hidden.parent == visible or visible.is_mount() or Path.cwd().is_relative_to(visible)
     if sys.platform == "linux" and not stays:
         for place in places:
             _complete(hidden / place, visible / place, settled[place])
         if _swapped(hidden, visible):
-            for place in places:
-                _bring_late(hidden / place, visible / place, settled[place])
             return
     for place in places:
         (visible / place).mkdir(exist_ok=True)
@@ -281,14 +278,3 @@ def _link(entry: str | Path, to: str | Path) -> None:
         os.link(entry, to, follow_symlinks=False)
     except OSError:
         shutil.copy2(entry, to, follow_symlinks=False)
-
-
-def _bring_late(old: Path, visible: Path, settled: set[str]) -> None:
-    """What the user wrote to the folder while it was being swapped; what another run wrote there goes with it."""
-    settled = settled | (_gone(old, "") if old.is_dir() else set())
-    for entry in old.iterdir() if old.is_dir() else ():
-        there = visible / entry.name
-        if entry.name in settled or (there.exists() and (entry.is_dir() or entry.samefile(there))):
-            continue
-        visible.mkdir(exist_ok=True)
-        os.replace(entry, there)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import partial, reduce
-from itertools import pairwise
+from dataclasses import dataclass, field, replace
+from functools import reduce
 from operator import sub
 from typing import Any
 
@@ -24,10 +23,9 @@ from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
 from bayescal._core import deadline
-from bayescal._core.deadline import Handover
-from bayescal._core.errors import InputError, TimeIsUp
+from bayescal._core.errors import InputError
 from bayescal._core.formatting import probability
-from bayescal._core.progress import stage, tell
+from bayescal._core.progress import stage
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import said_of, set_aside
@@ -42,29 +40,24 @@ from bayescal._model.model import Model, testable
 from bayescal._model.unknown_effect import freed
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import (
-    ENDED,
-    WORK,
-    discovery_at,
+    SEARCH,
+    Discovery,
+    missing,
     placeholders,
     structures_over,
-    walked,
     with_causes,
 )
 from bayescal._search.gate import judged, left_out_better
 from bayescal._search.library import Library
-from bayescal._search.posterior import OtherPath, Posterior, Search, ShownStructure
+from bayescal._search.posterior import OtherPath, Posterior, Search
 from bayescal._search.search_path import Gate, SearchPath, Step
 from bayescal._search.structure_average import averaged
-from bayescal._search.structures import Structure, Structures
-from bayescal._search.walk import STOPPED, path
+from bayescal._search.structures import Structure, Structures, Weighed
+from bayescal._search.walk import explore, path
 
 QUICK = LeastSquares(draws=500)
 NOT_LOOKED = "Nothing was looked for."
-CUT = "The search was ended after {:.0f} s ({}), {}: more time may find more."
-NO_SECOND = "before a second structure was weighed"
-# For a larger model to be fitted and checked: times what the first step took, s more, and s more still after Ctrl-C.
-FITTED, SOONEST, PATIENT = 3.0, 3.0, 10.0
-UNJUDGED = "Whether the last model is to be used was not judged ({})."
+NOT_AVERAGED = "Not averaged over the structures ({}): this is the one shown, alone."
 UNDER_WAY = Gate(False, "The search is under way: this model is not its end.")
 
 
@@ -81,7 +74,6 @@ def calibrate(
     seed: int = 0,
     reference: Reference | None = None,
     time_limit: float | None = None,
-    seeds: Sequence[Structure | ShownStructure] = (),
     accept_conflicts: Collection[str] = (),
     ignore: Collection[str] = (),
     covariates: Collection[str] | None = None,
@@ -108,52 +100,48 @@ def calibrate(
             the model needs was wrong, and flags them; clipped ones always.
         seed: of every random number.
         reference: constants of the bases to use in place of the readings' own.
-        time_limit: seconds for everything; the search gets six tenths of them, and what was left out is said. Ctrl-C
-            ends with what there is at any time.
-        seeds: structures to weigh first: `trail.search.structures` of a search of these readings that was ended early.
+        time_limit: seconds for everything; the search gets two thirds of what the first model leaves, and what was left
+            out is said. The first model is fitted in any case, and so is the most probable structure that was
+            evaluated: they may take longer. Ctrl-C ends at any time with what there is; pressed again, with nothing.
         accept_conflicts: coefficients or effects that may differ greatly from their priors; else nothing is looked for.
         ignore: columns that are no causes.
         covariates: of the columns that the instrument does not know, those that may be causes; None for all but other
             channels of the unit.
-        follow: called with the trail so far, as soon as the first model stands and whenever it grows.
+        follow: called with the trail so far: once a second while structures are evaluated, when that ends, and with
+            each model fitted after it.
 
     Raises:
         ModelError: the readings lack what the model needs.
         InputError: there is no such column to ignore or to allow.
-        TimeIsUp: the time limit came before the first model was fitted.
     """
-
-    def run() -> SearchPath:
+    if holdout is not None:
+        model.require(holdout)
+    with deadline.until(time_limit):
         causes = with_causes(readings, model.instrument, ignore, covariates)
         used = set_aside(causes, keep_spikes, model.columns)
         kept = None if holdout is None else set_aside(holdout, keep_spikes, model.columns)
         used, accepted = _said_of_holdout(used, kept), frozenset(accept_conflicts)
-        loop = Loop(used, kept, method, seed, reference, max_effects, accepted, resumed=len(seeds))
-        loop, first = loop.begin(model)
-        # Stated values that the readings contradict: the value may be wrong, or an effect missing; the search weighs
-        # both.
-        more = loop.freed(first)
-        if first.against and not more:
-            return loop.not_looked(first)
-        loop, structures, shut = loop.open(first, (*effects, *more), widen_noise)
-        tell = partial(loop.tell, [first], structures, deadline.door(), follow)
-        tell()
-        deadline.allow(loop.grace)
-        try:
-            library, stopped = loop.look(Library(structures), seeds, tell)
-        except TimeIsUp as early:
-            return loop.not_searched(first, early.why)
-        return loop.to_best(first, library, shut, stopped, follow)
-
-    if holdout is not None:
-        model.require(holdout)
-    with deadline.until(time_limit), deadline.share(WORK):
-        return deadline.within(run)
+        loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
+        loop.begin(model, effects, widen_noise)
+        follow(loop.trail())
+        with deadline.sooner(SEARCH):
+            loop.look(lambda: follow(loop.trail()))
+        return loop.to_best(follow)
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Loop:
-    """What stays the same from step to step: see `calibrate`."""
+    """One search: what is asked (see `calibrate`), and how it stands.
+
+    Attributes:
+        begun: when the first step stood, by `time.monotonic`, s.
+        step_takes: s, as the first step did.
+        given: effects of the model given, to be weighed anew.
+        steps: models fitted so far.
+        library: candidates and the structures evaluated; None where nothing can be looked for.
+        shut: candidates that these readings cannot test.
+        stopped: why the walk ended early; empty where it did not.
+    """
 
     readings: Measurements
     holdout: Measurements | None
@@ -162,13 +150,16 @@ class Loop:
     reference: Reference | None
     max_effects: int
     accepted: frozenset[str]
-    begun: float = 0.0  # of the search
-    step_takes: float = 0.0  # s, as the first one did
-    given: tuple[Effect, ...] = ()  # of the model given, to be weighed anew
-    resumed: int = 0  # structures of an earlier search, which are weighed first
+    begun: float = 0.0
+    step_takes: float = 0.0
+    given: tuple[Effect, ...] = ()
+    steps: list[Step] = field(default_factory=list)
+    library: Library | None = None
+    shut: Sequence[Candidate] = ()
+    stopped: str = ""
 
-    def begin(self, model: Model) -> tuple[Loop, Step]:
-        """The first step, of the model without what is weighed anew.
+    def begin(self, model: Model, effects: Sequence[Effect], widen_noise: bool) -> None:
+        """Fit the first step, of the model without what is weighed anew, and open what is to be searched beyond it.
 
         Whether an effect belongs there is what the search is to say: kept because the search began with it, it would
         hide rivals that the same search finds from the baseline.
@@ -176,14 +167,17 @@ class Loop:
         before = time.monotonic()
         # Where nothing is looked for, nothing is weighed.
         looked_at = model.effects if self.max_effects > 0 else ()
-        given = [e for e in looked_at if self._weighed_anew(e, model)]
-        model = reduce(sub, given, model)
-        first = self.step(model, method=self.quick(model))
-        now = time.monotonic()
-        most = max(self.max_effects, len(given))
-        taken = {"begun": now, "step_takes": now - before, "given": tuple(given)}
-        reference = first.calibration.reference
-        return replace(self, max_effects=most, reference=reference, **taken), first
+        self.given = tuple(e for e in looked_at if self._weighed_anew(e, model))
+        model = reduce(sub, self.given, model)
+        method = self.quick(model)
+        with deadline.finishing():  # whatever the time limit
+            first = self.step(model, method=method)
+        deadline.current().defer_interrupt()
+        self.max_effects = max(self.max_effects, len(self.given))
+        self.reference = first.calibration.reference
+        self.begun = time.monotonic()
+        self.step_takes = self.begun - before
+        self.open(first, effects, widen_noise)
 
     def _weighed_anew(self, effect: Effect, model: Model) -> bool:
         instrument, readings = model.instrument, self.readings
@@ -195,20 +189,24 @@ class Loop:
         testable_here = testable(effect, readings) is None
         return on_the_way and effect.name in catalogued and free and testable_here
 
-    def open(
-        self, first: Step, effects: Sequence[Effect], widen_noise: bool
-    ) -> tuple[Loop, Structures, list[Candidate]]:
-        """The structures to look at beyond the first step, and the candidates that these readings cannot test."""
-        loop, c, fixed = self, first.calibration, first.check.fixed
+    def open(self, first: Step, effects: Sequence[Effect], widen_noise: bool) -> None:
+        """Begin with a step that is fitted: the structures to look at beyond it, if anything can be learnt from it."""
+        self.steps, c, fixed = [first], first.calibration, first.check.fixed
+        # Stated values that the readings contradict: the value may be wrong, or an effect missing; the search weighs
+        # both.
+        more = self.freed(first)
+        if first.against and not more:
+            return
         # Without convergence there are no probabilities; and a published calibration that fails is not saved.
         if not c.verdict.ok or (fixed is not None and fixed.wrong):
-            loop, widen_noise = replace(self, max_effects=0), False
+            self.max_effects, widen_noise = 0, False
         # Of the same name as one of the catalogue, the given one counts: its size may be the user's own.
         named = [e for e in self.given if not e.is_placeholder]
-        structures, shut = structures_over(
-            c.model, self.readings, c.reference, effects=(*effects, *named), widen_noise=widen_noise
+        every = (*effects, *more, *named)
+        structures, self.shut = structures_over(
+            c.model, self.readings, c.reference, effects=every, widen_noise=widen_noise
         )
-        return loop, structures, shut
+        self.library = Library(structures)
 
     def freed(self, first: Step) -> tuple[Effect, ...]:
         """Effects of the first model once more, free of stated values that the readings contradict.
@@ -229,16 +227,6 @@ class Loop:
         # not tuned.
         return tuple(freed(e, 10 ** math.ceil(math.log10(away[n]))) for n, e in named.items())
 
-    @property
-    def finish_takes(self) -> float:
-        """How long the fit of a larger model, its checks and its judgement may take, s."""
-        return SOONEST + FITTED * self.step_takes
-
-    @property
-    def grace(self) -> float:
-        """What these are allowed after Ctrl-C, s."""
-        return PATIENT + self.finish_takes
-
     def quick(self, model: Model) -> Method | None:
         """How steps on the way are fitted: not sampled, for their errors and evidence need no draws.
 
@@ -247,124 +235,81 @@ class Loop:
         limited = deadline.current().ends_at < math.inf
         return QUICK if model.noise.gaussian or limited else self.method
 
-    def not_looked(self, first: Step) -> SearchPath:
-        """What is left of the loop where nothing can be learnt from the first model."""
-        search = Search(
-            (), 0, complete=True, stopped=f"{NOT_LOOKED} {' '.join(map(str, first.against))}"
+    def look(self, follow: Callable[[], None] = lambda: None) -> None:
+        """Walk over the structures, to the end or the deadline."""
+        if self.library is None:
+            return
+        given, structures = (
+            Structure(frozenset(e.name for e in self.given)),
+            self.library.structures,
         )
-        return SearchPath(*judged((first,)), self.holdout, None, search)
+        may_be = given.effects and given.effects <= {*structures.candidates}
+        last = given if may_be and given.effects.isdisjoint(structures.barred(given)) else None
+        self.stopped = explore(self.library, self.max_effects, last, follow)
 
-    def look(
-        self,
-        library: Library,
-        seeds: Sequence[Structure | ShownStructure] = (),
-        tell: Callable[[], None] = lambda: None,
-    ) -> tuple[Library, str]:
-        """Walk over the structures: these as weighed, and why the walk ended early, if it did.
+    def goal(self, structures: Structures) -> Structure:
+        """The structure to use: of a walk that ended early the best that it evaluated."""
+        posterior = Posterior.of(structures)
+        return posterior.best if self.stopped else posterior.chosen
 
-        Raises:
-            TimeIsUp: not even the first model was weighed.
-        """
-        structures = library.structures
-        asked = dict.fromkeys(Structure(frozenset(s.effects), s.noise) for s in seeds)
-        known = [s for s in asked if self._may_be(s, structures)]
-        given = Structure(frozenset(e.name for e in self.given))
-        last = given if given.effects and self._may_be(given, structures) else None
-        keep = min(self.finish_takes, 0.5 * deadline.current().left)
-        return walked(library, self.max_effects, lambda _: tell(), known, last, keep)
+    def way(
+        self, goal: Structure
+    ) -> Iterator[tuple[Structure | None, Structure, Discovery | None]]:
+        """Yield the structures from the first to a goal, each after the one before, with what is missing from it; fewer
+        where time is short."""
+        assert self.library is not None
+        asked = self.max_effects > 0 and self.steps[0].calibration.verdict.ok
+        here, steps = None, [Structure(), goal]
+        with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as half:
+            steps = steps if self.stopped else path(self.library, goal)
+        for at in dict.fromkeys(steps):
+            if here is None or at == goal or not half.over:
+                found = missing(self.library, at, self.shut, self.stopped) if asked else None
+                yield here, at, found
+                here = at
 
-    def _may_be(self, s: Structure, structures: Structures) -> bool:
-        return (
-            s.effects <= set(structures.candidates)
-            and s.effects.isdisjoint(structures.barred(s))
-            and len(s.effects) <= self.max_effects
-            and s.noise in ("", *structures.laws)
-        )
-
-    def to_best(
-        self,
-        first: Step,
-        library: Library,
-        shut: Sequence[Candidate],
-        stopped: str,
-        follow: Callable[[SearchPath], None] = lambda _: None,
-    ) -> SearchPath:
-        """Fit the models on the way to the most probable structure; where Ctrl-C leaves no time for them, it alone.
-
-        Raises:
-            TimeIsUp: a time limit came, or Ctrl-C once more.
-        """
-
-        def steps(hurried: bool, why: str = stopped) -> SearchPath:
-            return self.steps_to_best(first, library, shut, why, follow, hurried)
-
-        hurried = deadline.current().interrupted
-        with deadline.grace(self.grace) as end:
-            try:
-                return steps(hurried)
-            except (TimeIsUp, KeyboardInterrupt) as early:
-                if hurried or (isinstance(early, TimeIsUp) and not end.interrupted):
-                    raise
-        with deadline.grace(self.grace):
-            return steps(True, stopped or STOPPED.format(time.monotonic() - self.begun))
-
-    def steps_to_best(
-        self,
-        first: Step,
-        library: Library,
-        shut: Sequence[Candidate],
-        stopped: str,
-        follow: Callable[[SearchPath], None] = lambda _: None,
-        hurried: bool = False,
-    ) -> SearchPath:
-        """Fit the models on the way to the most probable structure; that alone, and as it is, where this is hurried."""
-        structures, steps, to = library.structures, [first], deadline.door()
-        chosen = Posterior.of(structures).chosen
-        # As long as the first step took, each: what further effects cost is not known before they are fitted.
-        takes = self.step_takes * (1 + len(chosen.effects) + bool(chosen.noise))
-        in_time = takes < deadline.current().left and not hurried
-        way = path(library, chosen) if in_time else [*dict.fromkeys([Structure(), chosen])]
-        # Where a limit may end sampling, the last model stands before it begins; after Ctrl-C it is fitted anew.
-        limited = deadline.current().ends_at < math.inf
-        twice = limited and not isinstance(self.method, LeastSquares)
-        if hurried and len(way) > 1:
-            best = " + ".join(sorted(chosen.effects)) or "the first model under another noise law"
-            tell(f"interrupted: fitting the best so far, {best}; Ctrl-C again does not wait for it")
-        for before, at in pairwise(way):
-            weighed = structures.weigh(at)
-            model = weighed.sized_model
-            once = at == way[-1] and not (twice or hurried)
-            method = self.method if once else self.quick(model)
-            steps.append(self.step(model, before, at, method=method, start=weighed.phi))
-            self.tell(steps, structures, to, follow)
-        if hurried and self.method != QUICK:
-            steps[-1] = steps[-1].noted([NOT_SAMPLED.format(deadline.current().limit)])
-        elif self.method != QUICK and (len(way) == 1 or twice):
-            steps[-1] = self.sampled(steps[-1], structures.weigh(way[-1]).phi)
-            self.tell(steps, structures, to)
-        if first.calibration.verdict.ok and self.max_effects > 0:  # else nothing was looked for
-            steps = [
-                replace(s, discovery=discovery_at(library, at, shut, stopped))
-                for s, at in zip(steps, way, strict=False)
-            ]
-            why = ENDED if stopped else self.incomplete(steps)
-            if (last := steps[-1].discovery) and why:
+    def to_best(self, follow: Callable[[SearchPath], None] = lambda _: None) -> SearchPath:
+        """Fit the models on the way to the structure to use; of a walk that ended early, the best one alone."""
+        if self.library is None:
+            why = f"{NOT_LOOKED} {' '.join(map(str, self.steps[0].against))}"
+            search = Search((), 0, complete=True, stopped=why)
+            return SearchPath(*judged(self.steps), self.holdout, None, search)
+        structures, end = self.library.structures, deadline.current()
+        # What was the best when the walk ended is what is returned: nothing is evaluated after that.
+        search = self.search(stopped=self.stopped) if self.stopped else None
+        goal, found = self.goal(structures), list[Discovery | None]()
+        for before, at, is_missing in self.way(goal):
+            found.append(is_missing)
+            if before is not None:
+                fit_step = self.last if at == goal else self.fitted
+                self.steps.append(fit_step(structures.weigh(at), before, at))
+                follow(self.trail(search))
+        if len(self.steps) == 1 and self.method != QUICK:
+            self.steps = [self.last(structures.weigh(goal))]
+        steps = [replace(s, discovery=one) for s, one in zip(self.steps, found, strict=True)]
+        if (last := steps[-1].discovery) is not None:
+            if why := "" if self.stopped else self.incomplete(steps):
                 steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
             steps[-1] = self.said_of_given(steps[-1])
-        last, shares = steps[-1].calibration, ()
-        used = last
-        if self.max_effects > 0 and last.verdict.ok:
-            with suppress(TimeIsUp):  # what is used of it is an average over the structures
-                used, shares = averaged(last, structures, way[len(steps) - 1].noise, self.seed)
+        used, shares = steps[-1].calibration, ()
+        if self.max_effects > 0 and used.verdict.ok:
+            try:  # what is used is an average over the structures
+                used, shares = averaged(used, structures, goal.noise, self.seed)
+            except deadline.TimeIsUp:
+                steps[-1] = steps[-1].noted([NOT_AVERAGED.format(end.why)])
+                used = steps[-1].calibration
+        one = steps[-1].calibration is used
         steps[-1] = self.held_against(steps[-1], used, structures)
-        trail = self.trail(steps, structures, complete=not stopped, stopped=stopped)
-        if used is last:
-            return replace(trail, shares=shares)
+        search = search or self.search(complete=True)
+        trail = SearchPath(
+            *judged(steps), self.holdout, _other_path(structures), search, shares=shares
+        )
+        if one:
+            return trail
         verdict = trail.final.calibration.verdict
         notes = dict.fromkeys((*verdict.notes, *used.verdict.notes))
         of_last = {"against": verdict.against, "checked": verdict.checked}
-        used = used.with_verdict(**of_last, notes=tuple(notes))
-        return replace(trail, average=used, shares=shares)
+        return replace(trail, average=used.with_verdict(**of_last, notes=tuple(notes)))
 
     def held_against(self, step: Step, used: Calibration, structures: Structures) -> Step:
         """The last step, whose hold-out data are held against what is used of it."""
@@ -395,54 +340,31 @@ class Loop:
         note = f"Weighed anew and left out of the model given: {each}."
         return replace(step, calibration=c.with_verdict(notes=(*c.verdict.notes, note)))
 
-    def sampled(self, step: Step, start: Mapping[str, float] = NOTHING_KNOWN) -> Step:
-        """A step with its posterior sampled, as far as there is time for that and for checking it anew."""
-        with deadline.share(keep=self.step_takes) as end:
-            try:
+    def fitted(self, weighed: Weighed, before: Structure, at: Structure) -> Step:
+        """A step on the way."""
+        model = weighed.sized_model
+        return self.step(model, before, at, method=self.quick(model), start=weighed.phi)
+
+    def last(
+        self, weighed: Weighed, before: Structure | None = None, at: Structure | None = None
+    ) -> Step:
+        """The last step, by the method asked for; without its sampling where there is no time for that."""
+        model, start = weighed.sized_model, weighed.phi
+        sampling = not isinstance(self.method, LeastSquares)
+        with suppress(deadline.TimeIsUp), deadline.sooner(keep=self.step_takes) as end:
+            if sampling:
                 end.ask()
-                found = self.step(step.calibration.model, method=self.method, start=start)
-            except TimeIsUp as early:
-                notes = (NOT_SAMPLED.format(early.why), *step.calibration.verdict.notes)
-                return replace(step, calibration=step.calibration.with_verdict(notes=notes))
-        return replace(found, added=step.added, changed=step.changed)
+                return self.step(model, before, at, method=self.method, start=start)
+        with deadline.finishing():
+            method = QUICK if sampling else self.method
+            found = self.step(model, before, at, method=method, start=start)
+        return found.noted([NOT_SAMPLED.format(end.why)]) if sampling else found
 
-    def tell(
-        self,
-        steps: Sequence[Step],
-        structures: Structures,
-        to: Handover,
-        follow: Callable[[SearchPath], None] = lambda _: None,
-    ) -> None:
-        """Hand over the trail so far, and say it to who follows."""
-        steps = tuple(steps)
-        so_far = self.trail(steps, structures, complete=False)
-        with to.offering(lambda why: self.cut(steps, so_far.search, why)):
-            follow(so_far)
-
-    def not_searched(self, first: Step, why: str) -> SearchPath:
-        """The first model alone, sampled and judged, where no second structure was weighed in time."""
-        said = CUT.format(time.monotonic() - self.begun, why, NO_SECOND)
-        search = Search((), 0, complete=False, stopped=said)
-        if not isinstance(self.method, LeastSquares):
-            first = self.sampled(first)
-        return SearchPath(*judged((first,)), self.holdout, None, search)
-
-    def cut(self, steps: Sequence[Step], search: Search | None, why: str) -> SearchPath:
-        """A trail that was ended before its last model was found or judged."""
-        search = search or Search((), 0, complete=False)
-        best, at = next(iter(search.structures), None), "with this as the best so far"
-        # Whether what was found most probable is what the last step holds decides what can be promised of it.
-        if best is None:
-            at = NO_SECOND
-        elif not {*best.effects} <= {*steps[-1].calibration.model.names}:
-            at = f"when {best} was the most probable so far, and was not fitted yet"
-        ended = replace(search, stopped=CUT.format(time.monotonic() - self.begun, why, at))
-        return self._unjudged(steps, Gate(False, UNJUDGED.format(why)), ended)
-
-    def _unjudged(self, steps: Sequence[Step], gate: Gate, search: Search) -> SearchPath:
-        """A trail whose last model says what stands against its use: that it is not the end."""
-        steps = (*steps[:-1], steps[-1].judged((gate.reason,)))
-        return SearchPath(steps, gate, self.holdout, None, search)
+    def trail(self, search: Search | None = None) -> SearchPath:
+        """The trail while it grows: its last model says that it is not the end."""
+        *before, last = self.steps
+        steps = (*before, last.judged((UNDER_WAY.reason,)))
+        return SearchPath(steps, UNDER_WAY, self.holdout, None, search or self.search())
 
     def incomplete(self, steps: Sequence[Step]) -> str:
         """Why the last model may not be called complete, whatever its probability; empty where it may."""
@@ -480,20 +402,12 @@ class Loop:
             found = step_of(calibration, self.holdout, self.accepted)
         return replace(found, added=added, changed=changed)
 
-    def trail(
-        self, steps: Sequence[Step], structures: Structures, *, complete: bool, stopped: str = ""
-    ) -> SearchPath:
-        search = Search.of(
-            structures,
-            complete=complete,
-            stopped=stopped,
-            seconds=time.monotonic() - self.begun,
-            max_effects=self.max_effects,
-            resumed=self.resumed,
-        )
-        if not (complete or stopped):
-            return self._unjudged(steps, UNDER_WAY, search)
-        return SearchPath(*judged(steps), self.holdout, _other_path(structures), search)
+    def search(self, *, complete: bool = False, stopped: str = "") -> Search | None:
+        """How the search stands."""
+        if self.library is None:
+            return None
+        how = {"seconds": time.monotonic() - self.begun, "max_effects": self.max_effects}
+        return Search.of(self.library.structures, complete=complete, stopped=stopped, **how)
 
 
 def step_of(

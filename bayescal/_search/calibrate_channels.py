@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 from bayescal._core import deadline
-from bayescal._core.errors import InputError, TimeIsUp
+from bayescal._core.errors import InputError
 from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import set_aside
@@ -17,17 +18,16 @@ from bayescal._model.effect import Effect, Shape
 from bayescal._model.frame import Reference
 from bayescal._model.model import Model
 from bayescal._search.calibrate import Loop
-from bayescal._search.candidate import Candidate
 from bayescal._search.channels import Channels
-from bayescal._search.discover import WORK, with_causes
+from bayescal._search.discover import with_causes
 from bayescal._search.library import Library
-from bayescal._search.posterior import Search
-from bayescal._search.search_path import SearchPath, Step
+from bayescal._search.search_path import SearchPath
 from bayescal._search.shared_shape import FromOthers, ShapeEvidence, SharedShape, said
 from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import BEAM_STRUCTURES
 
 ROUNDS = 3  # of hearing the others, at most
+Follow = Callable[[str, SearchPath], None]
 
 
 def calibrate_channels(
@@ -46,7 +46,7 @@ def calibrate_channels(
     accept_conflicts: Collection[str] = (),
     ignore: Collection[str] = (),
     covariates: Collection[str] | None = None,
-    follow: Callable[[str, SearchPath], None] = lambda _, __: None,
+    follow: Follow = lambda _, __: None,
 ) -> Channels:
     """Calibrate the channels of one unit together: `calibrate` for each, one body for all.
 
@@ -58,9 +58,10 @@ def calibrate_channels(
         models: of each channel, to begin with.
         readings: of each channel, as `read(…, outputs=[…])` gives them.
         holdout: hold-out data, of each channel.
-        follow: called with a channel's name and its trail so far, whenever that grows.
+        follow: called with a channel's name and its trail so far, as `calibrate` calls it.
         effects, method, max_effects, widen_noise, keep_spikes, seed, reference, time_limit, accept_conflicts, ignore,
-            covariates: as `calibrate` has them; channels that the time limit leaves no time to begin are left out.
+            covariates: as `calibrate` has them. Whenever the search ends, every channel is there, with the most
+            probable structure that was evaluated of it: the first model, where there was no time for others.
 
     Raises:
         InputError: fewer than two channels, or models, readings and holdout of different ones.
@@ -73,118 +74,89 @@ def calibrate_channels(
             )
     if len(models) < 2:
         raise InputError("a unit has two channels or more: use `calibrate` for one")
-    channels, trails = list[_Channel](), dict[str, SearchPath]()
-
-    def run() -> Channels:
-        for i, (name, model) in enumerate(models.items()):
+    channels, count = list[_Channel](), len(models)
+    trails, shared = dict[str, SearchPath](), list[SharedShape]()
+    with deadline.until(time_limit):
+        for name, model in models.items():
             kept = None if holdout is None else set_aside(holdout[name], keep_spikes, model.columns)
             if kept is not None:
                 model.require(kept)
             used = with_causes(readings[name], model.instrument, ignore, covariates)
-            used, accepted = (
-                set_aside(used, keep_spikes, model.columns),
-                frozenset(accept_conflicts),
-            )
+            used = set_aside(used, keep_spikes, model.columns)
+            accepted = frozenset(accept_conflicts)
             loop = Loop(used, kept, method, seed, reference, max_effects, accepted)
-            try:
-                with stage(name), deadline.share(1 / (2 * len(models) - i)):
-                    channels.append(_Channel.begun(name, model, loop, effects, widen_noise))
-            except TimeIsUp:
-                if not channels:
-                    raise
-                continue
-            deadline.offer(so_far)
-            deadline.allow(sum(c.loop.grace for c in channels))
-        with deadline.share(1 / 2):
-            shared = _shared(channels)
-        for i, channel in enumerate(channels):
-            with stage(channel.name), deadline.share(1 / (len(channels) - i)):
-                trails[channel.name] = deadline.within(partial(channel.trail, follow))
-        return Channels(trails, tuple(shared))
-
-    def so_far(why: str) -> Channels:
-        cut = {c.name: c.loop.cut([c.first], c.search, why) for c in channels}
-        return Channels({**cut, **trails}, ())
-
-    with deadline.until(time_limit), deadline.share(WORK):
-        return deadline.within(run)
+            with stage(name):
+                loop.begin(model, effects, widen_noise)
+            channels.append(_Channel(name, loop))
+            channels[-1].tell(follow)
+        for i, c in enumerate(channels):
+            with stage(c.name), deadline.sooner(1 / (2 * count - i)):
+                c.loop.look(partial(c.tell, follow))
+        with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2):
+            for one in _shared(channels, follow):
+                shared = one
+        for i, c in enumerate(channels):
+            with stage(c.name), deadline.sooner(1 / (count - i)):
+                trails[c.name] = c.loop.to_best(partial(follow, c.name))
+    return Channels(trails, tuple(shared))
 
 
 @dataclass(eq=False)
 class _Channel:
-    """One channel: its loop, its first step, the structures weighed, and what the others say.
+    """One channel: its search, and what it and the others say of what they share.
 
     Attributes:
-        structures: None where nothing can be looked for.
-        shut: candidates that its readings cannot test.
         shared: shapes that all channels share, as the instrument states them, by the candidate that has it.
         heard: what the others said of these when the channel was last asked; at first what the instrument says.
-        says: what it says of them itself, by the structures weighed last.
-        stopped: why its search ended early, if it did.
-        search: how it stands.
+        says: what it says of them itself, by the structures evaluated; empty until it is asked.
     """
 
     name: str
     loop: Loop
-    first: Step
-    structures: Structures | None = None
-    shut: Sequence[Candidate] = ()
     shared: Mapping[str, Shape] = field(default_factory=dict)
     heard: dict[str, FromOthers] = field(default_factory=dict)
     says: dict[str, ShapeEvidence] = field(default_factory=dict)
-    stopped: str = ""
-    search: Search | None = None
 
-    @classmethod
-    def begun(
-        cls, name: str, model: Model, loop: Loop, effects: Sequence[Effect], widen_noise: bool
-    ) -> _Channel:
-        """After a first search alone."""
-        loop, first = loop.begin(model)
-        deadline.allow(loop.grace)
-        more = loop.freed(first)
-        if first.against and not more:
-            return cls(name, loop, first)
-        loop, structures, shut = loop.open(first, (*effects, *more), widen_noise)
-        found = cls(name, loop, first, shut=shut)
-        if loop.max_effects > 0:
+    def __post_init__(self) -> None:
+        if self.loop.library is not None and self.loop.max_effects > 0:
+            structures = self.loop.library.structures
             of_all = {n: e.shared_shape for n, e in structures.candidates.items()}
-            found.shared = {n: shape for n, shape in of_all.items() if shape is not None}
-        # What the instrument says of a shape is what a channel has heard before any other spoke.
-        odds = structures.log_odds
-        found.heard = {n: FromOthers(odds[n], s.low, s.high) for n, s in found.shared.items()}
-        try:
-            found._look(structures)
-        except TimeIsUp as early:
-            return cls(name, loop, first, shut=shut, stopped=early.why)
-        return found
+            self.shared = {n: shape for n, shape in of_all.items() if shape is not None}
+            odds = structures.log_odds
+            self.heard = {n: FromOthers(odds[n], s.low, s.high) for n, s in self.shared.items()}
+
+    def tell(self, follow: Follow) -> None:
+        """Say how its search stands."""
+        follow(self.name, self.loop.trail())
 
     def hear(self, others: Mapping[str, FromOthers]) -> bool:
         """Take what the others say for a prior, where that leads elsewhere; whether it does.
 
         Where an effect is more or less probable by it the channel is searched again; where only a shape moves, the most
         probable structures are weighed again.
+
+        Raises:
+            TimeIsUp: there was no time; what stood before stands.
         """
-        before, shapes = self.structures, self.shared
-        if before is None:
+        if self.loop.library is None:
             return False
+        before, shapes = self.loop.library.structures, self.shared
         then = {n: self.says[n].concluded(self.heard[n], shapes[n]) for n in others}
         now = {n: self.says[n].concluded(others[n], shapes[n]) for n in others}
         searched = any(now[n].likelier(then[n]) for n in others)
         news = {n for n in others if now[n].likelier(then[n]) or now[n].informs(then[n])}
         if not news:
             return False
-        candidates, heard_before = dict(before.candidates), dict(self.heard)
+        candidates, heard = dict(before.candidates), {**self.heard, **{n: others[n] for n in news}}
         for name in news:
-            self.heard[name] = heard = others[name]
             # A posterior range becomes the prior of the next round: from the others alone, so that no channel hears
             # itself.
-            range_ = {shapes[name].name: (heard.low, heard.high)}
+            range_ = {shapes[name].name: (heard[name].low, heard[name].high)}
             candidates[name] = candidates[name].ranging(range_)
         after = replace(
             before,
             candidates=candidates,
-            odds={n: now.log_odds for n, now in self.heard.items()},
+            odds={n: now.log_odds for n, now in heard.items()},
             earlier={**before.earlier, **before.visited},
             visited={},
             expected={},
@@ -200,49 +172,33 @@ class _Channel:
                 log_prior = after.log_prior(structure)
                 after.visited[structure] = replace(weighed, log_prior=log_prior)
         leaders = sorted(before.visited.values(), key=lambda w: -w.total)[:BEAM_STRUCTURES]
-        try:
-            self._look(after, [w.structure for w in leaders], searched)
-        except TimeIsUp:
-            self.heard = heard_before
-            return False
+        for structure in (Structure(), *(w.structure for w in leaders)):
+            deadline.current().ask()
+            after.weigh(structure)
+        loop = replace(self.loop, library=Library(after))
+        if searched:
+            loop.look()
+            if loop.stopped:
+                raise deadline.TimeIsUp(loop.stopped)
+        self.says = self.said(after)
+        self.loop, self.heard = loop, heard
         return True
 
-    def _look(
-        self, structures: Structures, again: Sequence[Structure] = (), searched: bool = True
-    ) -> None:
-        """Walk over structures, or weigh some again, and find what the channel says of the shared shapes by them.
-
-        Raises:
-            TimeIsUp: there was none for that; what stood before stands.
-        """
-        if searched:
-            library, self.stopped = self.loop.look(Library(structures), again)
-            structures = library.structures
-        else:
-            for structure in (Structure(), *again):
-                deadline.current().ask()
-                structures.weigh(structure)
-        self.structures = structures
-        self.search = self.loop.trail([self.first], structures, complete=False).search
-        self.says = {n: said(structures, n, shape) for n, shape in self.shared.items()}
-
-    def trail(self, follow: Callable[[str, SearchPath], None]) -> SearchPath:
-        """The models on the way to the most probable structure."""
-        if self.structures is None and self.stopped:
-            return self.loop.not_searched(self.first, self.stopped)
-        if self.structures is None:
-            return self.loop.not_looked(self.first)
-        library, to = Library(self.structures), partial(follow, self.name)
-        return self.loop.to_best(self.first, library, self.shut, self.stopped, to)
+    def said(self, structures: Structures) -> dict[str, ShapeEvidence]:
+        """What it says of the shared shapes by its structures."""
+        return {n: said(structures, n, shape) for n, shape in self.shared.items()}
 
 
-def _shared(channels: Sequence[_Channel]) -> list[SharedShape]:
-    """Have the channels hear each other until nothing new is said; what they say in the end."""
+def _shared(channels: Sequence[_Channel], follow: Follow) -> Iterator[list[SharedShape]]:
+    """Have the channels hear each other until nothing new is said; what they say at first, and whenever it changes."""
     shapes = {n: shape for c in channels for n, shape in c.shared.items()}
     alone: dict[str, float] = {}  # prior probability of each effect in one channel
     for c in channels:
         for n, now in c.heard.items():
             alone[n] = max(alone.get(n, 0.0), 1 / (1 + math.exp(-now.log_odds)))
+        if c.loop.library is not None:
+            c.says = c.said(c.loop.library.structures)
+    yield list(_said(channels, shapes, alone).values())
     # Coordinate ascent on a joint posterior: each channel given what all others say now.
     for _ in range(ROUNDS):
         moved = []
@@ -250,9 +206,11 @@ def _shared(channels: Sequence[_Channel]) -> list[SharedShape]:
             found = _said(channels, shapes, alone)
             with stage(c.name):
                 moved.append(c.hear({n: found[n].from_others(c.name) for n in c.shared}))
+            if moved[-1]:
+                c.tell(follow)
+                yield list(_said(channels, shapes, alone).values())
         if not any(moved):
             break
-    return list(_said(channels, shapes, alone).values())
 
 
 def _said(

@@ -18,7 +18,7 @@ from bayescal._model.effect import Effect
 from bayescal._model.unknown_effect import covariate_in
 from bayescal._search.library import Library
 from bayescal._search.scores import ScoredPoint, gain_of
-from bayescal._search.structures import Structures, Weighed
+from bayescal._search.structures import Structure, Structures, Weighed
 
 # Probability from which what is not found is named as a lead: odds of 1 to 4, worth a further run.
 LEAD_PROBABILITY = 0.2
@@ -94,12 +94,15 @@ def best_form(
     return found
 
 
-def by_refit(structures: Structures, name: str, at: Weighed, form: str) -> Candidate:
-    """One candidate that has no score, as `judge`."""
-    effect, with_it = structures.candidates[form], structures.weigh(at.structure.plus(form), at)
+def by_refit(structures: Structures, name: str, at: Weighed, further: Structure) -> Candidate:
+    """One candidate without a score, as `judge`: by the structure with it, where that was evaluated."""
+    (form,) = further.effects - at.structure.effects
+    effect, with_it = structures.candidates[form], structures.visited.get(further)
     several = len(structures.forms[name]) > 1
     found = Candidate(effect=name, form=form if several else "", unit=effect.coefficients[0].unit)
-    return _refitted(found, effect, at, with_it) if math.isfinite(with_it.log_evidence) else found
+    if with_it is None or not math.isfinite(with_it.log_evidence):
+        return found
+    return _refitted(found, effect, at, with_it)
 
 
 def _refitted(found: Candidate, effect: Effect, at: Weighed, with_it: Weighed) -> Candidate:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import textwrap
-import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,9 +14,8 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.sensor_noise import SHOWN_PROBABILITY
 from bayescal._core import deadline
-from bayescal._core.errors import InputError, TimeIsUp
+from bayescal._core.errors import InputError
 from bayescal._core.formatting import WIDTH, number, probability, with_error
-from bayescal._core.progress import stage
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import unit_label
@@ -45,14 +43,11 @@ from bayescal._search.noise_laws import laws_over
 from bayescal._search.posterior import Found, Posterior
 from bayescal._search.scores import View
 from bayescal._search.structures import Structure, Structures
-from bayescal._search.walk import ended_early, walk
+from bayescal._search.walk import explore
 
-# Of a time limit: what remains is for drawing, writing and printing what was found.
-WORK = 0.9
-# Of the time left, for the walk: the rest tells what it found, fits that, samples and checks it.
+# Of the time that the first model leaves, for the walk: the rest tells what it found, fits that, samples and checks it.
 SEARCH = 2 / 3
 ENDED = "not stated, as the search was ended early"
-TO_SAY = 10.0  # s after Ctrl-C, for what was found until then
 RIVALS = 4  # effects that an experiment is asked to tell apart, at most
 
 
@@ -166,62 +161,34 @@ def discover(
         effects: further candidates of the user's own, beside the instrument's.
         max_effects: most effects that may be missing at once.
         widen_noise: False holds the noise law as it is.
-        time_limit: seconds for everything; the search gets six tenths of them and ends with the best so far.
+        time_limit: seconds for everything; the search ends with the best so far, as it does at Ctrl-C.
         ignore: columns that are no causes.
         covariates: of the columns that the instrument does not know, those that may be causes; None for all but other
             channels of the unit.
 
     Raises:
         InputError: there is no such column.
-        TimeIsUp: the time limit came before anything could be said.
     """
     model = calibration.model
     readings = with_causes(calibration.readings, model.instrument, ignore, covariates)
 
-    def run() -> Discovery:
+    with deadline.until(time_limit):
         structures, shut = structures_over(
             model, readings, calibration.reference, effects=effects, widen_noise=widen_noise
         )
-        library, stopped = walked(Library(structures), max_effects)
-        with deadline.grace(TO_SAY):
-            found = discovery_at(library, Structure(), shut, stopped)
-        return found.not_stated(ENDED) if stopped else found
-
-    with deadline.until(time_limit), deadline.share(WORK):
-        return deadline.within(run)
+        library = Library(structures)
+        with deadline.sooner(SEARCH):
+            stopped = explore(library, max_effects)
+        return missing(library, Structure(), shut, stopped)
 
 
-def walked(
-    library: Library,
-    max_effects: int,
-    follow: Callable[[Structures], None] = lambda _: None,
-    seeds: Sequence[Structure] = (),
-    given: Structure | None = None,
-    keep: float = 0.0,
-) -> tuple[Library, str]:
-    """Walk over the structures in the greater part of the time left, and not in the last `keep` seconds of it.
-
-    Returns:
-        The library with what was weighed, and why the walk ended early, if it did.
-
-    Raises:
-        TimeIsUp: not even the model itself was weighed.
-    """
-
-    def run() -> str:
-        deadline.offer(lambda _: ended_early(end, begun))
-        return walk(library, max_effects, follow, seeds, given)
-
-    begun = time.monotonic()
-    with stage("looking for missing effects"), deadline.share(SEARCH, keep) as end:
-        stopped = deadline.within(run)
-    if stopped:  # a walk that was left behind may still add to what it had
-        s, library = library.structures, copy.copy(library)
-        own = {n: dict(getattr(s, n)) for n in ("visited", "expected")}
-        library.structures = replace(s, **own)
-    if Structure() not in library.structures.visited:
-        raise TimeIsUp(end.why)
-    return library, stopped
+def missing(library: Library, at: Structure, shut: Sequence[Candidate], stopped: str) -> Discovery:
+    """What is missing from a structure; where there is no time to score candidates, by what was evaluated alone."""
+    with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as end:
+        end.ask()
+        return discovery_at(library, at, shut, stopped)
+    with deadline.finishing():
+        return discovery_at(library, at, shut, stopped, scored=False)
 
 
 def structures_over(
@@ -319,14 +286,25 @@ def placeholders(model: Model, readings: Measurements) -> list[Effect]:
 
 
 def discovery_at(
-    library: Library, at: Structure, shut: Sequence[Candidate], stopped: str = ""
+    library: Library,
+    at: Structure,
+    shut: Sequence[Candidate],
+    stopped: str = "",
+    scored: bool = True,
 ) -> Discovery:
-    """What the posterior over structures says is missing from one of them."""
+    """What the posterior over structures says is missing from one of them.
+
+    Args:
+        library, at: the candidates, and which of their structures.
+        shut: candidates that these readings cannot test.
+        stopped: why the walk ended early: nothing further is evaluated then, and P(complete) is not stated.
+        scored: whether candidates are scored beside that structure, which takes time with many readings.
+    """
     structures = library.structures
     posterior = Posterior.of(structures, at.effects)
     here = structures.weigh(at)
     had = posterior.families(at.effects)
-    names = [n for n in library.points if structures.family(n) not in had]
+    names = [n for n in library.points if scored and structures.family(n) not in had]
     points = View(library, here).without().scores(names) if names else {}
     # Of forms that have a score the one that has the best speaks for its family.
     points = best_form(structures, points)
@@ -347,22 +325,31 @@ def discovery_at(
         )
         plausible = _plausible(structures.candidates[points[name][0].effect])
         judged.append(kind_of(candidate, name in in_sets, plausible))
-    for name in sorted({structures.family(n) for n in structures.unscored} - had):
-        candidate = by_refit(structures, name, here, posterior.form(name))
+    alone = structures.unscored if scored else structures.candidates
+    for name in sorted(posterior.families(alone) - had):
+        form = posterior.form(name)
+        further = at.plus(form if form in structures.candidates else structures.forms[name][0])
+        if scored and not stopped:
+            structures.weigh(further, here)
+        candidate = by_refit(structures, name, here, further)
         near = tuple(sorted(in_sets.get(name, set()) - {name}))
-        candidate = replace(
-            candidate, probability=posterior.inclusion(name), indistinguishable_from=near
-        )
+        # A walk that ended early may have met no structure with it: nothing is known of it then.
+        known = posterior.inclusion(name) or None
+        candidate = replace(candidate, probability=known, indistinguishable_from=near)
         judged.append(found_or_lead(candidate, name in in_sets))
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
-    new, made = posterior.chosen.effects - at.effects, structures.weigh(posterior.chosen)
+    chosen = posterior.best if stopped else posterior.chosen
+    new, made = chosen.effects - at.effects, structures.weigh(chosen)
     best = [made.sized_model.effect(name) for name in structures.candidates if name in new]
+    stated = scored and not stopped
     # What another experiment should tell apart, the most probable first.
     first = list(found[0].effects) if found else []
     leads = [c.effect for c in ranked if c.kind == "lead"] if len(first) < 2 else []
     rivals = list(dict.fromkeys(first + leads))[:RIVALS]
     return Discovery(
-        nothing_missing=posterior.complete(structures, (c.effect for c in judged if c.unseen)),
+        nothing_missing=posterior.complete(structures, (c.effect for c in judged if c.unseen))
+        if stated
+        else None,
         unnamed=tuple(sorted(structures.matters(here))),
         sets=found,
         candidates=(*ranked, *shut),
@@ -370,6 +357,7 @@ def discovery_at(
         rivals=tuple(structures.candidates[posterior.form(n)] for n in rivals),
         noise=tuple(_laws(structures, posterior)),
         stopped=stopped,
+        unstated="" if stated else ENDED,
         off_scale=too_small_or_large(library, points, here),
     )
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri
 
+from bayescal._core import deadline
 from bayescal._model.composition import by_member
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.instrument import factor_of
@@ -119,6 +120,7 @@ class Library:
         width = sum(p.at.stop - p.at.start for p in points)
         made = np.empty((record.size, width), order="F")
         for name, own in itertools.groupby(points, lambda p: p.effect):
+            deadline.current().ask()
             effect, bases = self.structures.candidates[name], self._along(name, list(own), acting)
             widths = [_members(c, counts) for c in effect.coefficients]
             begin, end = end, end + len(bases) * sum(widths)

@@ -247,13 +247,12 @@ class Search:
     """How a search stands, or how it ended.
 
     Attributes:
-        structures: the most probable ones; of an earlier search, they are the `seeds` of one that goes on.
+        structures: the most probable ones.
         weighed: how many were.
         complete: whether it came to its end.
         stopped: why it did not, in words; empty where it did, or goes on.
         seconds: since it began.
         max_effects: most effects that it may add.
-        resumed: structures of an earlier search that it began with.
     """
 
     structures: tuple[ShownStructure, ...]
@@ -262,7 +261,6 @@ class Search:
     stopped: str = ""
     seconds: float = 0.0
     max_effects: int | None = None
-    resumed: int = 0
 
     @classmethod
     def of(cls, structures: Structures, *, complete: bool, **counts: Any) -> Search:

@@ -29,10 +29,6 @@ from bayescal._search.structure_average import StructureShare
 # a result changes.
 WORSE_RATIO = 1.05
 
-RESUMED = (
-    "The search was resumed from {} structures of one that was ended early: its probabilities may differ slightly from "
-    "those of a search that was not, and its least probable structures may be others."
-)
 RISES = " ↑"  # beside a hold-out error that is so
 
 
@@ -75,7 +71,7 @@ class Step:
         """The same, whose calibration knows why it is not to be used."""
         return replace(self, calibration=self.calibration.judged(against))
 
-    def noted(self, notes: Sequence[Claim]) -> Step:
+    def noted(self, notes: Sequence[Claim | str]) -> Step:
         """The same, whose calibration says this beside how it was fitted."""
         said = (*dict.fromkeys((*self.calibration.verdict.notes, *map(str, notes))),)
         return replace(self, calibration=self.calibration.with_verdict(notes=said))
@@ -213,7 +209,7 @@ class SearchPath(Printed):
             said.append(_nearest(max(tested, key=lambda c: c.probability or 0.0), added))
         elif not said:
             said.append("These readings can test no further candidate.")
-        return " ".join([*said, *[RESUMED.format(search.resumed)] * bool(search.resumed)])
+        return " ".join(said)
 
     if TYPE_CHECKING:
 
@@ -233,7 +229,8 @@ class SearchPath(Printed):
         rest = {n: probability(self.added[n]) for n in found if n not in sure}
         likely = [f"{n} ({p})" for n, p in rest.items() if (self.added[n] or 0.0) > 0.5]
         others = [f"{n} ({p})" for n, p in rest.items() if not (self.added[n] or 0.0) > 0.5]
-        lines += [f"found: {', '.join(sure)}"] if sure else []
+        head = "found" if self.complete else "best when the search ended"
+        lines += [f"{head}: {', '.join(sure)}"] if sure else []
         lines += [f"more probable than not: {', '.join(likely)}"] if likely else []
         lines += [f"in the model shown, one of several: {', '.join(others)}"] if others else []
         return lines

@@ -16,6 +16,7 @@ from functools import cache, cached_property, lru_cache
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._core import deadline
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import condition
@@ -248,6 +249,7 @@ class Structures:
 
         @cache
         def found(weighed: Weighed, name: str) -> OnResiduals:
+            deadline.current().ask()
             # Residuals of another structure are much alike: where their maximum is, the climb is shorter.
             near = latest.get(name, NO_FIT)
             latest[name] = on_residuals(laws[name], self.line(weighed).at_rest, near)

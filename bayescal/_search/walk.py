@@ -1,18 +1,19 @@
 """The walk over structures: add, add two, drop, exchange, change the noise law, from the most probable ones.
 
-A table of the structures weighed is its only memory. Nothing is decided by the order in which things were added.
+A table of the structures evaluated is its only memory. Nothing is decided by the order in which things were added. It
+is a generator: whoever consumes it ends it when it likes, and finds what was evaluated in the table.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from typing import NamedTuple
 
 from bayescal._core import deadline
-from bayescal._core.deadline import Deadline
 from bayescal._core.parallel import on_one_thread
+from bayescal._core.progress import stage, tell
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import log_prior
 from bayescal._search.scores import HINTS, ScoredPoint, View, gain_of
@@ -28,71 +29,84 @@ REFITTED_NEIGHBOURS = (2, 10)
 REFITTED_PAIRS = 4  # pairs of effects among them, for those that show together alone
 
 LIKELIEST = 2  # finer noise laws that are weighed beside fewer effects than the best structure has
+FOLLOWED_SECONDS = 1.0  # between two reports of how the walk goes on
 
 LIMIT = "The search was ended after {:.0f} s with the best so far: more time may find more."
 STOPPED = "The search was interrupted after {:.0f} s: this is the best so far."
+NOT_BEGUN = "There was no time to search ({}): no structure but the first was evaluated."
 
 
 @on_one_thread
-def walk(
+def explore(
     library: Library,
     max_effects: int,
-    follow: Callable[[Structures], None] = lambda _: None,
-    seeds: Sequence[Structure] = (),
     given: Structure | None = None,
+    follow: Callable[[], None] = lambda: None,
 ) -> str:
-    """Weigh structures until the most probable ones have no neighbour left to look at, or the deadline has come.
+    """Walk until the end or the deadline, and return why the walk ended early; empty where it did not.
 
     Args:
-        library: the candidates; its structures keep what was weighed.
-        max_effects: most effects to add.
-        follow: called after each look around.
-        seeds: structures that are weighed first, of an earlier walk.
-        given: one that is weighed last: the walk goes on from there where it is probable, and is else what it would be
-            without.
-
-    Returns:
-        Why it ended early; empty where it came to its end.
+        library, max_effects, given: of `walk`. The first structure is evaluated in any case.
+        follow: called at times, and last of all.
     """
-    begun, end = time.monotonic(), deadline.current()
-    structures = library.structures
+    begun, followed, structures, ended = time.monotonic(), 0.0, library.structures, ""
+    end = deadline.current()
+    with deadline.finishing():
+        structures.weigh(Structure())
+    end.defer_interrupt()
     try:
-        root = structures.weigh(Structure())
-        # Physics first: a curve, or noise that is correlated, found before a second effect takes what this explains,
-        # and hides it. So what has a name is looked for by itself, under the noise that is given, and then all
-        # together.
-        named = frozenset(n for n, e in structures.candidates.items() if not e.unnamed)
-        physics, every = Scope(named, ("",)), Scope(frozenset(structures.candidates))
-        looked: dict[Scope, set[Structure]] = {physics: set(), every: set()}
-        for among, later in ((physics, None), (every, None), (every, given)):
-            for first in seeds if among is physics else roots(structures):
-                if end.over:
-                    return ended_early(end, begun)
-                structures.weigh(first, root)
-            if later and not end.over:
-                # Effect by effect, as the walk would: from the root at once its shapes may end at a lower maximum.
-                path(library, later)
-            # A structure that overtakes the others joins the beam when its turn comes: `_next` sorts anew each time.
-            # Finer forms and laws come last: on what a missing effect leaves, each would be fitted for nothing.
-            while (fresh := _next(structures, looked[among], among)) or (
-                among is every and (_refine_forms(structures, end) or _refine(structures, end))
+        with stage("looking for missing effects"):
+            end.ask()
+            for _ in walk(library, max_effects, given):
+                if time.monotonic() > followed + FOLLOWED_SECONDS:
+                    follow()
+                    followed = time.monotonic()
+                end.ask()
+    except deadline.TimeIsUp as early:
+        ended = (STOPPED if end.interrupted else LIMIT).format(time.monotonic() - begun)
+        if len(structures.visited) == 1:
+            ended = NOT_BEGUN.format(early)
+        if end.interrupted:
+            tell("interrupted: fitting the best so far; Ctrl-C again ends without a result")
+    follow()
+    return ended
+
+
+Evaluated = Generator[Weighed, None, None]
+
+
+def walk(library: Library, max_effects: int, given: Structure | None = None) -> Evaluated:
+    """Evaluate structures until the most probable ones have no neighbour left to look at; yield each.
+
+    Args:
+        library: the candidates; its structures keep what was evaluated.
+        max_effects: most effects to add.
+        given: one that is evaluated last: the walk goes on from there where it is probable, and is else what it would
+            be without.
+    """
+    structures = library.structures
+    root = structures.weigh(Structure())
+    # Physics first: a curve, or noise that is correlated, found before a second effect takes what this explains, and
+    # hides it. So what has a name is looked for by itself, under the noise that is given, and then all together.
+    named = frozenset(n for n, e in structures.candidates.items() if not e.unnamed)
+    physics, every = Scope(named, ("",)), Scope(frozenset(structures.candidates))
+    looked: dict[Scope, set[Structure]] = {physics: set(), every: set()}
+    for among, later in ((physics, None), (every, None), (every, given)):
+        for first in () if among is physics else roots(structures):
+            yield structures.weigh(first, root)
+        if later:
+            # Effect by effect, as the walk would: from the root at once its shapes may end at a lower maximum.
+            yield from map(structures.weigh, path(library, later))
+        # A structure that overtakes the others joins the beam when its turn comes: `_next` sorts anew each time. Finer
+        # forms and laws come last: on what a missing effect leaves, each would be fitted for nothing.
+        while True:
+            if fresh := _next(structures, looked[among], among):
+                looked[among].add(fresh.structure)
+                yield from _look_around(library, fresh, max_effects, among)
+            elif among is physics or not (
+                (yield from _refine_forms(structures)) or (yield from _refine(structures))
             ):
-                if end.over:
-                    return ended_early(end, begun)
-                if fresh:
-                    looked[among].add(fresh.structure)
-                    _look_around(library, fresh, max_effects, among, end)
-                    follow(structures)
-    except KeyboardInterrupt:
-        if not structures.visited:
-            raise
-        return STOPPED.format(time.monotonic() - begun)
-    return ended_early(end, begun) if end.over else ""
-
-
-def ended_early(end: Deadline, begun: float) -> str:
-    """Why a search that began then ended at its deadline."""
-    return (STOPPED if end.interrupted else LIMIT).format(time.monotonic() - begun)
+                break
 
 
 @on_one_thread
@@ -100,6 +114,7 @@ def path(library: Library, to: Structure) -> list[Structure]:
     """From the base to a structure, at each step what gains most: by refits where there are any, else by score."""
     structures, steps, at = library.structures, [Structure()], None
     while True:
+        deadline.current().ask()
         here = steps[-1]
         at = structures.weigh(here, at)
         if here == to:
@@ -169,32 +184,29 @@ class Move(NamedTuple):
     hints: tuple[dict[str, float], ...] = ()
 
 
-def _look_around(
-    library: Library, at: Weighed, max_effects: int, among: Scope, end: Deadline
-) -> None:
+def _look_around(library: Library, at: Weighed, max_effects: int, among: Scope) -> Evaluated:
     """Weigh the neighbours of a structure that may come near the best; of the others keep what is expected."""
     structures, here = library.structures, at.structure
     # The same effects under each law: which effects are probable hangs on the law, and the walk would otherwise have
     # to find them anew under each.
     for law in filter(among.has, ("", *correlated_laws(structures))):
-        if end.over:
-            return
         other = here.under(law)
         other = other.minus(*structures.barred(other))
         rough = structures.roughly(other, at)
         if rough > structures.best.total - OTHER_LAW_NATS:
-            structures.weigh(other, at)
+            yield structures.weigh(other, at)
         else:
             structures.expect(other, rough)
     if not math.isfinite(at.total):
         return
-    lost = _weigh_forms(structures, at, end)
+    lost = yield from _weigh_forms(structures, at)
     changes = [m for m in _changes_of_noise(structures, at) if among.has(m.to.noise)]
     moves = [*_moves(View(library, at), max_effects, among)]
     # Without what moves a column nothing that depends on it is what it was: what may stand in its place is seen beside
     # a refit without it.
     for name in sorted(filter(structures.moves_a_column, here.effects)):
-        if not end.over and math.isfinite((rest := structures.weigh(here.minus(name), at)).total):
+        yield (rest := structures.weigh(here.minus(name), at))
+        if math.isfinite(rest.total):
             moves += _moves(View(library, rest), max_effects, among)
     # What no score tells of is looked at by a refit.
     if len(here.effects) < max_effects:
@@ -209,22 +221,21 @@ def _look_around(
     moves.sort(key=lambda m: -m.total)
     for i, move in enumerate(moves[: REFITTED_NEIGHBOURS[1]]):
         near = move.total > structures.best.total - NEAR_NATS
-        if (i < REFITTED_NEIGHBOURS[0] or near) and not end.over:
-            _weigh_forms(structures, structures.weigh(move.to, at, move.hints), end, lost)
+        if i < REFITTED_NEIGHBOURS[0] or near:
+            yield (found := structures.weigh(move.to, at, move.hints))
+            yield from _weigh_forms(structures, found, lost)
     # What a dropped effect explained correlated noise may take up, as no score says that holds the noise.
     if at is structures.best and not structures.noise(here).independent:
         for name in sorted(here.effects):
-            if not end.over:
-                structures.weigh(here.minus(name), at)
+            yield structures.weigh(here.minus(name), at)
 
 
 def _weigh_forms(
     structures: Structures,
     at: Weighed,
-    end: Deadline,
     but: Collection[str] = (),
     finer: bool = False,
-) -> set[str]:
+) -> Generator[Weighed, None, set[str]]:
     """Weigh a structure with the forms of its effects that no score tells of, each in place of the one that it has.
 
     Where the structure is so improbable that no form could make it anything else they are left alone.
@@ -232,7 +243,6 @@ def _weigh_forms(
     Args:
         structures: that were weighed.
         at: which.
-        end: of the search.
         but: forms to leave alone.
         finer: whether forms of several shapes are asked for, which take ten times as long, or those of one.
 
@@ -247,8 +257,9 @@ def _weigh_forms(
             (other,) = to.effects - at.structure.effects
             several = len(structures.candidates[other].column_shapes) > 1
             asked = structures.moves_a_column(other) and several == finer and other not in but
-            if asked and not end.over:
-                found = structures.weigh(to, at, [_in_other_form(structures, at, name, other)])
+            if asked:
+                hint = _in_other_form(structures, at, name, other)
+                yield (found := structures.weigh(to, at, [hint]))
                 if not found.total > at.total - OTHER_LAW_NATS:
                     lost.add(other)
     return lost
@@ -268,14 +279,14 @@ def correlated_laws(structures: Structures) -> list[str]:
     return [n for n, law in structures.laws.items() if not law.independent and not law.refines]
 
 
-def _refine_forms(structures: Structures, end: Deadline) -> bool:
+def _refine_forms(structures: Structures) -> Generator[Weighed, None, bool]:
     """Weigh forms of several shapes in the best structure's effects; whether any was left to weigh."""
     before = len(structures.visited)
-    _weigh_forms(structures, structures.best, end, finer=True)
+    yield from _weigh_forms(structures, structures.best, finer=True)
     return len(structures.visited) > before
 
 
-def _refine(structures: Structures, end: Deadline) -> bool:
+def _refine(structures: Structures) -> Generator[Weighed, None, bool]:
     """Weigh finer noise laws beside the effects of the best structure, and beside fewer; whether any was left to weigh.
 
     What an effect explains under plain noise a finer law may explain without it.
@@ -295,8 +306,7 @@ def _refine(structures: Structures, end: Deadline) -> bool:
         structures.expect(move.to, move.total)
     chosen = [(move, at) for move, at in chosen if move.to not in structures.visited]
     for move, at in sorted(chosen, key=lambda c: -c[0].total)[: REFITTED_NEIGHBOURS[1]]:
-        if not end.over:
-            structures.weigh(move.to, at, move.hints)
+        yield structures.weigh(move.to, at, move.hints)
     return bool(chosen)
 
 

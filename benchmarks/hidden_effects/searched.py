@@ -20,7 +20,7 @@ from bayescal._search.discover import structures_over
 from bayescal._search.posterior import Found, Posterior
 from bayescal._search.scores import Library
 from bayescal._search.structures import Structure, Structures, Weighed
-from bayescal._search.walk import path, walk
+from bayescal._search.walk import explore, path
 
 MOST = 5  # effects, as by default
 
@@ -49,7 +49,7 @@ class Searched:
             model, readings, reference_of(readings), widen_noise=widen_noise
         )
         library = Library(structures)
-        walk(library, MOST)
+        explore(library, MOST)
         return cls(model, readings, structures, library)
 
     @property

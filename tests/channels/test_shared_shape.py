@@ -20,7 +20,7 @@ from bayescal._search.shared_shape import (
     said,
 )
 from bayescal._search.structures import Structures
-from bayescal._search.walk import walk
+from bayescal._search.walk import explore
 from bayescal_models import still_sensor
 from tests.support.inside import constants_of
 
@@ -132,7 +132,7 @@ def weighed(readings: bc.Measurements) -> Structures:
     made, _ = structures_over(model, readings, constants_of(readings))
     names = (LAG, "bias.temperature_quadratic", "bias.rate", "bias.drift")
     made.candidates = {n: made.candidates[n] for n in names}
-    walk(Library(made), 3)
+    explore(Library(made), 3)
     return made
 
 

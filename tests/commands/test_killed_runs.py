@@ -28,7 +28,7 @@ pytestmark = [
     needs_installation,
     pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX"),
 ]
-RESULT, UNDER_WAY = "result.json", "result_under_way.json"
+RESULT = "result.json"
 ROOT = Path(__file__).resolve().parents[2]
 CALIBRATE = ("calibrate", TABLE, *GYRO, *QUICK, "--out", "{out}/loop")
 FILES = {
@@ -103,13 +103,10 @@ def spoilt(out: Path, count: int, command: list[str]) -> bool:
 
 
 def whole(folder: Path) -> bool:
-    """Whether a folder holds results, which are then of one run; else of a search under way, or none."""
+    """Whether a folder holds results, which are then of one run."""
     refuse_mixed(folder)
-    for name in (RESULT, UNDER_WAY):
-        if (folder / name).is_file() and name not in files_of(folder):
-            assert json.loads((folder / name).read_text("utf-8"))["complete"] is False
     if not files_of(folder):
-        assert not (folder / "calibration.nc").exists()
+        assert not (folder / "calibration.nc").exists() and not (folder / RESULT).exists()
         return False
     own = identity_of(bc.load(folder / "calibration.nc"))
     assert json.loads((folder / RESULT).read_text("utf-8"))["calibration"] == own

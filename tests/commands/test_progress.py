@@ -68,7 +68,7 @@ def test_a_search_is_told_of_where_its_best_changes_or_after_a_while(capsys, mon
         )
         return lines_of(capsys)
 
-    reporter = ConsoleReporter(None, json_=True)
+    reporter = ConsoleReporter(begun=True)
     monkeypatch.setattr(progress, "EVERY", 30.0)
     assert len(told("baseline", 1)) == 1
     assert not told("baseline", 2) and not told("baseline", 3)

@@ -15,7 +15,6 @@ import pytest
 import bayescal as bc
 from bayescal._core.atomic_file import sha256_of
 from bayescal._report import whole_folder as folders
-from bayescal._report.result_json import UNDER_WAY, Keeper
 from bayescal._report.whole_folder import MANIFEST, files_of, refuse_mixed, whole_folder
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE
 from tests.support.command_line import run
@@ -148,15 +147,6 @@ def test_a_damaged_manifest_is_refused_until_another_is_written(text, tmp_path) 
     refuse_mixed(tmp_path)
 
 
-def test_a_search_under_way_leaves_the_result_before_it_whole(folder, other) -> None:
-    before = state(folder)
-    Keeper(folder)(other)
-    assert {k: v for k, v in state(folder).items() if k != UNDER_WAY} == before
-    refuse_mixed(folder)
-    other.save(folder)
-    assert {p.name for p in folder.iterdir()} == NAMES
-
-
 def test_results_of_a_run_before_go_but_not_those_that_were_changed(tmp_path) -> None:
     write(tmp_path, "1")
     (tmp_path / "b.json").write_text("changed")
@@ -200,12 +190,11 @@ def test_another_run_that_ends_just_before_leaves_nothing_of_its_own(tmp_path, m
     def late(hidden: Path, visible: Path) -> bool:
         monkeypatch.setattr(folders, "_swapped", swapped)
         subprocess.run([sys.executable, "-c", OTHER, str(folder)], check=True)
-        (folder / "mine.txt").write_text("mine")
         return swapped(hidden, visible)
 
     monkeypatch.setattr(folders, "_swapped", late)
     write(folder, "1")
-    assert {p.name for p in folder.iterdir()} == {"a.json", "b.json", "mine.txt", MANIFEST}
+    assert {p.name for p in folder.iterdir()} == {"a.json", "b.json", MANIFEST}
     assert {(folder / name).read_text() for name in ("a.json", "b.json")} == {"1"}
     refuse_mixed(folder)
 

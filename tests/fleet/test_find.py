@@ -53,20 +53,13 @@ def test_each_device_gets_the_effects_it_lacks(fleet, tmp_path) -> None:
     assert str(bc.load_fleet(tmp_path / "out")) == str(found)
 
 
-def test_ctrl_c_ends_a_batch_and_not_one_device_s_search(fleet, tmp_path, monkeypatch) -> None:
-    """The walk, which passes over it elsewhere, would leave a device that nobody had searched to its end."""
-
-    asked: list[int] = []
-
-    def interrupted(*_: object) -> str:
-        asked.append(1)
-        return "The search was interrupted."
-
-    monkeypatch.setattr("bayescal._annexes.fleet.find_devices.walk", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        bc.fit_batch(MODEL, fleet, out=tmp_path / "out", find=True)
-    assert asked == [1]
-    assert not list((tmp_path / "out").rglob("*.parquet"))
+@pytest.mark.slow
+def test_a_time_limit_leaves_devices_that_the_next_call_fits(fleet, tmp_path) -> None:
+    how = {"out": tmp_path / "out", "partition_rows": 600}
+    first = bc.fit_batch(MODEL, fleet, time_limit=1e-6, **how)
+    assert 0 < first.fitted < DEVICES and first.missing
+    again = bc.fit_batch(MODEL, fleet, **how)
+    assert again.fitted == DEVICES and not again.missing
 
 
 def test_a_device_beside_a_population_is_named(tmp_path) -> None:

@@ -45,7 +45,7 @@ BEHIND = {
         _search.library: Library
         _search.own_files: in_a_file
         _search.posterior: Posterior
-        _search.walk: walk
+        _search.walk: explore
         _tables.cells: Cells
         _tables.open_table: MAX_BYTES READ
         _tables.parquet_netcdf: arrow_cells arrow_headers
@@ -79,7 +79,6 @@ BEHIND = {
         _calibration.posterior_tree: build_tree
         _calibration.storage: save
         _calibration.summary: null_directions unknown_rows
-        _core: deadline
         _data.header_matching: MISSING_READINGS
         _inference.method: Method
         _model.effect: with_forms
@@ -92,16 +91,13 @@ BEHIND = {
         _report.whole_folder: AGAIN
         _search.calibrate: Loop QUICK step_of
         _search.candidate: Candidate
-        _search.discover: discovery_at
+        _search.discover: SEARCH missing
         _search.gate: judged
         _search.library: Library
         _search.noise_laws: laws_over
         _search.own_files: in_a_file refuse_unnamed user_effects
-        _search.posterior: Posterior Search ShownStructure
         _search.preview: Previews
         _search.search_path: Step steps_table
-        _search.structures: Structure
-        _search.walk: path
         _tables.cells: ORDERS
         _tables.mapping_file: MAPPING save_mapping
         _tables.open_table: TEXT

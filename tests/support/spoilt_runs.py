@@ -60,10 +60,6 @@ def full(folder: Path, parts: list[float], command: list[str]) -> None:
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
         now = files_in(folder)
-        for name in set(now) - set(before):
-            if name.endswith("result_under_way.json"):  # from which the search goes on
-                (folder / name).unlink()
-                del now[name]
         told = {"status": done.status, "said": done.said, "as_it_was": now == before}
         print(json.dumps(told), flush=True)
 

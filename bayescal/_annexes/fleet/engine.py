@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from bayescal import BayescalError, InputError
 from bayescal._core.folder_settings import obey_no_folder
-from bayescal.workshop import note
+from bayescal.workshop import deadline, note
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster
@@ -104,7 +104,8 @@ def dask_setup(_: Any) -> None:
 
 T = TypeVar("T")
 RETRIES = 2  # of a task that failed; a worker that died does not count
-LOOK_SECONDS = 20.0  # seconds between looks at the workers
+LOOK_SECONDS = 2.0  # seconds between looks at the workers
+NOT_REACHED = "not reached ({}): the same command goes on from there"
 PATIENCE = 200.0  # seconds without a worker, after which a run is given up
 
 
@@ -133,15 +134,20 @@ class Engine:
         self.client = client
 
     def each(self, function: Callable[..., Any], tasks: Sequence[tuple]) -> Iterator[TaskOutcome]:
-        """Run a function on each of several arguments; outcomes as they come in.
+        """Run a function on each of several arguments; outcomes as they come in. At the deadline the rest have none.
 
         Raises:
             InputError: the scheduler is gone, or no worker has come for some minutes; what was written stays.
         """
+        end = deadline.current()
         if self.client is None:
             for index, task in enumerate(tasks):
                 try:
+                    if index:
+                        end.ask()
                     yield TaskOutcome(index, function(*task), "")
+                except deadline.TimeIsUp:
+                    yield TaskOutcome(index, None, NOT_REACHED.format(end.why))
                 except (BayescalError, OSError) as error:
                     yield TaskOutcome(index, None, str(error))
             return
@@ -160,9 +166,16 @@ class Engine:
                     except BayescalError as error:
                         why = str(error)
                     future.release()
+                    end.defer_interrupt()
                     yield TaskOutcome(index, value, why)
+                    end.ask()
             except TimeoutError:
                 alone = 0.0 if self.client.nthreads() else alone + LOOK_SECONDS
+            except deadline.TimeIsUp:
+                self.client.cancel(list(left))
+                for index in left.values():
+                    yield TaskOutcome(index, None, NOT_REACHED.format(end.why))
+                return
             if alone > PATIENCE:
                 raise InputError(
                     "the cluster has no worker left. The partitions that were finished are kept: start workers, and "
@@ -176,10 +189,11 @@ class Engine:
             InputError: one of them fails.
         """
         values: dict[int, T] = {}
-        for outcome in self.each(function, tasks):
-            if outcome.error:
-                raise InputError(outcome.error)
-            values[outcome.index] = outcome.value
+        with deadline.finishing():
+            for outcome in self.each(function, tasks):
+                if outcome.error:
+                    raise InputError(outcome.error)
+                values[outcome.index] = outcome.value
         return [values[index] for index in range(len(tasks))]
 
     def _futures(self, function: Callable[..., Any], tasks: Sequence[tuple]) -> list[Any]:

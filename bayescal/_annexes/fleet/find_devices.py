@@ -29,7 +29,8 @@ from bayescal._model.frame import Reference, reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior
-from bayescal._search.walk import walk
+from bayescal._search.walk import explore
+from bayescal.workshop import deadline
 
 # Probability from which an effect of a device is kept, and printed of the whole: as that of a noise law.
 KEPT_PROBABILITY = 0.01
@@ -87,15 +88,15 @@ def search_device(
 
     Raises:
         BayescalError: the readings lack what the model needs.
-        KeyboardInterrupt: the walk was interrupted, which it passes over.
+        TimeIsUp: the walk was ended early.
     """
     model.require(readings)
     constants = {**reference_of(readings), **reference}
     structures, _ = structures_over(
         model, readings, constants, effects=find.effects, widen_noise=find.widen_noise
     )
-    if walk(Library(structures), find.max_effects):
-        raise KeyboardInterrupt  # of a search that was cut short nothing is kept
+    if stopped := explore(Library(structures), find.max_effects):
+        raise deadline.TimeIsUp(stopped)
     posterior = Posterior.of(structures)
     chosen = posterior.chosen
     inclusion = {n: posterior.inclusion(n) for n in structures.forms}
@@ -147,7 +148,7 @@ def find_and_fit(
                 structure, made = search_device(
                     model, block.measurements(i), find, options.reference
                 )
-            except BayescalError as error:
+            except (BayescalError, deadline.TimeIsUp) as error:
                 refused[name] = str(error)
                 continue
             structures[name] = structure
@@ -158,7 +159,8 @@ def find_and_fit(
         (made, devices.without({*devices.names} - {*names})) for made, names in alike.values()
     ]
     groups.insert(0, (model, Devices((), ())))  # after which the result is named
-    return fit_together(devices.names, refused, groups, options), structures
+    with deadline.finishing():
+        return fit_together(devices.names, refused, groups, options), structures
 
 
 BURN_IN, ROUNDS = (

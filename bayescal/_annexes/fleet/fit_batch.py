@@ -71,7 +71,16 @@ from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES, READ
 from bayescal._tables.parquet_netcdf import arrow_cells, arrow_headers
 from bayescal._tables.raw_table import Table, after, as_format, refuse_large
-from bayescal.workshop import ReadOptions, note, one_line, parsed_json, sha256_of, stage, tell
+from bayescal.workshop import (
+    ReadOptions,
+    deadline,
+    note,
+    one_line,
+    parsed_json,
+    sha256_of,
+    stage,
+    tell,
+)
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -399,7 +408,7 @@ def _fitted(
     else:
         result, structures = find_and_fit(model, devices, request.find, options)
     own = {
-        "digest": digest,
+        "digest": "" if deadline.current().over else digest,  # not all were reached
         "files": [piece.name for piece in partition.pieces],
         "readings": devices.readings,
         "unreadable": unreadable,
@@ -796,6 +805,7 @@ class _FitKeywords(TypedDict, total=False):
     seed: int
     chunk: int
     reference: Reference | None
+    time_limit: float | None
 
 
 @overload
@@ -828,6 +838,7 @@ def fit_batch(
     seed: int = 0,
     chunk: int = CHUNK,
     reference: Reference | None = None,
+    time_limit: float | None = None,
     client: Client | None = None,
     out: str | Path | None = None,
     partition_rows: int | None = None,
@@ -860,6 +871,7 @@ def fit_batch(
         seed: of every random number.
         chunk: devices fitted at once at most, which bounds memory.
         reference: constants of the bases, in place of each device's own; a population sets T0 to that of all readings.
+        time_limit: seconds, after which devices that were not reached are refused with that reason, as at Ctrl-C.
         client: of a Dask cluster whose workers see the files and `out` under the same paths.
         out: folder for the results of partitions. What follows goes with it.
         partition_rows: readings in a partition, about; a process holds one at a time.
@@ -881,13 +893,15 @@ def fit_batch(
         search = Find() if find is True else find or None
         how = {"client": client, "rows": partition_rows, "columns": columns, "find": search}
         resolved = [path.resolve() for path in paths]
-        return fit_fleet(model, resolved, Path(out), options, population, **how)
+        with deadline.until(time_limit):
+            return fit_fleet(model, resolved, Path(out), options, population, **how)
     if client is not None or find:
         raise InputError("workers and searches write by partition: give out=, a folder")
     needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
     devices = split_devices(paths, model.instrument, needs=needs) if paths else _given(readings)
     model, _ = tailored_to_first(model, devices)
-    return fit_devices(model, devices, options, chosen(model, population))
+    with deadline.until(time_limit):
+        return fit_devices(model, devices, options, chosen(model, population))
 
 
 def _paths(readings: Any) -> list[Path]:

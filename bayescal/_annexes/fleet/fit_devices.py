@@ -64,12 +64,13 @@ from bayescal._model.frame import (
     rounded_means,
 )
 from bayescal._model.parameters import Layout, Levels, bind
-from bayescal.workshop import UNCERTAINTY
+from bayescal.workshop import UNCERTAINTY, deadline
 
 GRID = 32  # starts for log σ², among which the best one's neighbours bracket the maximum
 NEWTON_STEPS = 10  # safeguarded Newton steps in the bracket, to the last digits
 LEAST_NOISE = 1e-24  # share of the readings' variance, below which the noise counts as none
 NOISE = "noise.white"
+NOT_REACHED = "not reached ({}): give more time"
 
 
 class ClosedFormFit(NamedTuple):
@@ -459,6 +460,8 @@ def fit_together(
     fits = _Fits(options)
     fits.refused |= refused
     fitted = [fits.fit(model, devices, each) for model, devices in groups]
+    late = NOT_REACHED.format(deadline.current().why)
+    fits.refused |= {n: late for n in names if n not in fits.facts and n not in fits.refused}
     parts, reasons = fits.parts(names), fits.reasons | fits.refused
     if not parts and names and not each:
         name, why = next(iter(fits.refused.items()))
@@ -603,6 +606,8 @@ class _Fits:
                 model.require(first)
                 model = sized_for(model, first, self.options.reference)
                 self._fit(model, block)
+            except deadline.TimeIsUp:
+                break
             except BayescalError as error:  # a column is missing, of all its devices
                 wrong.append(error)
                 self.refused = dict.fromkeys(block.names, str(error)) | self.refused
@@ -627,11 +632,13 @@ class _Fits:
                 t0 = np.broadcast_to(stack.frame.reference.get("T0", np.nan), len(names))
                 self.facts |= zip(names, zip(stack.real.sum(axis=1), t0, strict=True), strict=True)
                 self._keep(names, stack.levels, _in_closed_form(stack))
+                deadline.current().ask()
             return
         for one in frames(*given, refuse):
-            name = block.names[one.device]
+            name, solved = block.names[one.device], self._solved(one)
             self.facts[name] = len(one.y), float(one.frame.reference.get("T0", np.nan))
-            self._keep([name], [one.levels], self._solved(one))
+            self._keep([name], [one.levels], solved)
+            deadline.current().ask()
 
     def _solved(self, one: DeviceFrame) -> _Solved:
         if isinstance(self.method, LeastSquares):
@@ -644,6 +651,7 @@ class _Fits:
         return _by_sampling(one._replace(layout=layout), self.method, self.options.seed, notes)
 
     def _keep(self, names: Sequence[str], levels: Sequence[Levels], made: _Solved) -> None:
+        deadline.current().defer_interrupt()
         self.notes |= dict.fromkeys(made.notes)
         self.reasons |= dict(zip(names, made.reasons, strict=True))
         alike: dict[tuple, list[int]] = {(): list(range(len(names)))}

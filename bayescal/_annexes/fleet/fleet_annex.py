@@ -78,6 +78,7 @@ def batch(
     workers: int | None = None,
     scheduler: str | None = None,
     find: bool = False,
+    time_limit: float | None = None,
     seed: int = 0,
 ) -> Answer:
     """Fit every device of files with a column 'device' by itself: one table of coefficients."""

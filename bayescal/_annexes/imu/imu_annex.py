@@ -24,6 +24,7 @@ from bayescal.workshop import (
     ModelOptions,
     ReadRequest,
     compensator_from,
+    deadline,
     drawing,
     drawn,
     files_of,
@@ -116,6 +117,7 @@ class TriadOptions:
 
     shortest: float | None = None
     baseline: bool = False
+    time_limit: float | None = None
     seed: int = 0
     out: Path | None = None
     name: str | None = None
@@ -203,12 +205,13 @@ def imu(
     with result_folder(asked.out) as folder:
         poses = bc.poses(forces, force, **long)
         print_notes(poses.flags)
-        (trail, first) = _calibrated(force.for_readings(poses).baseline(), poses, asked)
+        model, left = force.for_readings(poses).baseline(), len(logs)
+        (trail, first) = _calibrated(model, poses, asked, left=left)
         found = {"accelerometer": (trail, first, poses)}
         moves = bc.moves(rates, turns, forces, first, **long)
         print_notes(moves.flags)
         model = dict(turns.structures)["moves"]()
-        found["gyroscope"] = (*_calibrated(model, moves, asked), moves)
+        found["gyroscope"] = (*_calibrated(model, moves, asked, left=left - 1), moves)
         for field, log in others:
 
             def turned(own: Any, log: Any = log) -> Any:
@@ -283,6 +286,7 @@ def _calibrated(
     asked: TriadOptions,
     turned: Callable[[Any], Any] = lambda correction: correction,
     method: Any = None,
+    left: int = 1,
 ) -> tuple[Any, Any]:
     """Search and correction, printed or to be printed as JSON.
 
@@ -292,9 +296,11 @@ def _calibrated(
         asked: what is.
         turned: takes the correction to other axes.
         method: of the last fit.
+        left: sensors of the unit that are not calibrated yet, and share the time.
     """
     most = 0 if asked.baseline else MOST_ADDED
-    trail = bc.calibrate(model, readings, method=method, seed=asked.seed, max_effects=most)
+    with deadline.sooner(1 / left):
+        trail = bc.calibrate(model, readings, method=method, seed=asked.seed, max_effects=most)
     correction = bc.vector_correction(trail.calibration)  # averaged over the structures
     correction = turned(correction)
     print_notes(correction.notes)

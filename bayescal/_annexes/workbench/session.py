@@ -14,7 +14,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partialmethod
-from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -50,21 +49,16 @@ from bayescal._annexes.metrology.decide import Decisions, decide
 from bayescal._annexes.workbench import kept
 from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_to, script
 from bayescal._calibration.summary import unknown_rows
-from bayescal._core import deadline
 from bayescal._report.section import of_folder
 from bayescal._search.calibrate import Loop, step_of
-from bayescal._search.discover import discovery_at
+from bayescal._search.discover import SEARCH
 from bayescal._search.gate import judged
-from bayescal._search.library import Library
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.own_files import refuse_unnamed, user_effects
-from bayescal._search.posterior import Posterior, Search, ShownStructure
 from bayescal._search.preview import Previews
 from bayescal._search.search_path import Step
-from bayescal._search.structures import Structure
-from bayescal._search.walk import path
 from bayescal._use import correction_files
-from bayescal.workshop import WIDTH, number, plain_table, save_search, unit_label
+from bayescal.workshop import WIDTH, deadline, number, plain_table, save_search, unit_label
 
 KINDS = {"add": 1, "take_out": 1, "fix": 2, "free": 1, "resize": 2, "noise": 1}
 
@@ -164,14 +158,13 @@ class Session:
     _at: int = 0
     _been: list[int] = field(default_factory=list)  # current states before this one, the last last
     _previews: dict[int, Previews] = field(default_factory=dict)
-    _seeds: dict[int, tuple[ShownStructure, ...]] = field(default_factory=dict)
     _finals: dict[int, Step] = field(default_factory=dict)
     _decisions: dict[int, Decisions] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
     _fitting: threading.Lock = field(default_factory=threading.Lock)
     _beside: threading.RLock = field(default_factory=threading.RLock)
     _looking: threading.Lock = field(default_factory=threading.Lock)
-    _ending: threading.Event = field(default_factory=threading.Event)
+    _search: deadline.Deadline | None = None  # of the search that is under way
 
     @classmethod
     def begin(
@@ -384,47 +377,34 @@ class Session:
     def find_all(self, follow: Callable[[SearchPath], None] = lambda _: None) -> None:
         """Search from the current state on, as `calibrate` does; each step on the way becomes a state.
 
-        It returns at the end, or soon after `stop`; `follow` is called with the trail so far, as it goes on.
+        It returns at the end, or soon after `stop`; `follow` is called with the trail so far, as by `calibrate`.
 
         Raises:
             ModelError: nothing can be learnt from the current model.
         """
-        self._ending.clear()
         begin, loop = self.current, self._loop
-        first, freed = begin.step, loop.freed(begin.step)
-        if first.against and not freed:
-            raise ModelError(f"nothing is looked for: {' '.join(map(str, first.against))}")
-        more = (*self.own.values(), *freed)
-        loop = replace(loop, begun=time.monotonic())
-        loop, structures, shut = loop.open(first, more, self.settings.widen_noise)
-
-        def tell() -> None:
-            follow(loop.trail([first], structures, complete=False))
-            if self._ending.is_set():
-                raise KeyboardInterrupt  # ends the walk with the best so far, as Ctrl-C does
-
-        with deadline.until(self.settings.time_limit):
-            seeds = self._seeds.get(begin.number, ())
-            library, stopped = loop.look(Library(structures), seeds, tell)
-        weighed = library.structures
-        self._seeds[begin.number] = Search.of(weighed, complete=not stopped).structures
-
-        def missing(at: Structure) -> Discovery | None:
-            able = first.calibration.verdict.ok
-            return discovery_at(library, at, shut, stopped) if able else None
-
-        way, steps, number = path(library, Posterior.of(weighed).chosen), [first], begin.number
-        self._keep_found(number, missing(way[0]))
-        for before, at in pairwise(way):
-            one = weighed.weigh(at)
-            how = loop.quick(one.sized_model)
-            steps.append(loop.step(one.sized_model, before, at, method=how, start=one.phi))
-            number = self._append(steps[-1], number, missing(at)).number
-            follow(loop.trail(steps, weighed, complete=False))
+        loop.begun, number = time.monotonic(), begin.number
+        with deadline.until(self.settings.time_limit) as self._search:
+            loop.open(begin.step, tuple(self.own.values()), self.settings.widen_noise)
+            if loop.library is None:
+                why = " ".join(map(str, begin.step.against))
+                raise ModelError(f"nothing is looked for: {why}")
+            with deadline.sooner(SEARCH):
+                loop.look(lambda: follow(loop.trail()))
+            structures = loop.library.structures
+            for before, at, found in loop.way(loop.goal(structures)):
+                if before is None:
+                    self._keep_found(number, found)
+                    continue
+                step = loop.fitted(structures.weigh(at), before, at)
+                loop.steps.append(step)
+                number = self._append(step, number, found).number
+                follow(loop.trail())
 
     def stop(self) -> None:
         """End `find_all` with the best so far."""
-        self._ending.set()
+        if self._search is not None:
+            self._search.interrupt.requested = True
 
     def describe(self, rows: Sequence[int] | np.ndarray, against: str = "") -> Draft:
         """What selected readings (numbers from 0) show that the current model lacks, with the draft of an effect.
@@ -467,7 +447,6 @@ class Session:
             raise
         self.own |= {e.name: e for e in found}
         self._previews.clear()
-        self._seeds.clear()
         with self._lock:
             files = (*self.origin.effect_files, str(draft.resolve()))
             self.origin = replace(self.origin, effect_files=files)
