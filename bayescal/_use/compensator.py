@@ -267,11 +267,11 @@ class Compensator:
         name: str | None = None,
         uncertainty: bool = True,
     ) -> Path:
-        """Write for firmware or elsewhere: .h (C99), .py (Python), .html (a page with sliders) or .json.
+        """Write for firmware or elsewhere: .h (C99), .py (Python) or .json.
 
         Args:
             path: of the file, by whose suffix it is written.
-            format: "c", "python", "html" or "json", whatever the suffix.
+            format: "c", "python" or "json", whatever the suffix.
             name: of the sensor, which all names in the C header begin with; that of the instrument if not given.
             uncertainty: False for C and Python that give the value alone, without the covariance of the coefficients.
 
