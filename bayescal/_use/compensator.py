@@ -38,10 +38,13 @@ from bayescal._use.compensation_program import (
 )
 from bayescal._use.correction_files import as_text, format_of, kind_of, load_correction
 from bayescal._use.operating_equation import (
+    NoiseInUse,
     OperatingEquation,
     PosteriorMoments,
     equation_in_use,
     folded,
+    noise_in_use,
+    noise_variances,
     posterior_moments,
 )
 
@@ -128,8 +131,8 @@ class Compensator:
                 self._equation, self._moments, given, record, by_draws=method == "draws"
             )
         if noise:
-            spread = self.noise**2 + given.get(UNCERTAINTY, np.zeros(1)) ** 2
-            variance = variance + inclination * spread
+            own = self.noise_variance({**given, self.stimulus: value})
+            variance = variance + inclination * (own + given.get(UNCERTAINTY, np.zeros(1)) ** 2)
         masks = outside(self._ranges, {**given, self.stimulus: value})
         if warn and masks:
             warn_outside(masks, self.calibrated)
@@ -161,14 +164,15 @@ class Compensator:
     def output_unit(self) -> str:
         return self.loaded.about.output_unit if self.loaded else self._calibration.unit
 
-    @cached_property
-    def noise(self) -> float:
-        """Standard deviation of the noise of one reading, output unit; of one that follows a column, over the fit."""
-        return (
-            self.loaded.noise
-            if self.loaded
-            else operating_equation.noise_variance(self._calibration) ** 0.5
-        )
+    def noise_variance(self, places: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return the variance of one reading's noise by the noise law, output unit squared, (n,).
+
+        Args:
+            places: the stimulus and the inputs by name, fixed units, (n,) each.
+        """
+        if self.loaded:
+            return self.loaded.noise_variance(places[self.stimulus], places)
+        return noise_variances(self._equation, self._noise, places)
 
     @cached_property
     def inputs(self) -> tuple[Input, ...]:
@@ -255,7 +259,7 @@ class Compensator:
             self._moments,
             self.inputs,
             stimulus_range=self.stimulus_range,
-            noise=self.noise,
+            noise=self._noise,
             about=provenance_of(self._calibration, self._equation, self.stimulus_range),
         )
 
@@ -297,6 +301,10 @@ class Compensator:
         return posterior_moments(
             self._equation, self._calibration, self.draws, self._calibration.seed
         )
+
+    @cached_property
+    def _noise(self) -> NoiseInUse:
+        return noise_in_use(self._equation, self._calibration, self._inputs_at_fit)
 
     @cached_property
     def _inputs_at_fit(self) -> dict[str, np.ndarray]:

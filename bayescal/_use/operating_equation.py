@@ -29,7 +29,6 @@ from bayescal._calibration.mixture import has_effect
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.inverse import settled
 from bayescal._core.jit import compiled
-from bayescal._data.column import UNCERTAINTY
 from bayescal._model import forward
 from bayescal._model.composition import Traced, compose, live
 from bayescal._model.frame import Frame
@@ -194,9 +193,15 @@ class OperatingEquation(eqx.Module):
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:
-        """Inputs that the output depends on."""
+        """Inputs that the output, or its noise, depends on."""
         theta, inputs = self.ones()
-        keep = live(lambda inputs: self.point(theta, jnp.ones(()), inputs), inputs)
+        law = dict.fromkeys(self.layout.model.noise.parameters(), jnp.ones(()))
+
+        def value(inputs: Scalars) -> tuple[Array, Array]:
+            one = jnp.ones(())
+            return self.point(theta, one, inputs), self.noise_variance(law, one, inputs)
+
+        keep = live(value, inputs)
         return tuple(n for n, k in zip(sorted(inputs), keep, strict=True) if k)
 
     @cached_property
@@ -237,6 +242,20 @@ class OperatingEquation(eqx.Module):
         """What one slot comes to in one reading, in the slot's unit; the other arguments are those of `point`."""
         frame = self.one_reading(stimulus, self._with_moved_lags(theta, inputs))
         return jnp.reshape(self._composed(theta, frame)[0][name], ())
+
+    def noise_variance(
+        self, law: Scalars, stimulus: Float[Array, ""], inputs: Scalars
+    ) -> Float[Array, ""]:
+        """Return the variance of one reading's noise by the noise law, output unit squared.
+
+        What is known of the uncertainty of a single reading is not in it.
+
+        Args:
+            law: parameters of the noise law by name.
+            stimulus, inputs: as of `point`.
+        """
+        frame = self.one_reading(stimulus, inputs)
+        return jnp.reshape(self.layout.model.noise.variance(law, frame), ())
 
     def at_point(self, mean: np.ndarray, point: Mapping[str, float]) -> AtPoint:
         """The equation with its derivatives at θ = `mean` and one operating point: stimulus and inputs by name.
@@ -577,9 +596,6 @@ def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np
     return calibration.samples(block.group_sd_name)
 
 
-NOISE_READINGS = 1000  # over which a noise that follows a column is averaged; the mean is known far better than it
-
-
 @compiled
 def over_draws(equation: OperatingEquation, theta, output, inputs, record):
     """Mean and variance of the stimulus over draws of θ, and the mean square of its slope, (n,) each."""
@@ -714,36 +730,48 @@ def solved(
     return value, variance, inclination
 
 
-def noise_variance(calibration: Calibration) -> float:
-    """Mean over the posterior of the variance of one reading's noise, output unit squared.
+class NoiseInUse(NamedTuple):
+    """What the posterior says of the noise law in use.
 
-    Where it follows a column, it is also the mean over the readings of the calibration. What is known of the
-    uncertainty of each is not in it.
+    Attributes:
+        law: its parameters by name, at the posterior mean of their coordinates.
+        level: posterior mean of the variance over the readings of the fit, over the variance by `law` there.
     """
-    _, v = calibration.draws(2000)
-    layout, frame = calibration.layout, _seen_by_noise(calibration)
 
-    def variance(v):
-        parameters = forward.hyper_values(layout, v)
-        return jnp.mean(layout.model.noise.variance(parameters, frame))
-
-    return float(jnp.mean(jax.vmap(variance)(jnp.asarray(v))))
+    law: dict[str, float]
+    level: float
 
 
-def _seen_by_noise(calibration: Calibration) -> Frame:
-    """As many readings as a mean over them takes; a single one without columns where the noise needs none."""
-    whole, follows = calibration.frame, bool(calibration.layout.model.noise.needs)
-    rows = np.arange(whole.size)[:: -(-whole.size // NOISE_READINGS)]
-    columns = {n: c[rows] for n, c in whole.columns.items() if follows and n != UNCERTAINTY}
-    one = jnp.zeros(len(rows) if follows else 1)
-    return Frame(
-        columns=columns,
-        labels={},
-        rates={n: r[rows] for n, r in whole.rates.items() if follows},
-        codes={},
-        reference=whole.reference if follows else {},
-        order=one.astype(int),
-        step=one,
-        record={},
-        silence=whole.silence,
+NOISE_READINGS, NOISE_DRAWS = 200, 2000  # over which the level of the noise is averaged
+
+
+def noise_in_use(
+    equation: OperatingEquation, calibration: Calibration, inputs: Mapping[str, np.ndarray]
+) -> NoiseInUse:
+    """Return the noise law of a calibration as it is used; `inputs` are those of the readings of the fit, (n,) each."""
+    layout, (_, v) = calibration.layout, calibration.draws(NOISE_DRAWS)
+    readings, name = calibration.readings, equation.use.stimulus
+    acting = readings[name] if readings.has(name) else np.zeros(len(readings))
+    rows = slice(None, None, -(-len(readings) // NOISE_READINGS))
+    places = jnp.asarray(acting[rows]), {n: jnp.asarray(x[rows]) for n, x in inputs.items()}
+    law = forward.hyper_values(layout, jnp.asarray(v.mean(axis=0)))
+    each = jax.vmap(lambda v: forward.hyper_values(layout, v))(jnp.asarray(v))
+    over_draws = jax.vmap(lambda law: jnp.mean(_over_places(equation, law, *places)))(each)
+    there = jnp.mean(_over_places(equation, law, *places))
+    return NoiseInUse({n: float(x) for n, x in law.items()}, float(jnp.mean(over_draws) / there))
+
+
+def noise_variances(
+    equation: OperatingEquation, noise: NoiseInUse, places: Mapping[str, np.ndarray]
+) -> Float[np.ndarray, "n"]:
+    """Return the variance of one reading's noise, output unit squared; `places` are stimulus and inputs, (n,) each."""
+    stimulus = places[equation.use.stimulus]
+    inputs = {n: jnp.asarray(places.get(n, 0.0 * stimulus)) for n in equation.names}
+    return noise.level * np.asarray(
+        _over_places(equation, noise.law, jnp.asarray(stimulus), inputs)
     )
+
+
+@compiled
+def _over_places(equation: OperatingEquation, law: Scalars, stimulus, inputs):
+    return jax.vmap(lambda s, i: equation.noise_variance(law, s, i))(stimulus, inputs)

@@ -19,7 +19,7 @@ from bayescal._use.export_template import code_template, include_guard
 from bayescal._use.expression_graph import Language, statements
 
 # Names that the templates give themselves.
-_WORDS = "reading stimulus inputs expected slope gradient square total values outside math j dt self state now"
+_WORDS = "reading stimulus inputs expected slope gradient noise square total values outside math j dt self state now"
 _OWN_WORDS = frozenset(_WORDS.split())
 
 
@@ -27,7 +27,8 @@ def program_text(
     program: CompensationProgram, language: Language, name: str, uncertainty: bool
 ) -> str:
     """The C99 header or the Python module, from its template."""
-    outputs = (program.expected, program.slope), program.gradient if uncertainty else ()
+    uncertain = (program.noise, *program.gradient) if uncertainty else ()
+    outputs = (program.expected, program.slope), uncertain
     if not uncertainty:  # nor what only the uncertainty depends on
         needed = program.graph.inputs(outputs[0])
         program = replace(program, inputs=tuple(i for i in program.inputs if i.name in needed))
@@ -46,9 +47,7 @@ def program_text(
         p=program,
         about=program.about,
         name=name,
-        guard=include_guard(
-            name, expected, gradient, factor, program.noise, program.inputs, uncertainty
-        ),
+        guard=include_guard(name, expected, gradient, factor, program.inputs, uncertainty),
         uncertainty=uncertainty,
         fields=fields,
         record=record,
