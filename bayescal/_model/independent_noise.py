@@ -86,6 +86,10 @@ class Heteroscedastic(Noise):
         return followed_columns(self.column)
 
     @property
+    def covariates(self) -> tuple[str, ...]:
+        return (self.column,)
+
+    @property
     def name(self) -> str:
         return f"{self.law}({self.column})"
 

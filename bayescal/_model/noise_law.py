@@ -98,6 +98,11 @@ class Noise(abc.ABC):
         return () if self.independent else ("time",)
 
     @property
+    def covariates(self) -> tuple[str, ...]:
+        """What it follows: numeric columns, "elapsed", or rates such as "temperature rate"."""
+        return ()
+
+    @property
     def name(self) -> str:
         """The law, with the column that it follows."""
         return self.law

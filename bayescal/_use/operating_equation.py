@@ -22,6 +22,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
 from bayescal._calibration.calibration import Calibration
@@ -33,6 +34,7 @@ from bayescal._model import forward
 from bayescal._model.composition import Traced, compose, live
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Use
+from bayescal._model.noise_law import scores_of_tails
 from bayescal._model.parameters import CoefficientBlock, Layout, member_name
 from bayescal._model.terms import Term
 
@@ -743,6 +745,7 @@ class NoiseInUse(NamedTuple):
 
 
 NOISE_READINGS, NOISE_DRAWS = 200, 2000  # over which the level of the noise is averaged
+SCORE_DRAWS = 100  # over which the distribution of one reading is
 
 
 def noise_in_use(
@@ -753,7 +756,7 @@ def noise_in_use(
     readings, name = calibration.readings, equation.use.stimulus
     acting = readings[name] if readings.has(name) else np.zeros(len(readings))
     rows = slice(None, None, -(-len(readings) // NOISE_READINGS))
-    places = jnp.asarray(acting[rows]), {n: jnp.asarray(x[rows]) for n, x in inputs.items()}
+    places = _places(equation, {name: acting[rows], **{n: x[rows] for n, x in inputs.items()}})
     law = forward.hyper_values(layout, jnp.asarray(v.mean(axis=0)))
     each = jax.vmap(lambda v: forward.hyper_values(layout, v))(jnp.asarray(v))
     over_draws = jax.vmap(lambda law: jnp.mean(_over_places(equation, law, *places)))(each)
@@ -765,13 +768,44 @@ def noise_variances(
     equation: OperatingEquation, noise: NoiseInUse, places: Mapping[str, np.ndarray]
 ) -> Float[np.ndarray, "n"]:
     """Return the variance of one reading's noise, output unit squared; `places` are stimulus and inputs, (n,) each."""
+    at = _places(equation, places)
+    return noise.level * np.asarray(_over_places(equation, noise.law, *at))
+
+
+def noise_scores(
+    equation: OperatingEquation,
+    calibration: Calibration,
+    places: Mapping[str, np.ndarray],
+    deviations: Float[np.ndarray, "n m"],
+) -> Float[np.ndarray, "n m"]:
+    """Return standard normal scores of the predictive probability that one reading's noise is below a deviation."""
+    at, (_, v) = _places(equation, places), calibration.draws(SCORE_DRAWS)
+    return np.asarray(_scores_over_draws(equation, jnp.asarray(v), jnp.asarray(deviations), *at))
+
+
+def _places(equation: OperatingEquation, places: Mapping[str, np.ndarray]) -> tuple[Array, Scalars]:
     stimulus = places[equation.use.stimulus]
     inputs = {n: jnp.asarray(places.get(n, 0.0 * stimulus)) for n in equation.names}
-    return noise.level * np.asarray(
-        _over_places(equation, noise.law, jnp.asarray(stimulus), inputs)
-    )
+    return jnp.asarray(stimulus), inputs
 
 
 @compiled
 def _over_places(equation: OperatingEquation, law: Scalars, stimulus, inputs):
     return jax.vmap(lambda s, i: equation.noise_variance(law, s, i))(stimulus, inputs)
+
+
+@compiled
+def _scores_over_draws(equation: OperatingEquation, v, deviations, stimulus, inputs):
+    noise = equation.layout.model.noise
+
+    def scores(law: Scalars, s, i, left):
+        frame = equation.one_reading(s, i)
+        return jax.vmap(lambda e: noise.normal_scores(e[None], law, frame)[0])(left)
+
+    def of_draw(v):
+        law = forward.hyper_values(equation.layout, v)
+        return jax.vmap(lambda *at: scores(law, *at))(stimulus, inputs, deviations)
+
+    # Of the smaller tail, which keeps its digits far out.
+    tails = jnp.mean(jax.vmap(lambda v: ndtr(-jnp.abs(of_draw(v))))(v), axis=0)
+    return scores_of_tails(tails, deviations)

@@ -33,7 +33,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -209,6 +209,7 @@ def spread_of_devices(text: str) -> SpreadOfDevices:
 
 # Shifts, and draws, by which the most favourable one is looked for: its p_c need only be within 1/400 of the top.
 SHIFTS, SHIFT_DRAWS = 401, 400
+DEVIATIONS = np.sinh(np.linspace(-5.3, 5.3, 107))  # standard deviations of one reading, up to 100
 BISECTIONS = 60  # of bisection, each of which halves the bracket: the last is 1e-18 of it
 FAR_SD = 10.0  # standard deviations beyond which a normal distribution has 1e-23
 
@@ -231,10 +232,13 @@ class DrawnQuantity:
     Attributes:
         values: in each draw at each place of the range that the limit names.
         scatter: standard deviation of single readings about it at each place; zeros where it does not scatter.
+        scores: standard normal scores of readings that lie `DEVIATIONS` standard deviations above it, at each place;
+            None where readings are normally distributed.
     """
 
     values: Float[np.ndarray, "d g"]
     scatter: Float[np.ndarray, "g"]
+    scores: Float[np.ndarray, "g m"] | None = None
 
     @property
     def estimate(self) -> tuple[float, float]:
@@ -243,35 +247,46 @@ class DrawnQuantity:
         return float(middle.min()), float(middle.max())
 
     @cached_property
-    def ends(self) -> tuple[Float[np.ndarray, "k 1"], Float[np.ndarray, "k d"]]:
-        """The scatters that there are, and the lowest and the highest value where readings scatter so, by draw."""
-        scatters, at = np.unique(self.scatter, return_inverse=True)
-        along = [self.values[:, at == k] for k in range(len(scatters))]
-        rows = [(s, end) for s, v in zip(scatters, along, strict=True) for end in _ends(v)]
-        return np.array([[s] for s, _ in rows]), np.array([end for _, end in rows])
+    def ends(self) -> tuple[Float[np.ndarray, "k 1"], Float[np.ndarray, "k d"], list[Any]]:
+        """Scatters, the lowest or the highest value where readings scatter so, by draw, and scores."""
+        scatters, first, at = np.unique(self.scatter, return_index=True, return_inverse=True)
+        rows = []
+        for k, i in enumerate(first):
+            values, scores = (
+                self.values[:, at == k],
+                None if self.scores is None else self.scores[i],
+            )
+            ends = (np.min, np.max) if values.shape[1] > 1 else (np.min,)
+            rows += [(scatters[k], end(values, axis=1), scores) for end in ends]
+        return (
+            np.array([[s] for s, *_ in rows]),
+            np.array([v for _, v, _ in rows]),
+            [z for *_, z in rows],
+        )
 
     def probability(self, limits: Limits, shift: float = 0.0) -> float:
         """Probability of conformity, had the posterior stood higher by `shift`."""
-        scatters, ends = self.ends
+        scatters, ends, scores = self.ends
         below, above = limits.low - shift - ends, limits.high - shift - ends
         if not scatters.any():
             return float(np.mean(np.all((below <= 0) & (above >= 0), axis=0)))
+
+        def share(deviations: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k d"]:
+            """Probability of a reading that deviates by less."""
+            if self.scores is None:
+                return ndtr(deviations)
+            rows = zip(deviations, scores, strict=True)
+            return ndtr([np.interp(row, DEVIATIONS, z) for row, z in rows])
+
         # As a function of y the probability of one reading has a single top: where readings scatter alike its least is
         # at one of the two ends.
-        inside = ndtr(above / scatters) - ndtr(below / scatters)
+        inside = share(above / scatters) - share(below / scatters)
         return float(np.mean(np.min(inside, axis=0)))
 
     def probability_error(self, p: float) -> float:
         """Monte-Carlo standard error of a probability from so many draws; at most that where readings scatter."""
         count = len(self.values)
         return float(np.sqrt(max(p * (1 - p), 1 / count) / count))
-
-
-def _ends(values: Float[np.ndarray, "d g"]) -> list[Float[np.ndarray, "d"]]:
-    """Return the lowest and the highest of several values by draw; of one value this one."""
-    if values.shape[1] == 1:
-        return [values[:, 0]]
-    return [values.min(axis=1), values.max(axis=1)]
 
 
 def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Limits | None:
@@ -484,9 +499,11 @@ class QuantityInUse(LimitedQuantity):
         found, inclination = operating_equation.errors_over_draws(
             equation, draws, mean, stimulus, inputs
         )
-        one = self.limit.quantity == READING
-        scatter = np.sqrt(chosen.noise_variance(places)) * inclination if one else zero
-        return DrawnQuantity(np.asarray(found), np.asarray(scatter))
+        if self.limit.quantity == MEAN:
+            return DrawnQuantity(np.asarray(found), zero)
+        noise = np.sqrt(chosen.noise_variance(places))
+        scores = chosen.noise_scores(places, np.outer(noise, DEVIATIONS))
+        return DrawnQuantity(np.asarray(found), noise * np.asarray(inclination), scores)
 
 
 def limited_quantity(
@@ -544,7 +561,10 @@ def limited_quantity(
     # Where a range leaves what was calibrated is said by `not_covered`, in its own words.
     beside = bias_only(chosen.stimulus) if limit.quantity in slots else ""  # is of a correction
     notes += [note for note in notes_on(chosen) if note != beside]
-    notes += _of_the_noise(calibration, limit.quantity)
+    if limit.quantity == MEAN and not calibration.model.noise.independent:
+        notes.append(
+            f"{MEAN!r} is without the correlated noise, which readings close in time share: a mean keeps it."
+        )
     return QuantityInUse(
         limit=limit,
         limits=_limits(limit, unit, local_gravity),
@@ -554,18 +574,6 @@ def limited_quantity(
         chosen=chosen,
         places=places,
     )
-
-
-def _of_the_noise(calibration: Calibration, quantity: str) -> list[str]:
-    """What a limit on a corrected reading, or on the mean of many, takes the noise for, where that is not all of it."""
-    noise = calibration.model.noise
-    if quantity == MEAN and not noise.independent:
-        return [
-            f"{MEAN!r} is without the correlated noise, which readings close in time share: a mean keeps it."
-        ]
-    if quantity == READING and not noise.gaussian:
-        return ["The noise is taken as normal, with the standard deviation that it has."]
-    return []
 
 
 def _limits(limit: StatedLimit, unit: str, local_gravity: float) -> Limits:
