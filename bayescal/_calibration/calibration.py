@@ -20,7 +20,7 @@ from bayescal._calibration.guards import (
 )
 from bayescal._calibration.posterior_tree import build_tree, with_log_likelihood
 from bayescal._calibration.storage import save
-from bayescal._calibration.summary import null_directions, summary, unknowns_parts
+from bayescal._calibration.summary import chi_squared, null_directions, summary, unknowns_parts
 from bayescal._core.formatting import WIDTH
 from bayescal._core.result_table import Printed, ResultTable
 from bayescal._model.model import in_short
@@ -75,6 +75,14 @@ class Calibration(Printed, Fitted):
             "high": [r["interval95"][1] for r in rows],
             "contraction": [r["contraction"] for r in rows],
         }
+
+    @property
+    def chi_squared(self) -> tuple[float, int, float]:
+        """χ² of the residuals against their known variance, its degrees of freedom, the chance of as much or more.
+
+        The variance is that of the noise law and of uncertain inputs: of use where `noise.white` is fixed.
+        """
+        return chi_squared(self)
 
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar
 
 import jax
@@ -15,7 +16,8 @@ from bayescal._core import deadline
 from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
 from bayescal._inference import trust
-from bayescal._inference.laplace import NOTHING_KNOWN, find_mode
+from bayescal._inference.density import Density
+from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Draws, Method, Outcome
@@ -59,20 +61,55 @@ class NUTS(Method):
         mode = find_mode(problem, start=start)
         deadline.offer(lambda why: Marginal().about_the_mode(problem, mode, seed, (), why))
         plan = Plan(self.warmup, self.draws, self.chains, self.dense)
-        ran, sites = sampled(program(layout, frame), (y,), plan, seed)
+        ran, sites = sampled(program(layout, frame), (y,), plan, seed, about(problem, mode))
         x, v = (np.asarray(sites[k]) for k in ("x", "v"))
         ran = ran._replace(draws=np.concatenate([x, v], axis=2))
         verdict = trust.chain_verdict(ran, "NUTS", ())
         return Outcome(layout, Draws(x, v), mode, verdict, log_evidence=None)
 
 
+Sites = dict[str, Callable[[Array], Array]]  # by name, a draw of each where chains may begin
+
+
+def about(problem: Problem, mode: Mode) -> Sites:
+    """Return where chains begin: about the mode, a standard deviation to either side.
+
+    From draws of the priors they may end on another, far less probable hill: with noise on an input each steep line is
+    on one, since its slope widens the variance.
+    """
+    _, found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
+    hyper = problem.hyper(mode.v)
+    if found is None or not np.all(np.isfinite(mode.covariance)):
+        return {}
+    prior, sd = problem.prior(hyper, mode.flat), np.sqrt(np.diag(found.covariance))
+    starts: Sites = {}
+    for h, at, wide in zip(problem.hypers, mode.v, np.sqrt(np.diag(mode.covariance)), strict=True):
+        starts[h.name] = partial(_drawn_about, at, wide, h.prior.value)
+    for b in problem.layout.x_blocks:
+        own, flat = slice(b.start, b.start + b.size), b.coefficient.flat
+        mean, width = (0.0, 1.0) if flat else (b.mean, np.maximum(prior.sd[own], 1e-300))
+        at, wide = (mode.x[own] - mean) / width, sd[own] / width
+        starts[b.name if flat else f"{b.name}.standard"] = partial(_drawn_about, at, wide, None)
+    return starts
+
+
+def _drawn_about(at: Any, wide: Any, value: Callable | None, key: Array) -> Array:
+    drawn = at + wide * jax.random.normal(key, np.shape(at))
+    return drawn if value is None else value(drawn)
+
+
 def sampled(
-    model: Callable, arguments: tuple, plan: Plan, seed: int
+    model: Callable, arguments: tuple, plan: Plan, seed: int, starts: Sites
 ) -> tuple[Chains, dict[str, Array]]:
-    """NumPyro's NUTS on every unknown of a program: what it ran, and every site by name, (chains, draws, …)."""
+    """Run NumPyro's NUTS on every unknown of a program; also return every site by name, (chains, draws, …)."""
     from numpyro.infer import init_to_median  # half a second that only these chains need
 
-    kernel = plan.kernel(model, init_strategy=init_to_median(num_samples=50))
+    def begin(site: Any) -> Any:
+        if site["type"] == "sample" and site["name"] in starts:
+            return starts[site["name"]](site["kwargs"]["rng_key"])
+        return init_to_median(site, num_samples=50)
+
+    kernel = plan.kernel(model, init_strategy=partial(begin))
     with stage("NUTS on every unknown"):
         found = iterate(kernel, jax.random.key(seed), arguments, None, plan)
         place = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn(arguments, {}))))

@@ -761,7 +761,8 @@ def noise_in_use(
     each = jax.vmap(lambda v: forward.hyper_values(layout, v))(jnp.asarray(v))
     over_draws = jax.vmap(lambda law: jnp.mean(_over_places(equation, law, *places)))(each)
     there = jnp.mean(_over_places(equation, law, *places))
-    return NoiseInUse({n: float(x) for n, x in law.items()}, float(jnp.mean(over_draws) / there))
+    level = float(jnp.mean(over_draws) / there) if there > 0 else 1.0  # 0: noise as stated
+    return NoiseInUse({n: float(x) for n, x in law.items()}, level)
 
 
 def noise_variances(
