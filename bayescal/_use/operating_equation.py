@@ -482,7 +482,7 @@ def posterior_moments(
     covariance = np.atleast_2d(np.cov(values.T)) if len(unknowns) else np.zeros((0, 0))
     for i in new:
         block = blocks[unknowns[i].key]
-        spread = _spread(calibration, block, total) * has_effect(calibration, block.effect.name)
+        spread = _spread(calibration, block) * has_effect(calibration, block.effect.name)
         mean[i], covariance[i, i] = block.coefficient.mean, float(np.mean(spread**2))
         thin[:, i] = mean[i] + _independent(thin - mean, spread[::step], covariance[i, i], random)
     thin = _with_moments(thin, mean, covariance) if step > 1 else thin
@@ -588,14 +588,12 @@ def _with_moments(
     return moved
 
 
-def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np.ndarray:
+def _spread(calibration: Calibration, block: CoefficientBlock) -> Float[np.ndarray, "d"]:
     """Draws of the standard deviation from which a new member is taken."""
-    c, fixed = block.coefficient, dict(calibration.model.fixed)
-    if c.group_sd is None:
-        return np.full(draws, c.size)
-    if block.group_sd_name in fixed:
-        return np.full(draws, fixed[block.group_sd_name])
-    return calibration.samples(block.group_sd_name)
+    problem, (_, v) = calibration.problem, calibration.draws()
+    own = (block.effect.name, block.index)
+    term = next(t for t in problem.terms if (t.known.of, t.index) == own)
+    return problem.member_sd(term, problem.hyper(v.T), len(v))
 
 
 @compiled
