@@ -1,10 +1,9 @@
 """The average over structures: draws of each in proportion to its probability, in one model that holds all of them.
 
-An interval of one structure does not hold what is not known of the structure. What is known of it is no part of the
-average: effects that are found, and those of which it is found that they are not there, at the probability from which
-that is said. Draws without the one or with the other are few and far off: with them a mean could lie outside of its own
-interval, and no expanded uncertainty would be that of a normal distribution. In the model that has the effects of all
-structures, a draw of one of them is a draw whose other coefficients are zero: so everything that is computed from draws
+An interval of one structure does not hold what is not known of the structure. The average is over the structures of the
+95 % credible set that have what is found to be missing. The draws of others are few and may be far off: with them a
+mean could lie outside of its own interval, and a standard uncertainty be many times what the interval shows. In the
+model that has the effects of all structures, a draw of one of them is a draw whose other coefficients are zero: so everything that is computed from draws
 (predictions, compensation, budgets, exports) is averaged without knowing it.
 Source: J. Hoeting et al., Statist. Sci. 14 (1999) 382 (Bayesian model averaging).
 """
@@ -62,8 +61,8 @@ def averaged(
         noise: law of the last model, under which all are drawn.
         seed: of every random number.
     """
+    shares = shares_of(structures, noise)
     own = frozenset(last.model.names) - frozenset(structures.base.names)
-    shares = shares_of(structures, noise, own)
     if len(shares) < 2:
         return last, shares
     random, parts, models = np.random.default_rng(seed), [], []
@@ -86,16 +85,8 @@ def averaged(
     return _together(last, model, models, parts, shares), shares
 
 
-def shares_of(
-    structures: Structures, noise: str, own: frozenset[str]
-) -> tuple[StructureShare, ...]:
-    """Return the sets of effects that take part, the most probable first, and their parts, which sum to one.
-
-    Args:
-        structures: that were weighed.
-        noise: law under which all are drawn.
-        own: effects of the last model beside the first's, which count as there.
-    """
+def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
+    """Return the sets of effects that take part, the most probable first, and their parts, which sum to one."""
     posterior, mass = Posterior.of(structures), dict[frozenset[str], float]()
     for s, probability in zip(posterior.structures, posterior.probability, strict=True):
         if s in posterior.refitted:
@@ -104,21 +95,17 @@ def shares_of(
             mass[s.effects] = mass.get(s.effects, 0.0) + float(probability)
     barred = structures.barred(Structure(noise=noise))
     found = [frozenset(f.effects) for f in posterior.findings]
-    named = posterior.families(n for e in mass for n in e) - posterior.families(own)
-    absent = {n for n in named if posterior.inclusion(n) < 1 - settings().found_probability}
-
-    def undecided(effects: frozenset[str]) -> bool:
-        there = posterior.families(effects)
-        return absent.isdisjoint(there) and not any(f.isdisjoint(there) for f in found)
-
-    kept = {
-        e: p
-        for e, p in mass.items()
-        if p >= settings().averaged_probability and e.isdisjoint(barred) and undecided(e)
-    }
-    order = sorted(kept, key=lambda e: -kept[e])
-    total = sum(kept.values())
-    return tuple(StructureShare(tuple(sorted(e)), kept[e] / total) for e in order)
+    kept, total = list[tuple[frozenset[str], float]](), 0.0
+    for effects in sorted(mass, key=lambda e: -mass[e]):
+        there, enough = posterior.families(effects), settings().found_probability
+        if total < enough and not any(f.isdisjoint(there) for f in found):
+            kept.append((effects, mass[effects]))
+        total += mass[effects] / sum(mass.values())
+    kept = [
+        (e, p) for e, p in kept if p >= settings().averaged_probability and e.isdisjoint(barred)
+    ]
+    whole = sum(p for _, p in kept)
+    return tuple(StructureShare(tuple(sorted(e)), p / whole) for e, p in kept)
 
 
 def _drawn(weighed: Weighed, count: int, probability: float, seed: int) -> _Values:
