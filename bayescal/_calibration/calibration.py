@@ -17,6 +17,7 @@ from bayescal._calibration.guards import (
     effects_off_scale,
     following_members,
     too_different,
+    too_few,
 )
 from bayescal._calibration.posterior_tree import build_tree, with_log_likelihood
 from bayescal._calibration.storage import save
@@ -87,12 +88,17 @@ class Calibration(Printed, Fitted):
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:
         """Where readings and priors contradict each other, and what else a fit may not be."""
-        return (*conflicts(self), *too_different(self), *following_members(self))
+        return (
+            *conflicts(self),
+            *too_different(self),
+            *following_members(self),
+            *too_few(self),
+        )
 
     @cached_property
     def off_scale(self) -> tuple[Claim, ...]:
         """Effects that at their plausible size are a million times smaller or larger than the noise."""
-        return tuple(effects_off_scale(self))
+        return () if too_few(self) else tuple(effects_off_scale(self))
 
     @cached_property
     def tree(self) -> xr.DataTree:

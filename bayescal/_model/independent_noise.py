@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.special import betainc, gammaln
 from jaxtyping import Array, Float
 
@@ -223,6 +224,12 @@ class Quantised(Noise):
 
     def parameters(self) -> dict[str, Positive]:
         return {WHITE: self.scale}
+
+    def why_not(self, output):
+        least = float(np.min(np.diff(np.unique(output)), initial=math.inf))
+        if least > 0.5 * self.step:
+            return ""
+        return f"outputs that are {least:.3g} apart were not rounded in steps of {self.step:.3g}"
 
     def variance(self, parameters, frame):
         # A rounding error is about uniform over a step, of variance step²/12 (B. Widrow and I. Kollár, Quantization

@@ -234,6 +234,11 @@ class Model(Printed):
                     f"{self.noise.law} noise needs the column {column!r}, which {readings.file} lacks: record it, "
                     "or use White() noise"
                 )
+        if why := self.noise.why_not(readings[readings.output]):
+            raise ModelError(
+                f"{self.noise.name} noise does not fit {readings.file}: {why}. Give the step in [{own}], or use "
+                "White() noise"
+            )
         followed = derived(readings, every=True) if self.noise.covariates else {}
         for name in self.noise.covariates:
             if name not in followed:

@@ -134,6 +134,10 @@ class Noise(abc.ABC):
         """The law with its usual priors and what it takes of readings: those of one form share compiled programs."""
         return self.plain, frame.only(self.needs)
 
+    def why_not(self, output: Float[np.ndarray, "n"]) -> str:
+        """Return why readings cannot scatter so, in words; empty where they can."""
+        return ""
+
     def derived(self, values: Parameters) -> dict[str, Any]:
         """Further numbers that its parameters come to, by name, output unit."""
         return {}

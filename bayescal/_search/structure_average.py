@@ -2,9 +2,10 @@
 
 An interval of one structure does not hold what is not known of the structure. The average is over the structures of the
 95 % credible set that have what is found to be missing. The draws of others are few and may be far off: with them a
-mean could lie outside of its own interval, and a standard uncertainty be many times what the interval shows. In the
-model that has the effects of all structures, a draw of one of them is a draw whose other coefficients are zero: so everything that is computed from draws
-(predictions, compensation, budgets, exports) is averaged without knowing it.
+mean could lie outside of its own interval, and a standard uncertainty be many times what the interval shows.
+
+In the model that has the effects of all structures, a draw of one of them is a draw whose other coefficients are zero:
+so everything that is computed from draws (predictions, compensation, budgets, exports) is averaged without knowing it.
 Source: J. Hoeting et al., Statist. Sci. 14 (1999) 382 (Bayesian model averaging).
 """
 

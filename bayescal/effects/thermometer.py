@@ -12,7 +12,7 @@ from bayescal.effects.constant import one
 
 
 def _rate(column: str, r: Frame) -> Any:
-    return r.rates[column]
+    return r.rate(column)
 
 
 def _column(name: str, r: Frame) -> Any:
