@@ -10,7 +10,6 @@ import math
 import platform
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +57,14 @@ PACKAGES = (
 def result(trail: SearchPath) -> dict[str, Any]:
     """Everything that a calibration found, as plain data."""
     final = trail.final.calibration
-    coefficients, hyperparameters = summary(final)
-    averaged = () if trail.average is None else chain(*summary(trail.average))
-    known = {r["name"]: {k: r[k] for k in AVERAGED} for r in averaged}
+    further = {*trail.calibration.model.names} - {*final.model.names}
+    coefficients, hyperparameters = (
+        [row for row in rows if row["effect"].partition("[")[0] not in further]
+        for rows in summary(trail.calibration)
+    )
     for row in (*coefficients, *hyperparameters):
-        row["averaged"] = known.get(row["name"])
+        averaged = {k: row[k] for k in AVERAGED}
+        row["averaged"] = None if trail.average is None else averaged
         del row["probability"], row["given"]  # of a single structure: one, and the same
     found: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "allan", "missing")}
     for i, step in enumerate(trail.steps):

@@ -203,7 +203,8 @@ class Compensator:
 
     def _settles(self, time: Input, inputs: Sequence[Input]) -> bool:
         """Whether nothing follows a time any more, from the last quarter of its range on: of all inputs at their low
-        ends, middles and high ends neither the expected output nor its uncertainty moves by more than a tenth of this.
+        ends, middles and high ends neither the expected output nor its uncertainty moves by more than a tenth of this,
+        nor the noise by a tenth of itself.
         """
         late = time.high + (time.high - time.low) * np.r_[0.0, -0.25, 2.0 ** np.arange(-4, 31)]
         for share in (0.0, 0.5, 1.0):
@@ -219,7 +220,9 @@ class Compensator:
                 {**unused, **given, time.name: late},
             )
             moves = np.abs(np.array([expected - expected[0], uncertainty - uncertainty[0]]))
-            if not np.all(moves <= SETTLED * uncertainty[0]):
+            places = {self.stimulus: stimulus, **given, time.name: late}
+            scatter = np.sqrt(self.noise_variance(places))
+            if np.any(moves > SETTLED * uncertainty[0]) or np.ptp(scatter) > SETTLED * scatter[0]:
                 return False
         return True
 
