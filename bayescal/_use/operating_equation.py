@@ -738,7 +738,7 @@ class NoiseInUse(NamedTuple):
         level: posterior mean of the variance over the readings of the fit, over the variance by `law` there.
     """
 
-    law: dict[str, float]
+    law: dict[str, Any]
     level: float
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pytest
@@ -46,7 +46,10 @@ class Proportional(bc.Noise):
 
     law: ClassVar[str] = "proportional_to_pressure"
     gaussian: ClassVar[bool] = True
-    needs = ("pressure",)
+
+    @property
+    def needs(self):
+        return ("pressure",)
 
     def parameters(self):
         return {"noise.white": bc.HalfCauchy(0.05), "noise.share": bc.HalfCauchy(0.05)}
@@ -128,7 +131,10 @@ def scattered(case: Case, columns: dict[str, np.ndarray], random: np.random.Gene
 def calibrated(name: str) -> bc.Calibration:
     """A fit of a case with its own law, seed 11."""
     case, random = CASES[name], np.random.default_rng(11)
-    columns = {"time": 10.0 * np.arange(N), "temperature": random.uniform(10.0, 60.0, N)}
+    columns: dict[str, Any] = {
+        "time": 10.0 * np.arange(N),
+        "temperature": random.uniform(10.0, 60.0, N),
+    }
     columns |= {
         "pressure": random.uniform(0.0, 200.0, N),
         "elapsed": columns["time"] % (10.0 * RUN),
@@ -141,7 +147,7 @@ def calibrated(name: str) -> bc.Calibration:
     return bc.fit(SENSOR.baseline().with_noise(case.law), readings, seed=1)
 
 
-def place(name: str, size: int, **more: float) -> dict[str, np.ndarray]:
+def place(name: str, size: int, **more: float) -> dict[str, Any]:
     """The worst place of a case, or another one, many times."""
     needed = {i.name for i in bc.compensator(calibrated(name)).inputs}
     at = {"temperature": 35.0, "pressure": 100.0, "elapsed": 10_000.0, **CASES[name].worst, **more}
@@ -173,7 +179,7 @@ def test_every_exit_has_the_noise_of_the_place(name, tmp_path) -> None:
     case, compensate = CASES[name], bc.compensator(calibrated(name))
     spread = 1.0 if case.tails == math.inf else math.sqrt(case.tails / (case.tails - 2))
     loaded = bc.load_compensator(compensate.export(tmp_path / "c.json"))
-    space: dict = {}
+    space: dict[str, Any] = {}
     exec(compensate.export(tmp_path / "c.py").read_text("utf-8"), space)
     for more in ({}, {"temperature": 30.0, "pressure": 60.0, "elapsed": 8_000.0}):
         at = place(name, 1, **more)

@@ -35,7 +35,7 @@ def sensor(*more: bc.Effect) -> bc.Instrument:
     )
 
 
-def fitted(truth: np.ndarray, *more: bc.Effect, **how: Any) -> bc.Calibration:
+def fitted(truth: Any, *more: bc.Effect, **how: Any) -> bc.Calibration:
     instrument, random = sensor(*more), np.random.default_rng(9)
     readings = bc.Measurements.from_arrays(
         instrument,

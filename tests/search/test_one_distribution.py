@@ -7,6 +7,7 @@ it would leave the mean outside its own 95 % interval.
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,8 +29,8 @@ CASES = [(0.014, 8), (0.018, 8)]
 @pytest.mark.parametrize(("size", "seed"), CASES)
 def test_mean_uncertainty_and_interval_agree(size, seed) -> None:
     found = searched(size, seed).calibration
-    table = found.to_pandas().reset_index()
-    for row in table.itertuples():
+    rows: Any = found.to_pandas().reset_index().itertuples()
+    for row in rows:
         draws = found.samples(row.unknown.partition("(")[0])
         if draws.ndim > 1 or row.effect not in searched(size, seed).final.calibration.model.names:
             continue
