@@ -105,7 +105,6 @@ def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
         if len(out) >= FEW_IN_GROUP:
             surprise[i] = math.sqrt(found.squares / found.spectrum.sum())
             by_chance[i] = found.by_chance(len(codes) - len(out), len(members) - 1)
-    # The law at the fit of all readings: of one that follows a column the others may say nothing where these lie.
     variance = calibration.linear.variance + model
     return LeaveOneGroupOut(kind, members, scores, residual, surprise, by_chance, variance)
 
@@ -140,10 +139,13 @@ def _fold(whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fol
     """The readings left out, given the kept; None where these say nothing."""
     fitted, predicted = (_density(whole, mode, rows) for rows in (kept, out))
     v, _ = climb(fitted, [mode.v], mode.covariance, NOTHING_LEFT)
+    kinds = np.array(whole.kinds)
+    # A law that follows a column is that of all readings: where it lies for these, the kept may have none.
+    v = np.where((kinds == "noise") & bool(whole.noise.covariates), mode.v, v)
     given = _given(fitted, predicted, v)
     # What is expected of a group has the standard deviation between groups of them all: a few that are alike by chance
     # would say that there is none.
-    between = np.array(whole.kinds) == "group_sd"
+    between = kinds == "group_sd"
     of_all = _given(fitted, predicted, np.where(between, np.maximum(v, mode.v), v))
     if given is None or of_all is None:
         return None
