@@ -265,6 +265,12 @@ def reference_of(readings: Measurements) -> Reference:
     return found
 
 
+def constants_of(readings: Measurements) -> set[str]:
+    """Return the names of the constants that bases may have on these readings, those that are only asked for too."""
+    own = {reference_name(n) for n in readings.columns if readings.unit(n)}
+    return own | {n for n, value in reference_of(readings).items() if not isinstance(value, dict)}
+
+
 def _round_middle(values: np.ndarray) -> float:
     row = values[None]
     return float(rounded_means(row.mean(1), row.std(1), row.min(1), row.max(1))[0])

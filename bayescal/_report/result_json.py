@@ -38,7 +38,8 @@ SCHEMA = "bayescal.result/2"
 # A step's key of the noise → the unknown of a law, where it has it.
 OF_NOISE = {
     **{"white": "white", "correlated": "correlated", "diffusion": "diffusion"},
-    **{"tau": "correlated.time", "slope": "slope", "curvature": "curvature", "freedom": "freedom"},
+    **{"tau": "correlated.time", "slope": "slope", "curvature": "curvature"},
+    **{"proportional": "proportional", "freedom": "freedom"},
 }
 AVERAGED = ("mean", "sd", "interval95", "probability", "given")  # of an unknown, over structures
 FORMER = "bayescal.result/1"  # of 0.2.0, where `hyperparameters` were `spreads`

@@ -92,6 +92,12 @@ CASES = {
         "pressure 50..150 kPa",
         {"pressure": 150.0},
     ),
+    "in proportion": Case(
+        bc.Heteroscedastic("pressure", proportional=True),
+        lambda c: np.hypot(0.01, 0.05 * c["pressure"] / 100),
+        "pressure 10..180 kPa",
+        {"pressure": 180.0},
+    ),
     "a law of one's own": Case(
         Proportional(),
         lambda c: np.hypot(0.01, 0.05 * c["pressure"] / 100),
