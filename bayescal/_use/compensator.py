@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
@@ -45,7 +44,6 @@ from bayescal._use.operating_equation import (
     equation_in_use,
     folded,
     noise_in_use,
-    noise_scores,
     noise_variances,
     posterior_moments,
 )
@@ -175,17 +173,6 @@ class Compensator:
         if self.loaded:
             return self.loaded.noise_variance(places[self.stimulus], places)
         return noise_variances(self._equation, self._noise, places)
-
-    def noise_scores(
-        self, places: Mapping[str, np.ndarray], deviations: Float[np.ndarray, "n m"]
-    ) -> Float[np.ndarray, "n m"]:
-        """Return the standard normal scores of deviations of one reading by its noise, over draws of the noise law.
-
-        Args:
-            places: as of `noise_variance`.
-            deviations: from the expected output at each place, output unit.
-        """
-        return noise_scores(self._equation, self._calibration, places, deviations)
 
     @cached_property
     def inputs(self) -> tuple[Input, ...]:

@@ -33,7 +33,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -247,41 +247,27 @@ class DrawnQuantity:
         return float(middle.min()), float(middle.max())
 
     @cached_property
-    def ends(self) -> tuple[Float[np.ndarray, "k 1"], Float[np.ndarray, "k d"], list[Any]]:
-        """Scatters, the lowest or the highest value where readings scatter so, by draw, and scores."""
-        scatters, first, at = np.unique(self.scatter, return_index=True, return_inverse=True)
-        rows = []
-        for k, i in enumerate(first):
-            values, scores = (
-                self.values[:, at == k],
-                None if self.scores is None else self.scores[i],
-            )
-            ends = (np.min, np.max) if values.shape[1] > 1 else (np.min,)
-            rows += [(scatters[k], end(values, axis=1), scores) for end in ends]
-        return (
-            np.array([[s] for s, *_ in rows]),
-            np.array([v for _, v, _ in rows]),
-            [z for *_, z in rows],
-        )
+    def ends(self) -> DrawnQuantity:
+        """The same at its lowest and highest values alone, where readings scatter alike at all places."""
+        if np.ptp(self.scatter) > 0:
+            return self
+        ends = np.column_stack([self.values.min(axis=1), self.values.max(axis=1)])
+        scores = None if self.scores is None else np.tile(self.scores[0], (2, 1))
+        return DrawnQuantity(ends, np.tile(self.scatter[0], 2), scores)
 
     def probability(self, limits: Limits, shift: float = 0.0) -> float:
         """Probability of conformity, had the posterior stood higher by `shift`."""
-        scatters, ends, scores = self.ends
-        below, above = limits.low - shift - ends, limits.high - shift - ends
-        if not scatters.any():
-            return float(np.mean(np.all((below <= 0) & (above >= 0), axis=0)))
-
-        def share(deviations: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k d"]:
-            """Probability of a reading that deviates by less."""
-            if self.scores is None:
-                return ndtr(deviations)
-            rows = zip(deviations, scores, strict=True)
-            return ndtr([np.interp(row, DEVIATIONS, z) for row, z in rows])
-
+        values, scatter, scores = self.ends.values + shift, self.ends.scatter, self.ends.scores
+        if not scatter.any():
+            return float(np.mean(np.all((values >= limits.low) & (values <= limits.high), axis=1)))
         # As a function of y the probability of one reading has a single top: where readings scatter alike its least is
         # at one of the two ends.
-        inside = share(above / scatters) - share(below / scatters)
-        return float(np.mean(np.min(inside, axis=0)))
+        z = (limits.low - values) / scatter, (limits.high - values) / scatter
+        if scores is not None:
+            each = list(enumerate(scores))
+            z = (np.transpose([np.interp(e[:, i], DEVIATIONS, s) for i, s in each]) for e in z)
+        below, above = map(ndtr, z)
+        return float(np.mean(np.min(above - below, axis=1)))
 
     def probability_error(self, p: float) -> float:
         """Monte-Carlo standard error of a probability from so many draws; at most that where readings scatter."""
@@ -502,7 +488,8 @@ class QuantityInUse(LimitedQuantity):
         if self.limit.quantity == MEAN:
             return DrawnQuantity(np.asarray(found), zero)
         noise = np.sqrt(chosen.noise_variance(places))
-        scores = chosen.noise_scores(places, np.outer(noise, DEVIATIONS))
+        deviations = np.outer(noise, DEVIATIONS)
+        scores = operating_equation.noise_scores(equation, chosen._calibration, places, deviations)
         return DrawnQuantity(np.asarray(found), noise * np.asarray(inclination), scores)
 
 
