@@ -61,53 +61,50 @@ class NUTS(Method):
         mode = find_mode(problem, start=start)
         deadline.offer(lambda why: Marginal().about_the_mode(problem, mode, seed, (), why))
         plan = Plan(self.warmup, self.draws, self.chains, self.dense)
-        ran, sites = sampled(program(layout, frame), (y,), plan, seed, about(problem, mode))
+        ran, sites = sampled(program(layout, frame), (y,), plan, seed, starts_about(problem, mode))
         x, v = (np.asarray(sites[k]) for k in ("x", "v"))
         ran = ran._replace(draws=np.concatenate([x, v], axis=2))
         verdict = trust.chain_verdict(ran, "NUTS", ())
         return Outcome(layout, Draws(x, v), mode, verdict, log_evidence=None)
 
 
-Sites = dict[str, Callable[[Array], Array]]  # by name, a draw of each where chains may begin
+Starts = dict[
+    str, tuple[Callable[[Any], Any], Any, Any]
+]  # of each site: value of a coordinate, its mean and sd
 
 
-def about(problem: Problem, mode: Mode) -> Sites:
+def starts_about(problem: Problem, mode: Mode) -> Starts:
     """Return where chains begin: about the mode, a standard deviation to either side.
 
     From draws of the priors they may end on another, far less probable hill: with noise on an input each steep line is
     on one, since its slope widens the variance.
     """
     _, found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
-    hyper = problem.hyper(mode.v)
     if found is None or not np.all(np.isfinite(mode.covariance)):
         return {}
-    prior, sd = problem.prior(hyper, mode.flat), np.sqrt(np.diag(found.covariance))
-    starts: Sites = {}
-    for h, at, wide in zip(problem.hypers, mode.v, np.sqrt(np.diag(mode.covariance)), strict=True):
-        starts[h.name] = partial(_drawn_about, at, wide, h.prior.value)
+    prior = problem.prior(problem.hyper(mode.v), mode.flat)
+    scale = np.where(prior.weight > 0, np.maximum(prior.sd, 1e-300), 1.0)
+    z, sd = (mode.x - prior.weight * prior.mean) / scale, np.sqrt(np.diag(found.covariance)) / scale
+    each = zip(problem.hypers, mode.v, np.sqrt(np.diag(mode.covariance)), strict=True)
+    starts: Starts = {h.name: (h.prior.value, at, wide) for h, at, wide in each}
     for b in problem.layout.x_blocks:
-        own, flat = slice(b.start, b.start + b.size), b.coefficient.flat
-        mean, width = (0.0, 1.0) if flat else (b.mean, np.maximum(prior.sd[own], 1e-300))
-        at, wide = (mode.x[own] - mean) / width, sd[own] / width
-        starts[b.name if flat else f"{b.name}.standard"] = partial(_drawn_about, at, wide, None)
+        own = slice(b.start, b.start + b.size)
+        name = b.name if b.coefficient.flat else f"{b.name}.standard"
+        starts[name] = (jnp.asarray, z[own], sd[own])
     return starts
 
 
-def _drawn_about(at: Any, wide: Any, value: Callable | None, key: Array) -> Array:
-    drawn = at + wide * jax.random.normal(key, np.shape(at))
-    return drawn if value is None else value(drawn)
-
-
 def sampled(
-    model: Callable, arguments: tuple, plan: Plan, seed: int, starts: Sites
+    model: Callable, arguments: tuple, plan: Plan, seed: int, starts: Starts
 ) -> tuple[Chains, dict[str, Array]]:
     """Run NumPyro's NUTS on every unknown of a program; also return every site by name, (chains, draws, …)."""
     from numpyro.infer import init_to_median  # half a second that only these chains need
 
     def begin(site: Any) -> Any:
-        if site["type"] == "sample" and site["name"] in starts:
-            return starts[site["name"]](site["kwargs"]["rng_key"])
-        return init_to_median(site, num_samples=50)
+        if site["type"] != "sample" or site["name"] not in starts:
+            return init_to_median(site, num_samples=50)
+        value, at, wide = starts[site["name"]]
+        return value(at + wide * jax.random.normal(site["kwargs"]["rng_key"], np.shape(at)))
 
     kernel = plan.kernel(model, init_strategy=partial(begin))
     with stage("NUTS on every unknown"):

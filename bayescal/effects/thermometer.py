@@ -52,24 +52,29 @@ def thermometer(sd: float, *, source: str, column: str = "temperature") -> Effec
 
 
 def thermometer_offset(
-    size: float, *, source: str, column: str = "temperature", per: str = "run"
+    size: float,
+    *,
+    source: str,
+    column: str = "temperature",
+    per: str = "run",
+    unit: str = "delta_degC",
 ) -> Effect:
-    """The thermometer's constant error in each run, of unknown spread, °C: it was re-seated, or exchanged.
+    """The thermometer's constant error in each run, of unknown spread: it was re-seated, or exchanged.
 
     It corrects the column before any other effect sees it. Where the output is a line of the temperature, that is a
     deviation of the bias in each run, `deviation("bias", "run")`; a curve or a second slot tells them apart.
 
     Args:
-        size: scale of the half-normal prior of the spread between the groups, °C.
+        size: scale of the half-normal prior of the spread between the groups, in `unit`.
+        column: that it corrects, of a thermometer or of another instrument.
         per: group whose members have an error each.
+        unit: of the error, that of a difference of the column.
     """
     return Effect(
         f"{column}.{per}",
         column,
         basis=one,
-        coefficients=(
-            Coefficient("delta_degC", Normal(0.0, size), per=per, group_sd=HalfNormal(size)),
-        ),
+        coefficients=(Coefficient(unit, Normal(0.0, size), per=per, group_sd=HalfNormal(size)),),
         columns=(column,),
         equation=f"T_true = T + e[{per}]",
         source=source,
