@@ -17,10 +17,11 @@ from bayescal._calibration.guards import (
     effects_off_scale,
     following_members,
     too_different,
+    too_few,
 )
 from bayescal._calibration.posterior_tree import build_tree, with_log_likelihood
 from bayescal._calibration.storage import save
-from bayescal._calibration.summary import null_directions, summary, unknowns_parts
+from bayescal._calibration.summary import chi_squared, null_directions, summary, unknowns_parts
 from bayescal._core.formatting import WIDTH
 from bayescal._core.result_table import Printed, ResultTable
 from bayescal._model.model import in_short
@@ -76,15 +77,28 @@ class Calibration(Printed, Fitted):
             "contraction": [r["contraction"] for r in rows],
         }
 
+    @property
+    def chi_squared(self) -> tuple[float, int, float]:
+        """χ² of the residuals against their known variance, its degrees of freedom, the chance of as much or more.
+
+        The variance is that of the noise law and of uncertain inputs: of use where `noise.white` is fixed.
+        """
+        return chi_squared(self)
+
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:
         """Where readings and priors contradict each other, and what else a fit may not be."""
-        return (*conflicts(self), *too_different(self), *following_members(self))
+        return (
+            *conflicts(self),
+            *too_different(self),
+            *following_members(self),
+            *too_few(self),
+        )
 
     @cached_property
     def off_scale(self) -> tuple[Claim, ...]:
         """Effects that at their plausible size are a million times smaller or larger than the noise."""
-        return tuple(effects_off_scale(self))
+        return () if too_few(self) else tuple(effects_off_scale(self))
 
     @cached_property
     def tree(self) -> xr.DataTree:

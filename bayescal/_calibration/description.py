@@ -161,6 +161,8 @@ def _noise_words(noise: Noise) -> dict[str, Any]:
     """A noise law by the name of its class and its fields; of one that is not bayescal's own, its unknowns too."""
     found: dict[str, Any] = {"law": type(noise).__name__}
     for key, value in vars(noise).items():
+        if value is False:  # files of before there was the choice hold none
+            continue
         prior = type(value).__name__ in _PRIORS
         found[key] = [type(value).__name__, vars(value)] if prior else value
     if not type(noise).__module__.startswith("bayescal."):

@@ -21,7 +21,7 @@ from bayescal._inference.origin import with_origin
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import record_of
 from bayescal._model.effect import Effect
-from bayescal._model.frame import Reference, origins, reference_of
+from bayescal._model.frame import Reference, constants_of, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import bind
@@ -125,12 +125,13 @@ def _refuse_nothing(calibration: Calibration) -> None:
 
 def _reference(readings: Measurements, asked: Reference | None) -> Reference:
     """Constants of the bases: the readings' own, but for those that are asked for."""
-    own = reference_of(readings)
-    if strange := sorted(set(asked or {}) - set(own) - set(origins(asked or {}))):
+    asked, known = asked or {}, constants_of(readings)
+    if strange := sorted({n for n, v in asked.items() if not isinstance(v, dict)} - known):
         raise InputError(
-            f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: {', '.join(own)}"
+            f"reference: no basis has a constant {', '.join(strange)}; for these readings there are: "
+            f"{', '.join(sorted(known))}"
         )
-    return {**own, **(asked or {})}
+    return {**reference_of(readings), **asked}
 
 
 def _refuse_stuck(readings: Measurements) -> None:

@@ -11,6 +11,7 @@ from scipy.special import stdtr
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
+from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.summary import summary
 from bayescal._core.formatting import number
 from bayescal._core.parallel import on_one_thread
@@ -41,6 +42,7 @@ LONGEST_RECORDS = 10.0  # lengths of the record, beyond which no time constant c
 # law.
 LAW_COEFFICIENTS = 2
 
+FEWEST_FREEDOM = 3  # degrees of freedom, below which the noise cannot be told
 STARTS_TRIED = 3  # starts of the search for another mode
 PRIOR = "prior.contradicted"
 
@@ -235,6 +237,17 @@ def _known_effects(calibration: Fitted) -> float:
     prior = problem.prior(hyper, np.ones(problem.size))
     slopes = problem.linearise(problem.start, hyper).jacobian * (prior.sd * prior.weight)
     return float(np.sqrt(np.sum(np.var(slopes, axis=0))))
+
+
+def too_few(calibration: Fitted) -> list[Claim]:
+    """Return the claim that the readings are too few to tell a noise that nobody stated from the unknowns."""
+    layout, there = calibration.layout, inclusion(calibration)
+    # Of an average over structures as many as there are on average.
+    free = round(sum(there[b.effect.name] for b in layout.blocks if b.place in ("x", "phi")))
+    size = len(calibration.readings)
+    if size >= free + FEWEST_FREEDOM or not layout.positions("noise"):
+        return []
+    return [Claim("readings.too_few", count=size, free=free)]
 
 
 def too_different(calibration: Fitted, accepted: Collection[str] = ()) -> list[Claim]:

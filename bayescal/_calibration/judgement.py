@@ -21,10 +21,10 @@ from bayescal._calibration.guards import (
     doubts_of_the_mode,
     following_members,
     too_different,
+    too_few,
     without_priors,
 )
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
-from bayescal._calibration.mixture import inclusion
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
 from bayescal._core.formatting import number
@@ -210,11 +210,8 @@ def of_noise(
 
 def _left_over(calibration: Calibration, check: Check, missing: Mapping[str, str]) -> list[Claim]:
     """What the residuals still depend on; and readings too few to tell noise from unknowns."""
-    there = inclusion(calibration)  # of an average over structures as many as there are on average
-    free = round(sum(there[b.effect.name] for b in calibration.layout.blocks))
-    size = len(calibration.readings)
-    if size < free + 3:
-        return [Claim("readings.too_few", count=size, free=free)]
+    if few := too_few(calibration):
+        return few
     rows = [(e.log_bayes_factor, (e.against,)) for e in check.entries]
     rows += [(p.log_bayes_factor, p.against) for p in check.pairs]
     factor, against = max(rows, default=(0.0, ()))

@@ -42,6 +42,7 @@ class LeaveOneGroupOut:
             uncertainty of the model and of a new group's deviations included (g,); about 1 if the model is right, NaN
             for groups of fewer than 5 readings.
         by_chance: probability of so large a surprise in a group, if the model is right (g,); NaN where that is.
+        variance: of each reading as the model expects it: noise, and the expected output as the other groups leave it.
     """
 
     group: str
@@ -50,10 +51,15 @@ class LeaveOneGroupOut:
     residual: np.ndarray
     surprise: np.ndarray
     by_chance: np.ndarray
+    variance: np.ndarray
 
     @property
     def rmse(self) -> float:
         return float(np.sqrt(np.mean(self.residual**2)))
+
+    def error(self, variance: np.ndarray) -> float:
+        """Return the rms error, output unit, weighted by the inverse of a variance of each reading."""
+        return float(np.sqrt(np.mean(self.residual**2 / variance) / np.mean(1 / variance)))
 
     @property
     def count(self) -> int:
@@ -89,17 +95,18 @@ def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
     # Products of all readings, once: a part's are these less the others'.
     _ = Density(whole, mode.x, mode.flat, mode.v).products
     scores, surprise, by_chance = np.full((3, len(members)), np.nan)
-    residual = np.full(len(codes), np.nan)
+    residual, model = np.full((2, len(codes)), np.nan)
     for i in range(len(members)):
         out = np.flatnonzero(codes == i)
         found = _fold(whole, mode, np.flatnonzero(codes != i), out)
         if found is None:
             continue
-        scores[i], residual[out] = found.log_score, found.residual
+        scores[i], residual[out], model[out] = found.log_score, found.residual, found.model
         if len(out) >= FEW_IN_GROUP:
             surprise[i] = math.sqrt(found.squares / found.spectrum.sum())
             by_chance[i] = found.by_chance(len(codes) - len(out), len(members) - 1)
-    return LeaveOneGroupOut(kind, members, scores, residual, surprise, by_chance)
+    variance = calibration.linear.variance + model
+    return LeaveOneGroupOut(kind, members, scores, residual, surprise, by_chance, variance)
 
 
 class _Fold(NamedTuple):
@@ -107,6 +114,7 @@ class _Fold(NamedTuple):
 
     log_score: float  # joint log predictive density
     residual: np.ndarray  # output unit
+    model: np.ndarray  # variance of the expected output, output unit squared
     squares: float  # of the whitened residuals, rᵀr
     spectrum: (
         np.ndarray
@@ -131,10 +139,13 @@ def _fold(whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fol
     """The readings left out, given the kept; None where these say nothing."""
     fitted, predicted = (_density(whole, mode, rows) for rows in (kept, out))
     v, _ = climb(fitted, [mode.v], mode.covariance, NOTHING_LEFT)
+    kinds = np.array(whole.kinds)
+    # A law that follows a column is that of all readings: where it lies for these, the kept may have none.
+    v = np.where((kinds == "noise") & bool(whole.noise.covariates), mode.v, v)
     given = _given(fitted, predicted, v)
     # What is expected of a group has the standard deviation between groups of them all: a few that are alike by chance
     # would say that there is none.
-    between = np.array(whole.kinds) == "group_sd"
+    between = kinds == "group_sd"
     of_all = _given(fitted, predicted, np.where(between, np.maximum(v, mode.v), v))
     if given is None or of_all is None:
         return None
@@ -147,19 +158,23 @@ def _fold(whole: Problem, mode: Mode, kept: np.ndarray, out: np.ndarray) -> _Fol
     above = np.sort(np.linalg.eigvalsh(of_all[1].jtj))[::-1][: len(out)]
     spectrum[: len(above)] += np.maximum(above, 0.0)
     score = np.nan if joint is None else joint.log_marginal
-    return _Fold(score, given[0], of_all[1].rtr, spectrum)
+    return _Fold(score, given[0], of_all[2], of_all[1].rtr, spectrum)
 
 
-def _given(fitted: Density, predicted: Density, v: np.ndarray) -> tuple[np.ndarray, Gram] | None:
-    """Errors of the readings left out, output unit, and their products with the posterior of x from the kept readings
-    as a prior of unit normals."""
+def _given(
+    fitted: Density, predicted: Density, v: np.ndarray
+) -> tuple[np.ndarray, Gram, np.ndarray] | None:
+    """Errors of the readings left out, output unit, their products with the posterior of x from the kept readings as a
+    prior of unit normals, and the variance of what these expect."""
     found = fitted.at(v)[1]
     if found is None:
         return None
     centred, table, logdet = predicted.whitened(v, found.mean)
     turned = table[:, :-1] @ found.root
     pull = turned.T @ table[:, -1]
-    return centred, Gram(turned.T @ turned, pull, float(table[:, -1] @ table[:, -1]), logdet)
+    gram = Gram(turned.T @ turned, pull, float(table[:, -1] @ table[:, -1]), logdet)
+    line = predicted.problem.linearise(predicted.x, predicted.problem.hyper(v))
+    return centred, gram, np.sum((line.jacobian @ found.root) ** 2, axis=1)
 
 
 def _density(whole: Problem, mode: Mode, rows: np.ndarray) -> Density:

@@ -194,8 +194,8 @@ def _own_sd(problem: Problem, draws: Vectors, hyper: Each, term: Term) -> Any:
     """Standard deviation of such a term's coefficient: zero at readings whose member is known."""
     if term.place == "input":
         return term.prior_sd
-    sd = term.prior_sd if term.group_sd_name is None else hyper[term.group_sd_name][:, None]
-    return np.where(_unseen(problem, term), sd * _there(problem, draws, term)[:, None], 0.0)
+    sd = problem.member_sd(term, hyper, len(draws.x)) * _there(problem, draws, term)
+    return np.where(_unseen(problem, term), sd[:, None], 0.0)
 
 
 def _there(problem: Problem, draws: Vectors, term: Term) -> Float[np.ndarray, "b"]:

@@ -203,7 +203,7 @@ def not_measured(
     values: Float[np.ndarray, "d g"],
     *,
     of: str = "",
-    scatter: float = 0.0,
+    scatter: Float[np.ndarray, "g"] | float = 0.0,
     rare: float = 0.0,
 ) -> NotMeasured | None:
     """What stands against calling a quantity measured: priors say more of it than the readings; None where they do not.
@@ -215,7 +215,7 @@ def not_measured(
         calibration: a fit, or an average over structures: of an effect the draws that have it are asked.
         values: of the quantity in each draw, at several places; the worst one counts.
         of: the unknown that it is, where it is one.
-        scatter: standard deviation of single readings about it.
+        scatter: standard deviation of single readings about it, at each place.
         rare: probability of an effect up to which it does not count.
     """
     for h, v in zip(calibration.layout.hypers, calibration.draws().v.T, strict=True):

@@ -16,7 +16,6 @@ from bayescal._calibration.mixture import has_effect
 from bayescal._core import null_space
 from bayescal._core.formatting import WIDTH, interval, number, probability, with_error
 from bayescal._core.result_table import ResultTable, plain_table
-from bayescal._data.column import UNCERTAINTY
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model.frame import derived
@@ -110,10 +109,10 @@ def unknown_rows(
 
 
 def chi_squared(calibration: Fitted) -> tuple[float, int, float]:
-    """Residuals against the known uncertainties: χ², its degrees of freedom, the chance of as much or more."""
-    known = calibration.readings[UNCERTAINTY]
-    squares = float(np.sum((np.asarray(calibration.linear.settled) / known) ** 2))
-    freedom = len(known) - len(calibration.linear.owners)
+    """Return χ² of the residuals against their variance, its degrees of freedom, the chance of as much or more."""
+    linear = calibration.linear
+    squares = float(np.sum(linear.residual**2 / linear.variance))
+    freedom = linear.size - len(linear.owners)
     chance = float(chdtrc(freedom, squares)) if freedom > 0 else float("nan")
     return squares, freedom, chance
 

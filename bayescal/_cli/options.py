@@ -178,7 +178,7 @@ HELP = {
     "first_order": "Propagate mean and covariance, as exports do, not draws.",
     "fix": "bias.temperature=0.041: hold an unknown at a value, in its unit; repeat.",
     "format_": (
-        "json, c, python or html (a page with sliders), else by the suffix of --out; of three axes yaml (Kalibr), "
+        "json, c or python, else by the suffix of --out; of three axes yaml (Kalibr), "
         "openvins, realsense, ros; px4-params or ardupilot-params; dcc."
     ),
     "holdout": "Hold-out data, only read after the last step; repeat for more.",

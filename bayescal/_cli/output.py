@@ -31,8 +31,6 @@ from bayescal._search.search_path import Step
 # Lines of a table without --verbose, so that a result is a screen.
 SHOWN_STRUCTURES = 2  # of those averaged over
 SHOWN_CHECKS = 3  # covariates that a first model is checked against, the worst
-# Of a 95 % interval in standard uncertainties: 3.9 of a normal distribution, 3.3 of a uniform one.
-NARROW = 2.4
 
 
 def instruments_listed(known: Mapping[str, Instrument]) -> tuple[str, dict[str, Any]]:
@@ -273,15 +271,7 @@ def averaged_text(trail: SearchPath, verbose: bool = False) -> str:
         others = f"{len(shares) - SHOWN_STRUCTURES} others"
         shares[SHOWN_STRUCTURES:] = [(others, probability(more))]
     named = ", ".join(f"{name} {share}" for name, share in shares)
-    far = " (± holds draws far off, the interval hardly)" * _far_off(trail)
-    return _filled(f"averaged over {named}{far}; --structure best uses the first alone")
-
-
-def _far_off(trail: SearchPath) -> bool:
-    """Whether draws that a 95 % interval leaves out make most of some uncertainty."""
-    shown = trail.final.calibration.model.names
-    rows = (row for part in summary(trail.calibration) for row in part if row["effect"] in shown)
-    return any(row["interval95"][1] - row["interval95"][0] < NARROW * row["sd"] for row in rows)
+    return _filled(f"averaged over {named}; --structure best uses the first alone")
 
 
 def channels_text(found: Channels) -> str:

@@ -201,14 +201,13 @@ def reference_of(given: list[str] | None, readings: Measurements) -> Reference:
     Raises:
         InputError: these readings have no such constant.
     """
-    from bayescal._model.frame import reference_of as constants_of
+    from bayescal._model.frame import constants_of
 
-    reference = named_numbers(given, "--reference")
-    known = [n for n, value in constants_of(readings).items() if not isinstance(value, dict)]
+    reference, known = named_numbers(given, "--reference"), constants_of(readings)
     if unknown := [name for name in reference if name not in known]:
         raise InputError(
             f"--reference {unknown[0]}: the bases of these readings have no constant {unknown[0]!r}; "
-            f"they have: {', '.join(known)}"
+            f"they have: {', '.join(sorted(known))}"
         )
     return dict(reference)
 

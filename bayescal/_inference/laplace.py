@@ -28,6 +28,9 @@ STARTS = 64  # prior draws of φ among which the start is chosen,
 AHEAD = np.arange(-3.5, 3.5, 0.02)  # where along a shape of many maxima a higher one may be
 HALVINGS = 8  # of a step that makes things worse
 CURVED, LEAST_CURVATURE = 1e-3, 0.05  # step for the curvature; the least that counts as one
+SPREAD_SHARE = (
+    0.1  # of a direction's squared length beside spreads, up to which it is one of spreads
+)
 STEP_VARIANCE, FINEST = 0.1, 1e-5  # of a step's square over the variance there, at most; of a step
 CLIMB, LONGEST_STEP_SD = 100, 1.5  # steps uphill at most; the longest, in prior standard deviations
 NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
@@ -345,7 +348,10 @@ def with_fit(problem: Problem, mode: Mode) -> Mode:
 def gaussian_fit(
     density: Density, v: np.ndarray, quick: bool = False
 ) -> tuple[np.ndarray, float, bool]:
-    """Covariance of the Gaussian fit at a mode, its log volume, and whether the curvature had to be mended."""
+    """Covariance of the Gaussian fit at a mode, its log volume, and whether the curvature had to be mended.
+
+    Where it is that of spreads alone, which lies flat on the way to zero, it does not count as mended.
+    """
     # Laplace: log ∫p ≈ log p(φ̂) + ½·d·log 2π − ½·log|H|, H minus the curvature of log p at φ̂ (L. Tierney and J.
     # Kadane, JASA 81 (1986) 82).
     here = density.slope(v)[1] if quick else None
@@ -361,7 +367,10 @@ def gaussian_fit(
     covariance = (vectors / mended) @ vectors.T
     covariance = 0.5 * (covariance + covariance.T)
     volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(mended)))
-    return covariance, volume, bool(np.any(weights < LEAST_CURVATURE))
+    # That of a spread alone says no more than that it may be zero.
+    others = np.array([kind != "group_sd" for kind in density.problem.kinds])
+    share = np.sum(vectors[others] ** 2, axis=0)
+    return covariance, volume, bool(np.any((weights < LEAST_CURVATURE) & (share > SPREAD_SHARE)))
 
 
 def curvature(

@@ -27,7 +27,7 @@ from bayescal._inference.density import Density, by_parameter, turn
 from bayescal._inference.gaussian import LOG_2PI, Prior
 from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.method import CHAINS, Draws, Method, Outcome, Verdict
-from bayescal._inference.noise_on_record import Independent, Whitening, whitening
+from bayescal._inference.noise_on_record import Independent, Whitening, variance, whitening
 from bayescal._inference.problem import ABSENT, LARGEST_COORDINATE, Problem, differences
 from bayescal._model import forward
 from bayescal._model.composition import Linearised
@@ -240,18 +240,27 @@ class _Refinement:
         )
 
     def table(self, theta: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray | float]:
-        """Slopes by θ beside what the expected output leaves, and the variance that noise on inputs adds."""
-        size = self.problem.size
+        """Return slopes by θ beside what the expected output leaves, and the variance that noise on inputs adds.
 
-        def linearised(located: np.ndarray) -> Linearised:
-            return self.problem.linearise(
-                theta[:size], self.problem.hyper(_put(located, self.places, v))
-            )
+        With noise on inputs the slopes are those of the whitened residuals, whose variance s² moves with θ:
+        −s·∂(r/s) = ∂μ + ½·r·∂s²/s². Of a straight line that is ∂μ at the adjusted inputs.
+        Source: ISO/TS 28037:2010, 7; D. York, Can. J. Phys. 44 (1966) 1079.
+        """
+        problem, size = self.problem, self.problem.size
 
-        line = linearised(theta[size:])
-        moved = differences(lambda w: linearised(w).mean, theta[size:], SHIFT)
-        rest = self.problem.record.y - line.mean
-        return np.column_stack([line.jacobian, *moved, rest]), self.density.extra(line)
+        def linearised(at: np.ndarray) -> Linearised:
+            return problem.linearise(at[:size], problem.hyper(_put(at[size:], self.places, v)))
+
+        line, x = linearised(theta), theta[:size]
+        moved = differences(lambda w: linearised(np.append(x, w)).mean, theta[size:], SHIFT)
+        rest, extra = problem.record.y - line.mean, problem.extra(line)
+        found = np.column_stack([line.jacobian, *moved, rest])
+        if problem.noisy:
+            total = variance(problem.noise, problem.hyper(v), problem.record) + extra
+            steps = SHIFT * self.prior(v).sd
+            by_theta = differences(lambda at: problem.extra(linearised(at)), theta, steps)
+            found[:, :-1] += 0.5 * (rest / total)[:, None] * by_theta.T
+        return found, extra
 
     def whiten(self, v: np.ndarray, extra: Any, left: np.ndarray) -> Whitening | Independent:
         problem = self.problem
@@ -261,11 +270,11 @@ class _Refinement:
         """θ by least squares of the whitened residuals and the prior's, given the scales in v."""
         if not theta.size:
             return theta, True
-        prior, (first, extra) = self.prior(v), self.table(theta, v)
+        prior = self.prior(v)
         own = np.diag(prior.weight)
 
-        def look(at: np.ndarray, made: np.ndarray | None = None) -> tuple[float, QR]:
-            plain = self.table(at, v)[0] if made is None else made
+        def look(at: np.ndarray) -> tuple[float, QR]:
+            plain, extra = self.table(at, v)
             white = self.whiten(v, extra, plain[:, -1])
             table = white(plain)
             # The prior is rows beside the readings: in steps of z = (θ − m)/s, [A·S; W]·step = [r; −z].
@@ -276,7 +285,7 @@ class _Refinement:
             beyond = white.beyond if isinstance(white, Independent) else 0.0
             return float(whole[:, -1] @ whole[:, -1]) + beyond, qr(whole)
 
-        cost, found = look(theta, first)
+        cost, found = look(theta)
         damping, best = 0.0, float(np.linalg.norm(found.inside))
         for _ in range(ROUND_STEPS):
             if not found.determined:
@@ -287,8 +296,7 @@ class _Refinement:
             # Relative offset: what of the residuals lies in the tangent plane, against all of them, has no units and
             # knows of no step length (D. Bates and D. Watts, Technometrics 23 (1981) 179).
             near = best <= GOOD_SHARE * math.sqrt(cost)
-            # With thermometer errors J is not quite the residuals' slope: a step that settles may cost a little.
-            settles = left < 0.8 * best and there < cost * (1 + (1e-6 if near else 1e-3))
+            settles = left < 0.8 * best and there < cost * (1 + 1e-6)
             if settles or (not near and there < cost):
                 theta, cost, found, best = trial, there, further, left
                 damping = 0.0 if damping < 1e-6 else 0.1 * damping
@@ -313,12 +321,10 @@ class _Refinement:
         for b in (b for b in layout.x_blocks if b.coefficient.flat):
             scale[b.start : b.start + b.size] = b.coefficient.size
         record = problem.record
-        extra = np.broadcast_to(self.table(begin, v)[1], record.y.shape)
         # Padded to one of a few lengths, for each of which it is compiled once.
         there = np.arange(record.padded_size) < record.size
-        y, extra = (jnp.asarray(record.longer(a)) for a in (record.y, extra))
         frame = jax.tree.unflatten(record.padded.form, record.padded.arrays)
-        readings = y, extra, jnp.asarray(there, float)
+        readings = jnp.asarray(record.longer(record.y)), jnp.asarray(there, float)
         steps = _by_optimistix(
             afar, layout, frame, readings, v, prior, begin, scale, tuple(self.places)
         )
@@ -463,14 +469,14 @@ class _Refinement:
             v: coordinates of all φ.
             root: of the covariance by Gauss–Newton.
         """
-        prior, extra = self.prior(v), self.table(theta, v)[1]
+        prior = self.prior(v)
         # Slopes of ½·(eᵀΣ⁻¹e + zᵀWz) by θ; their differences hold the second derivatives that Gauss–Newton leaves
         # out.
         tightness = prior.weight / prior.sd**2
 
         def slope(steps: np.ndarray) -> np.ndarray:
             at = theta + root @ steps
-            table = self.table(at, v)[0]
+            table, extra = self.table(at, v)
             table = self.whiten(v, extra, table[:, -1])(table)
             return root.T @ (tightness * (at - prior.mean) - table[:, :-1].T @ table[:, -1])
 
@@ -485,15 +491,15 @@ def _by_optimistix(afar, layout, frame, own, v, prior, begin, scale, places):
     """Steps (q,), in parts of `scale`, to the least squares of the whitened residuals and of the prior's."""
     import optimistix as optx  # a sixth of a second that only this needs
 
-    (y, extra, real), noise, size = own, layout.model.noise, layout.size
+    (y, real), noise, size = own, layout.model.noise, layout.size
     at_shapes = jnp.asarray(places, dtype=int)
 
     def residuals(z: Any, _: Any) -> Any:
         at = begin + scale * z
         hyper = forward.hyper_values(layout, v.at[at_shapes].set(at[size:]))
-        left = y - forward.mean(layout, frame, at[:size], hyper)
-        ordered, left, more = in_time(noise, frame, left, extra)
-        white, _ = noise.whiten(left[:, None], more, hyper, ordered)
+        mean, extra = forward.with_inputs(layout, frame, at[:size], hyper)
+        ordered, left = in_time(noise, frame, y - mean)
+        white, _ = noise.whiten(left[:, None], 0.0 if extra is None else extra, hyper, ordered)
         return jnp.append(real * white[:, 0], prior.weight * (at - prior.mean) / prior.sd)
 
     # From afar a trust region of steps, not of slopes.

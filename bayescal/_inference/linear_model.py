@@ -245,7 +245,8 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
     line = problem.linearise(mode.x, hyper)
     prior = problem.prior(hyper, mode.flat)
     _, found = density.at(mode.v)
-    x = mode.x if found is None else found.mean
+    # The variance that noise on inputs adds moves with x, which a step of Gauss–Newton does not know.
+    x = mode.x if found is None or problem.noisy else found.mean
     residual = problem.record.y - line.mean - line.jacobian @ (x - mode.x)
     columns, sd = [line.jacobian * prior.sd], [prior.sd]
     # To first order a shape is one more unknown: the slope of the output by its coordinate is its column, of prior

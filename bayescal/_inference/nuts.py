@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar
 
 import jax
@@ -15,7 +16,8 @@ from bayescal._core import deadline
 from bayescal._core.progress import stage
 from bayescal._data.measurements import Measurements
 from bayescal._inference import trust
-from bayescal._inference.laplace import NOTHING_KNOWN, find_mode
+from bayescal._inference.density import Density
+from bayescal._inference.laplace import NOTHING_KNOWN, Mode, find_mode
 from bayescal._inference.linear_model import sized
 from bayescal._inference.marginal import Marginal
 from bayescal._inference.method import Draws, Method, Outcome
@@ -61,7 +63,7 @@ class NUTS(Method):
         plan = Plan(self.warmup, self.draws, self.chains, self.dense)
         deadline.current().defer_interrupt()
         try:
-            ran, sites = sampled(program(layout, frame), (y,), plan, seed)
+            ran, sites = sampled(program(layout, frame), (y,), plan, seed, starts_about(problem, mode))
         except deadline.TimeIsUp as early:
             return Marginal().about_the_mode(problem, mode, seed, (), str(early))
         x, v = (np.asarray(sites[k]) for k in ("x", "v"))
@@ -70,13 +72,45 @@ class NUTS(Method):
         return Outcome(layout, Draws(x, v), mode, verdict, log_evidence=None)
 
 
+Starts = dict[
+    str, tuple[Callable[[Any], Any], Any, Any]
+]  # of each site: value of a coordinate, its mean and sd
+
+
+def starts_about(problem: Problem, mode: Mode) -> Starts:
+    """Return where chains begin: about the mode, a standard deviation to either side.
+
+    From draws of the priors they may end on another, far less probable hill: with noise on an input each steep line is
+    on one, since its slope widens the variance.
+    """
+    _, found = Density(problem, mode.x, mode.flat, mode.v).at(mode.v)
+    if found is None or not np.all(np.isfinite(mode.covariance)):
+        return {}
+    prior = problem.prior(problem.hyper(mode.v), mode.flat)
+    scale = np.where(prior.weight > 0, np.maximum(prior.sd, 1e-300), 1.0)
+    z, sd = (mode.x - prior.weight * prior.mean) / scale, np.sqrt(np.diag(found.covariance)) / scale
+    each = zip(problem.hypers, mode.v, np.sqrt(np.diag(mode.covariance)), strict=True)
+    starts: Starts = {h.name: (h.prior.value, at, wide) for h, at, wide in each}
+    for b in problem.layout.x_blocks:
+        own = slice(b.start, b.start + b.size)
+        name = b.name if b.coefficient.flat else f"{b.name}.standard"
+        starts[name] = (jnp.asarray, z[own], sd[own])
+    return starts
+
+
 def sampled(
-    model: Callable, arguments: tuple, plan: Plan, seed: int
+    model: Callable, arguments: tuple, plan: Plan, seed: int, starts: Starts
 ) -> tuple[Chains, dict[str, Array]]:
-    """NumPyro's NUTS on every unknown of a program: what it ran, and every site by name, (chains, draws, …)."""
+    """Run NumPyro's NUTS on every unknown of a program; also return every site by name, (chains, draws, …)."""
     from numpyro.infer import init_to_median  # half a second that only these chains need
 
-    kernel = plan.kernel(model, init_strategy=init_to_median(num_samples=50))
+    def begin(site: Any) -> Any:
+        if site["type"] != "sample" or site["name"] not in starts:
+            return init_to_median(site, num_samples=50)
+        value, at, wide = starts[site["name"]]
+        return value(at + wide * jax.random.normal(site["kwargs"]["rng_key"], np.shape(at)))
+
+    kernel = plan.kernel(model, init_strategy=partial(begin))
     with stage("NUTS on every unknown"):
         found = iterate(kernel, jax.random.key(seed), arguments, None, plan)
         place = jax.jit(jax.vmap(jax.vmap(kernel.postprocess_fn(arguments, {}))))

@@ -210,6 +210,13 @@ class Problem:
         sd = np.where(self.weight_of_x > 0, self.sizes.at(hyper, count), flat)
         return Prior(self.mean_of_x, sd, self.weight_of_x)
 
+    def member_sd(self, term: Term, hyper: Mapping[str, Any], count: int) -> Float[np.ndarray, "b"]:
+        """Return the prior standard deviation of one member's coefficient at each of `count` φ."""
+        if term.place == "x":
+            return self.sizes.at(hyper, (count,))[:, term.at.start]
+        sd = term.prior_sd if term.group_sd_name is None else hyper[term.group_sd_name]
+        return np.broadcast_to(sd, (count,))
+
     @property
     def start(self) -> Float[np.ndarray, "p"]:
         """x at its prior means; a constant that outputs are counted from stands at its origin, near which they are."""

@@ -64,6 +64,17 @@ class Coefficient:
     group_sd: HalfNormal | HalfCauchy | Flat | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.prior, Normal | Flat | Known):
+            raise ModelError(
+                f"a coefficient's prior is Normal, Flat or Known, not {_named(self.prior)}, since coefficients are "
+                "integrated out as Gaussian: give its mean and standard deviation, Normal(0.0, 0.05); what must be "
+                'positive is a shape, bayescal.Shape(…, scale="log")'
+            )
+        if not isinstance(self.group_sd, HalfNormal | HalfCauchy | Flat | None):
+            raise ModelError(
+                f"the prior of a standard deviation between groups is HalfNormal, HalfCauchy or Flat, not "
+                f"{_named(self.group_sd)}: give group_sd=HalfNormal(0.05)"
+            )
         if self.group_sd is not None and self.per is None:
             raise ValueError("a `group_sd` between groups needs a group: give `per`")
         if self.per == READING and self.group_sd is not None:
@@ -319,6 +330,10 @@ class Effect:
         """
         own = {s.name: shapes[s.name] for s in self.column_shapes}
         return matrix(self.basis, len(self.coefficients), self.name, frame, own)
+
+
+def _named(prior: Any) -> str:
+    return prior.__name__ if isinstance(prior, type) else type(prior).__name__
 
 
 def with_forms(effects: Iterable[Effect]) -> Iterator[Effect]:

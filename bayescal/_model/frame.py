@@ -74,17 +74,17 @@ class Frame(eqx.Module):
         return self.columns[name]
 
     def centred(self, name: str = "temperature") -> Float[Array, "n"]:
-        """A column minus its reference value, such as T − T0, °C.
+        """Return a column minus its reference value, such as T − T0: of one not in °C the middle of its range.
 
         Raises:
-            ModelError: it has none, since it is no temperature in °C.
+            ModelError: it is no numeric column.
         """
-        if reference_name(name) not in self.reference:
-            raise ModelError(
-                f"the column {name!r} has no reference value, which columns in [degC] have: declare it in [degC], or "
-                f'subtract a constant of your own: r["{name}"] - 1013.0'
-            )
-        return self.columns[name] - self.reference[reference_name(name)]
+        constant, low, high = reference_name(name), f"{name}_low", f"{name}_high"
+        if constant in self.reference:
+            return self.columns[name] - self.reference[constant]
+        if low not in self.reference:
+            raise ModelError(f"the column {name!r} is none of numbers: {', '.join(self.columns)}")
+        return self.columns[name] - 0.5 * (self.reference[low] + self.reference[high])
 
     def has_label(self, name: str, label: str) -> Float[Array, "n"]:
         """1 where the column of text `name` reads `label`, 0 elsewhere.
@@ -109,7 +109,16 @@ class Frame(eqx.Module):
         return (values - low) / (span + (span <= 0))  # one, where it does not vary
 
     def rate(self, name: str = "temperature") -> Float[Array, "n"]:
-        """dT/dt, causal least-squares slope within the run, °C/s."""
+        """Return dT/dt, the causal least-squares slope within the run, °C/s.
+
+        Raises:
+            ModelError: the column has none, since it is not in °C.
+        """
+        if name not in self.rates:
+            raise ModelError(
+                f"the column {name!r} has no rate, which columns in [degC] have where there is time: "
+                f"{', '.join(self.rates) or 'here none'}"
+            )
         return self.rates[name]
 
     @property
@@ -254,6 +263,12 @@ def reference_of(readings: Measurements) -> Reference:
         starts = first_times(time, codes, len(levels)).tolist()
         found["run_starts"] = dict(zip(levels, starts, strict=True))
     return found
+
+
+def constants_of(readings: Measurements) -> set[str]:
+    """Return the names of the constants that bases may have on these readings, those that are only asked for too."""
+    own = {reference_name(n) for n in readings.columns if readings.unit(n)}
+    return own | {n for n, value in reference_of(readings).items() if not isinstance(value, dict)}
 
 
 def _round_middle(values: np.ndarray) -> float:

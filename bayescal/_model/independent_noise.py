@@ -8,11 +8,12 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.special import betainc, gammaln
 from jaxtyping import Array, Float
 
 from bayescal._data.column import UNCERTAINTY
-from bayescal._model.frame import Frame
+from bayescal._model.frame import Frame, reference_name
 from bayescal._model.noise_law import (
     WHITE,
     Noise,
@@ -26,6 +27,10 @@ from bayescal._model.prior import HalfCauchy, LogNormal, Normal, Positive
 # Column of a frame that holds where readings stand along what scatter follows.
 FOLLOWED = "followed"
 SLOPE, CURVATURE = "noise.slope", "noise.curvature"
+PROPORTIONAL = "noise.proportional"
+RATIO = (
+    3.0  # of a column's largest size to its least, from which a proportion to it is no exponential
+)
 FREEDOM = "noise.freedom"
 LEAST_FREEDOM = 2.1  # below 2 the variance does not exist
 
@@ -68,16 +73,21 @@ class Heteroscedastic(Noise):
     with a = 1 the scatter grows by e² from one end to the other.
     Source: A. Harvey, Econometrica 44 (1976) 461 (multiplicative heteroscedasticity).
 
+    Or in proportion to the column beside a floor, as data sheets state it (of the reading, and of the span):
+    σᵢ² = σ² + p²·(x/x_max)², p `noise.proportional`, x_max the largest |x| at the fit.
+
     Attributes:
         column: a numeric column, "elapsed", or a rate such as "temperature rate".
-        scale: prior of σ, output unit.
+        scale: prior of σ, and of p, output unit.
         slope, curvature: priors of a and b.
+        proportional: whether it is in proportion to the column.
     """
 
     column: str
     scale: Positive = HalfCauchy(1.0)
     slope: Normal = Normal(0.0, 1.0)
     curvature: Normal = Normal(0.0, 1.0)
+    proportional: bool = False
     gaussian: ClassVar[bool] = True
     law: ClassVar[str] = "heteroscedastic"
 
@@ -86,20 +96,25 @@ class Heteroscedastic(Noise):
         return followed_columns(self.column)
 
     @property
+    def covariates(self) -> tuple[str, ...]:
+        return (self.column,)
+
+    @property
     def name(self) -> str:
-        return f"{self.law}({self.column})"
+        return f"{self.law}({self.column}{', proportional' * self.proportional})"
 
     @property
     def in_words(self) -> str:
-        return f"scatter follows {self.column}"
+        return f"scatter {'in proportion to' if self.proportional else 'follows'} {self.column}"
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
-        return (WHITE,)
+        return (WHITE, PROPORTIONAL) if self.proportional else (WHITE,)
 
     def on(self, frame: Frame) -> tuple[Noise, Frame]:
         """The law along a column that is its own column's place: one program serves all columns."""
-        place, (law, own) = frame.position(self.column), (self.plain, frame.only(()))
+        law, own = self.plain, frame.only(())
+        place = self._share(frame) if self.proportional else frame.position(self.column)
         own = replace(
             own,
             columns={**own.columns, FOLLOWED: place},
@@ -107,14 +122,25 @@ class Heteroscedastic(Noise):
         )
         return replace(law, column=FOLLOWED), own
 
+    def _share(self, frame: Frame) -> Float[Array, "n"]:
+        """Return the size of the column, in parts of the largest at the fit."""
+        ends = (jnp.abs(frame.reference[f"{self.column}_{end}"]) for end in ("low", "high"))
+        return jnp.abs(frame.columns[self.column]) / jnp.maximum(*ends)
+
     def parameters(self) -> dict[str, Positive | Normal]:
+        if self.proportional:
+            return {WHITE: self.scale, PROPORTIONAL: self.scale}
         return {WHITE: self.scale, SLOPE: self.slope, CURVATURE: self.curvature}
 
     def unit(self, name: str, output: str) -> str:
-        return output if name == WHITE else "1"
+        return "1" if name in (SLOPE, CURVATURE) else output
 
     def variance(self, parameters, frame):
-        return scattered_variance(parameters, frame, self.column)
+        if not self.proportional:
+            return scattered_variance(parameters, frame, self.column)
+        return (
+            own_variance(parameters, frame) + (parameters[PROPORTIONAL] * self._share(frame)) ** 2
+        )
 
 
 def followed_columns(column: str) -> tuple[str, ...]:
@@ -136,11 +162,17 @@ def scattered_variance(parameters: Parameters, frame: Frame, column: str) -> Flo
 
 @offered
 def _for_each_column(scale: Positive, frame: Frame) -> list[Noise]:
-    """One law for each column or rate that varies."""
-    reference = frame.reference
-    ranged = [name.removesuffix("_low") for name in reference if name.endswith("_low")]
-    varied = [n for n in ranged if float(reference[f"{n}_high"]) > float(reference[f"{n}_low"])]
-    return [Heteroscedastic(column, scale) for column in varied]
+    """One law for each column or rate that varies; one more for a column of sizes, whose zero is no convention."""
+    reference, found = frame.reference, list[Noise]()
+    for column in (name.removesuffix("_low") for name in reference if name.endswith("_low")):
+        low, high = (float(reference[f"{column}_{end}"]) for end in ("low", "high"))
+        sizes = column in frame.columns and column not in ("time", "elapsed")
+        sizes &= reference_name(column) not in reference  # no temperature
+        if high > low:
+            found.append(Heteroscedastic(column, scale))
+            if sizes and (low * high <= 0 or max(high / low, low / high) > RATIO):
+                found.append(Heteroscedastic(column, scale, proportional=True))
+    return found
 
 
 class StudentT(Noise):
@@ -219,6 +251,12 @@ class Quantised(Noise):
 
     def parameters(self) -> dict[str, Positive]:
         return {WHITE: self.scale}
+
+    def why_not(self, output):
+        least = float(np.min(np.diff(np.unique(output)), initial=math.inf))
+        if least > 0.5 * self.step:
+            return ""
+        return f"outputs that are {least:.3g} apart were not rounded in steps of {self.step:.3g}"
 
     def variance(self, parameters, frame):
         # A rounding error is about uniform over a step, of variance step²/12 (B. Widrow and I. Kollár, Quantization

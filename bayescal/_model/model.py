@@ -17,7 +17,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.unit_conversion import ANY, unit_label
 from bayescal._model.effect import READING, Coefficient, Effect
 from bayescal._model.formula import require_units
-from bayescal._model.frame import GROUPS
+from bayescal._model.frame import GROUPS, derived
 from bayescal._model.instrument import Instrument, factor_of
 from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.prior import Normal
@@ -233,6 +233,18 @@ class Model(Printed):
                 raise ModelError(
                     f"{self.noise.law} noise needs the column {column!r}, which {readings.file} lacks: record it, "
                     "or use White() noise"
+                )
+        if why := self.noise.why_not(readings[readings.output]):
+            raise ModelError(
+                f"{self.noise.name} noise does not fit {readings.file}: {why}. Give the step in [{own}], or use "
+                "White() noise"
+            )
+        followed = derived(readings, every=True) if self.noise.covariates else {}
+        for name in self.noise.covariates:
+            if name not in followed:
+                raise ModelError(
+                    f"{self.noise.name} noise follows {name!r}, which is none of what varies in {readings.file}: "
+                    f"{', '.join(followed)}. Name one of these (elapsed needs several runs)"
                 )
         if self.noise_as_stated and not (
             readings.has(UNCERTAINTY) and np.all(readings[UNCERTAINTY] > 0)

@@ -98,6 +98,11 @@ class Noise(abc.ABC):
         return () if self.independent else ("time",)
 
     @property
+    def covariates(self) -> tuple[str, ...]:
+        """What it follows: numeric columns, "elapsed", or rates such as "temperature rate"."""
+        return ()
+
+    @property
     def name(self) -> str:
         """The law, with the column that it follows."""
         return self.law
@@ -128,6 +133,10 @@ class Noise(abc.ABC):
     def on(self, frame: Frame) -> tuple[Noise, Frame]:
         """The law with its usual priors and what it takes of readings: those of one form share compiled programs."""
         return self.plain, frame.only(self.needs)
+
+    def why_not(self, output: Float[np.ndarray, "n"]) -> str:
+        """Return why readings cannot scatter so, in words; empty where they can."""
+        return ""
 
     def derived(self, values: Parameters) -> dict[str, Any]:
         """Further numbers that its parameters come to, by name, output unit."""

@@ -75,6 +75,10 @@ class SumOfTerms(Noise, interface=True):
         more += followed_columns(self.scatter) if self.scatter else ()
         return tuple(dict.fromkeys(("time", *more)))
 
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        return tuple(name for name in (self.column, self.scatter) if name)
+
     def followed(self, frame):
         return 2 * frame.position(self.column) - 1 if self.column else None
 

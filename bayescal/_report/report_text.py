@@ -40,6 +40,7 @@ from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUn
 from bayescal._model.unknown_effect import FORMS, along_and_form, covariate_in
 from bayescal._report.section import Chapter
 from bayescal._search.discover import is_quiet, not_tested
+from bayescal._search.gate import WORSE
 from bayescal._search.search_path import rises, steps_table
 
 K = 2.0  # coverage factor of every expanded uncertainty in a report
@@ -534,12 +535,16 @@ def _error(chapter: Chapter) -> str:
     """The error of the first model and of the last, where it says most: hold-out data, left-out groups, the fit."""
     steps, unit = chapter.data["steps"], unit_label(chapter.calibration.unit)
     first, last = steps[0], steps[-1]
+    outs = [s["leave_one_group_out"] for s in (first, last)]
+    # A group may be predicted worse because it lacks its past, or where readings weigh little: no loss to the gate.
+    rose = all(outs) and outs[1]["rmse"] > outs[0]["rmse"]
+    told = not rose or any(c["code"] == WORSE for c in chapter.data["gate"].get("claims", ()))
 
     def of(step: dict[str, Any]) -> tuple[str, float | None]:
         left_out = step["leave_one_group_out"]
         if step["holdout_rmse"] is not None:
             return "on the hold-out data", step["holdout_rmse"]
-        if left_out is not None:
+        if left_out is not None and told:
             group = left_out["group"].replace("_", " ")
             return f"of each {group}, predicted from the others,", left_out["rmse"]
         return "as fitted", step["rmse_fitted"]

@@ -6,7 +6,6 @@ import math
 import platform
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,8 @@ SCHEMA = "bayescal.result/2"
 # A step's key of the noise → the unknown of a law, where it has it.
 OF_NOISE = {
     **{"white": "white", "correlated": "correlated", "diffusion": "diffusion"},
-    **{"tau": "correlated.time", "slope": "slope", "curvature": "curvature", "freedom": "freedom"},
+    **{"tau": "correlated.time", "slope": "slope", "curvature": "curvature"},
+    **{"proportional": "proportional", "freedom": "freedom"},
 }
 AVERAGED = ("mean", "sd", "interval95", "probability", "given")  # of an unknown, over structures
 FORMER = "bayescal.result/1"  # of 0.2.0, where `hyperparameters` were `spreads`
@@ -49,11 +49,14 @@ PACKAGES = (
 def result(trail: SearchPath) -> dict[str, Any]:
     """Everything that a calibration found, as plain data."""
     final = trail.final.calibration
-    coefficients, hyperparameters = summary(final)
-    averaged = () if trail.average is None else chain(*summary(trail.average))
-    known = {r["name"]: {k: r[k] for k in AVERAGED} for r in averaged}
+    further = {*trail.calibration.model.names} - {*final.model.names}
+    coefficients, hyperparameters = (
+        [row for row in rows if row["effect"].partition("[")[0] not in further]
+        for rows in summary(trail.calibration)
+    )
     for row in (*coefficients, *hyperparameters):
-        row["averaged"] = known.get(row["name"])
+        averaged = {k: row[k] for k in AVERAGED}
+        row["averaged"] = None if trail.average is None else averaged
         del row["probability"], row["given"]  # of a single structure: one, and the same
     found: dict[str, list[dict[str, Any]]] = {k: [] for k in ("check", "pairs", "allan", "missing")}
     for i, step in enumerate(trail.steps):

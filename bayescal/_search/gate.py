@@ -243,18 +243,19 @@ def _runs_apart(step: Step) -> list[Claim]:
 def left_out_better(last: Step, earlier: Sequence[Step]) -> Step | None:
     """The one of some steps that predicted groups from the others best, if better than the last beyond chance.
 
-    By the error, of which a twentieth is no rise, and by the joint predictive density of the groups: if the last model
-    is right, another's is k times as high with probability 1/k at most (Markov's inequality; the ratio's mean is one).
+    By the error, of which a twentieth is no rise, readings weighted as the last model expects them; and by the joint
+    predictive density of the groups: if the last model is right, another's is k times as high with probability 1/k at
+    most (Markov's inequality; the ratio's mean is one).
     """
-    known = [(s.left_out.rmse, s) for s in earlier if s.left_out]
-    if last.left_out is None or not known:
+    if (out := last.left_out) is None:
         return None
-    error, best = min(known, key=lambda one: one[0])
-    if last.left_out.rmse <= WORSE_RATIO * error or best.left_out is None:
+    known = [(s.left_out.error(out.variance), s) for s in earlier if s.left_out]
+    error, best = min(known, key=lambda one: one[0], default=(math.inf, last))
+    if out.error(out.variance) <= WORSE_RATIO * error or best.left_out is None:
         return None
     # Of densities of whole groups, joint over their readings: correlated noise makes readings of one group no
     # separate evidence.
-    ratio = float(np.sum(best.left_out.log_score - last.left_out.log_score))
+    ratio = float(np.sum(best.left_out.log_score - out.log_score))
     return None if ratio <= -math.log(settings().holdout_p) else best
 
 

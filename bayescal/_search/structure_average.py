@@ -1,8 +1,11 @@
 """The average over structures: draws of each in proportion to its probability, in one model that holds all of them.
 
-An interval of one structure does not hold what is not known of the structure. In the model that has the effects of all
-structures, a draw of one of them is a draw whose other coefficients are zero: so everything that is computed from draws
-(predictions, compensation, budgets, exports) is averaged without knowing it.
+An interval of one structure does not hold what is not known of the structure. The average is over the structures of the
+95 % credible set that have what is found to be missing. The draws of others are few and may be far off: with them a
+mean could lie outside of its own interval, and a standard uncertainty be many times what the interval shows.
+
+In the model that has the effects of all structures, a draw of one of them is a draw whose other coefficients are zero:
+so everything that is computed from draws (predictions, compensation, budgets, exports) is averaged without knowing it.
 Source: J. Hoeting et al., Statist. Sci. 14 (1999) 382 (Bayesian model averaging).
 """
 
@@ -84,7 +87,7 @@ def averaged(
 
 
 def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
-    """Sets of effects that take part, the most probable first, and their parts, which sum to one."""
+    """Return the sets of effects that take part, the most probable first, and their parts, which sum to one."""
     posterior, mass = Posterior.of(structures), dict[frozenset[str], float]()
     for s, probability in zip(posterior.structures, posterior.probability, strict=True):
         if s in posterior.refitted:
@@ -92,14 +95,18 @@ def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
             # last model.
             mass[s.effects] = mass.get(s.effects, 0.0) + float(probability)
     barred = structures.barred(Structure(noise=noise))
-    kept = {
-        e: p
-        for e, p in mass.items()
-        if p >= settings().averaged_probability and e.isdisjoint(barred)
-    }
-    order = sorted(kept, key=lambda e: -kept[e])
-    total = sum(kept.values())
-    return tuple(StructureShare(tuple(sorted(e)), kept[e] / total) for e in order)
+    found = [frozenset(f.effects) for f in posterior.findings]
+    kept, total = list[tuple[frozenset[str], float]](), 0.0
+    for effects in sorted(mass, key=lambda e: -mass[e]):
+        there, enough = posterior.families(effects), settings().found_probability
+        if total < enough and not any(f.isdisjoint(there) for f in found):
+            kept.append((effects, mass[effects]))
+        total += mass[effects] / sum(mass.values())
+    kept = [
+        (e, p) for e, p in kept if p >= settings().averaged_probability and e.isdisjoint(barred)
+    ]
+    whole = sum(p for _, p in kept)
+    return tuple(StructureShare(tuple(sorted(e)), p / whole) for e, p in kept)
 
 
 def _drawn(weighed: Weighed, count: int, probability: float, seed: int) -> _Values:

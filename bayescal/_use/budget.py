@@ -261,6 +261,8 @@ def budget(
     every = posterior_moments(
         chosen._equation, chosen._calibration, ALL_DRAWS, chosen._calibration.seed
     )
+    places = {name: np.array([value]) for name, value in point.items()}
+    noise = float(chosen.noise_variance(places)[0]) ** 0.5 / abs(found.slope)
     untold = not_measured(chosen._calibration, (every.draws @ gradient)[:, None])
     said = () if untold is None else (f"Most of it is prior: {untold}. {untold.cure}.",)
     return Budget(
@@ -271,7 +273,7 @@ def budget(
         reading=found.expected,
         output_unit=chosen.output_unit,
         uncertainty=variance**0.5,
-        noise=chosen.noise / abs(found.slope),
+        noise=noise,
         k=float(k),
         coefficients=_by_coefficient(chosen, gradient, variance),
         sources=_by_source(chosen, point, gradient, variance),

@@ -6,7 +6,7 @@ The equation in use is traced to a graph of scalar operations (`expression_graph
 
 The stimulus solves expected(s) = reading: one Newton step from 0 where the equation is a straight line in s, up to
 `STEPS` otherwise. Its standard uncertainty is √(gᵀCg), g = −gradient/slope, C = LLᵀ the posterior covariance of θ;
-√(gᵀCg + (noise/slope)²) with the noise of one reading (JCGM 100, 5.2.2).
+√(gᵀCg + noise/slope²) with the noise of one reading, a variance by the noise law at s and the inputs (JCGM 100, 5.2.2).
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse, kept_why
 from bayescal._use.expression_graph import Graph, NotExportable, trace
 from bayescal._use.operating_equation import (
     Folded,
+    NoiseInUse,
     OperatingEquation,
     PosteriorMoments,
     Scalars,
@@ -390,8 +391,9 @@ def _left_out(calibration: Calibration, equation: OperatingEquation, left: Folde
     )
 
 
-SCHEMA, VERSION = "bayescal.compensator", 2
-READ = (1, 2)  # 1 knew no lag slopes, and left the uncertainty of a time constant out of its lag
+SCHEMA, VERSION = "bayescal.compensator", 3
+# 1 knew no lag slopes, and left the uncertainty of a time constant out of its lag; 1 and 2 had one noise everywhere.
+READ = (1, 2, 3)
 STIMULUS = "(stimulus)"  # its name as an input of the graph
 STEPS = 20  # of Newton
 AGAIN = "Export it again"
@@ -425,13 +427,14 @@ SHAPE = {
     "stimulus_range": OneOf(None, (float, float)),
     "unknowns": [{"name": str, "unit": str, "mean": float}],
     "covariance": [[float]],
-    "noise": float,
+    "noise?": float,
     "affine": bool,
     "equation": {
         "operations": [[OneOf(str, bool, int, float)]],
         "expected": int,
         "slope": int,
         "gradient": [int],
+        "noise?": int,
     },
 }
 
@@ -455,9 +458,9 @@ class CompensationProgram(CorrectionInUse):
         stimulus_range: in the calibration; None where the stimulus was not varied or not a column.
         unknowns: whose covariance (p, p) it is, in reported units.
         covariance: their posterior covariance.
-        noise: standard deviation of one reading, output unit.
         affine: whether the equation is a straight line in the stimulus.
-        graph, expected, slope, gradient: the equation, and its nodes.
+        graph, expected, slope, gradient, noise: the equation, and its nodes; `noise` is the variance of one reading,
+            output unit squared.
     """
 
     about: Provenance
@@ -465,12 +468,12 @@ class CompensationProgram(CorrectionInUse):
     stimulus_range: tuple[float, float] | None
     unknowns: tuple[Unknown, ...]
     covariance: np.ndarray
-    noise: float
     affine: bool
     graph: Graph
     expected: int
     slope: int
     gradient: tuple[int, ...]
+    noise: int
 
     def about_it(self) -> tuple[str, tuple[str, ...], str]:
         return self.about.instrument, self.about.notes, self.about.why_not
@@ -527,6 +530,11 @@ class CompensationProgram(CorrectionInUse):
         size = np.abs(np.broadcast_to(slope, target.shape))
         return s, np.sqrt(square) / size, 1 / size
 
+    def noise_variance(self, stimulus: np.ndarray, inputs: Mapping[str, Any]) -> np.ndarray:
+        """Return the variance of one reading's noise, output unit squared, (n,)."""
+        (found,) = self.graph.evaluate([self.noise], {**inputs, STIMULUS: stimulus})
+        return np.broadcast_to(found, stimulus.shape)
+
     def data(self) -> dict[str, Any]:
         """As JSON, with schema and version."""
         return {
@@ -537,13 +545,13 @@ class CompensationProgram(CorrectionInUse):
             "stimulus_range": self.stimulus_range,
             "unknowns": as_json(self.unknowns),
             "covariance": self.covariance.tolist(),
-            "noise": self.noise,
             "affine": self.affine,
             "equation": {
                 "operations": self.graph.data(),
                 "expected": self.expected,
                 "slope": self.slope,
                 "gradient": list(self.gradient),
+                "noise": self.noise,
             },
         }
 
@@ -557,8 +565,7 @@ def from_data(data: Any, file: str) -> CompensationProgram:
     if data.get("version") not in READ:
         raise InputError(
             f"{file} is a compensator of version {data.get('version')!r}, this bayescal reads "
-            f"{' and '.join(map(str, READ))}: "
-            "export it again"
+            f"{READ[0]} to {READ[-1]}: export it again"
         )
     required(data, SHAPE, file, AGAIN)
     equation = data["equation"]
@@ -574,12 +581,15 @@ def from_data(data: Any, file: str) -> CompensationProgram:
             covariance=np.array(data["covariance"], dtype=float).reshape(
                 len(data["covariance"]), len(data["unknowns"])
             ),
-            noise=float(data["noise"]),
             affine=data["affine"],
             graph=graph,
             expected=_place(equation["expected"], graph),
             slope=_place(equation["slope"], graph),
             gradient=tuple(_place(p, graph) for p in equation["gradient"]),
+            noise=_place(
+                graph.constant(data["noise"] ** 2) if "noise" in data else equation.get("noise"),
+                graph,
+            ),
         )
         _refuse_torn(program)
     except (InputError, ValueError) as error:
@@ -621,13 +631,13 @@ def program_of(
     inputs: Sequence[Input],
     *,
     stimulus_range: tuple[float, float] | None,
-    noise: float,
+    noise: NoiseInUse,
     about: Provenance,
 ) -> CompensationProgram:
-    """Trace an equation in use and its derivatives.
+    """Trace an equation in use, its derivatives and the noise of one reading.
 
     Raises:
-        ModelError: an effect is made of operations that firmware has no form of; named.
+        ModelError: an effect, or the noise law, is made of operations that firmware has no form of; named.
     """
     graph, unknowns = Graph(), equation.unknowns()
     theta = {u.key: jnp.asarray(m) for u, m in zip(unknowns, moments.mean, strict=True)}
@@ -635,12 +645,17 @@ def program_of(
     ones = {n: jnp.ones(()) for n in names}
     places = [graph.input(STIMULUS), *(graph.input(n) for n in names)]
     derivatives = _with_derivatives(equation, theta)
+
+    def of_noise(s: Any, given: Scalars) -> Any:
+        return noise.level * equation.noise_variance(noise.law, s, given)
+
     try:
         expected, slope, *gradient = trace(graph, derivatives, (jnp.ones(()), ones), places)
+        (own,) = trace(graph, of_noise, (jnp.ones(()), ones), places)
     except NotExportable as error:
         raise ModelError(_blame(equation, theta, str(error))) from None
     acting = [i for i, node in enumerate(gradient) if graph.value(node) != 0]
-    small, moved = graph.part([expected, slope, *(gradient[i] for i in acting)])
+    small, moved = graph.part([expected, slope, own, *(gradient[i] for i in acting)])
     needed = {n.value for n in small.nodes if n.op == "input"}
     return CompensationProgram(
         about=about,
@@ -650,12 +665,12 @@ def program_of(
             Unknown(unknowns[i].name, unknowns[i].unit, float(moments.mean[i])) for i in acting
         ),
         covariance=moments.covariance[np.ix_(acting, acting)],
-        noise=noise,
         affine=graph.input(STIMULUS) not in graph.needed([slope]),
         graph=small,
         expected=moved[0],
         slope=moved[1],
-        gradient=tuple(moved[2:]),
+        gradient=tuple(moved[3:]),
+        noise=moved[2],
     )
 
 
@@ -698,4 +713,8 @@ def _blame(equation: OperatingEquation, theta: Scalars, reason: str) -> str:
                 "powers, exp, sin and jnp.where, take the effect out (model - name) and fit again, or "
                 "compensate in Python: bayescal compensate"
             )
-    return f"the equation cannot be exported: {reason}. Compensate in Python: bayescal compensate"
+    law = equation.layout.model.noise.name
+    return (
+        f"neither the equation nor the {law} noise can be exported: {reason}. Compensate in Python: "
+        "bayescal compensate"
+    )

@@ -38,10 +38,13 @@ from bayescal._use.compensation_program import (
 )
 from bayescal._use.correction_files import as_text, format_of, kind_of, load_correction
 from bayescal._use.operating_equation import (
+    NoiseInUse,
     OperatingEquation,
     PosteriorMoments,
     equation_in_use,
     folded,
+    noise_in_use,
+    noise_variances,
     posterior_moments,
 )
 
@@ -128,8 +131,8 @@ class Compensator:
                 self._equation, self._moments, given, record, by_draws=method == "draws"
             )
         if noise:
-            spread = self.noise**2 + given.get(UNCERTAINTY, np.zeros(1)) ** 2
-            variance = variance + inclination * spread
+            own = self.noise_variance({**given, self.stimulus: value})
+            variance = variance + inclination * (own + given.get(UNCERTAINTY, np.zeros(1)) ** 2)
         masks = outside(self._ranges, {**given, self.stimulus: value})
         if warn and masks:
             warn_outside(masks, self.calibrated)
@@ -161,14 +164,15 @@ class Compensator:
     def output_unit(self) -> str:
         return self.loaded.about.output_unit if self.loaded else self._calibration.unit
 
-    @cached_property
-    def noise(self) -> float:
-        """Standard deviation of the noise of one reading, output unit; of one that follows a column, over the fit."""
-        return (
-            self.loaded.noise
-            if self.loaded
-            else operating_equation.noise_variance(self._calibration) ** 0.5
-        )
+    def noise_variance(self, places: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return the variance of one reading's noise by the noise law, output unit squared, (n,).
+
+        Args:
+            places: the stimulus and the inputs by name, fixed units, (n,) each.
+        """
+        if self.loaded:
+            return self.loaded.noise_variance(places[self.stimulus], places)
+        return noise_variances(self._equation, self._noise, places)
 
     @cached_property
     def inputs(self) -> tuple[Input, ...]:
@@ -186,7 +190,8 @@ class Compensator:
 
     def _settles(self, time: Input, inputs: Sequence[Input]) -> bool:
         """Whether nothing follows a time any more, from the last quarter of its range on: of all inputs at their low
-        ends, middles and high ends neither the expected output nor its uncertainty moves by more than a tenth of this.
+        ends, middles and high ends neither the expected output nor its uncertainty moves by more than a tenth of this,
+        nor the noise by a tenth of itself.
         """
         late = time.high + (time.high - time.low) * np.r_[0.0, -0.25, 2.0 ** np.arange(-4, 31)]
         for share in (0.0, 0.5, 1.0):
@@ -202,7 +207,9 @@ class Compensator:
                 {**unused, **given, time.name: late},
             )
             moves = np.abs(np.array([expected - expected[0], uncertainty - uncertainty[0]]))
-            if not np.all(moves <= SETTLED * uncertainty[0]):
+            places = {self.stimulus: stimulus, **given, time.name: late}
+            scatter = np.sqrt(self.noise_variance(places))
+            if np.any(moves > SETTLED * uncertainty[0]) or np.ptp(scatter) > SETTLED * scatter[0]:
                 return False
         return True
 
@@ -255,7 +262,7 @@ class Compensator:
             self._moments,
             self.inputs,
             stimulus_range=self.stimulus_range,
-            noise=self.noise,
+            noise=self._noise,
             about=provenance_of(self._calibration, self._equation, self.stimulus_range),
         )
 
@@ -267,11 +274,11 @@ class Compensator:
         name: str | None = None,
         uncertainty: bool = True,
     ) -> Path:
-        """Write for firmware or elsewhere: .h (C99), .py (Python), .html (a page with sliders) or .json.
+        """Write for firmware or elsewhere: .h (C99), .py (Python) or .json.
 
         Args:
             path: of the file, by whose suffix it is written.
-            format: "c", "python", "html" or "json", whatever the suffix.
+            format: "c", "python" or "json", whatever the suffix.
             name: of the sensor, which all names in the C header begin with; that of the instrument if not given.
             uncertainty: False for C and Python that give the value alone, without the covariance of the coefficients.
 
@@ -297,6 +304,10 @@ class Compensator:
         return posterior_moments(
             self._equation, self._calibration, self.draws, self._calibration.seed
         )
+
+    @cached_property
+    def _noise(self) -> NoiseInUse:
+        return noise_in_use(self._equation, self._calibration, self._inputs_at_fit)
 
     @cached_property
     def _inputs_at_fit(self) -> dict[str, np.ndarray]:

@@ -19,7 +19,7 @@ from bayescal._core.quoting import identifier
 from bayescal._use.compensation_program import SCHEMA, CompensationProgram, from_data
 from bayescal._use.correction import CorrectionInUse, CorrectionKind, Writer
 from bayescal._use.expression_graph import LANGUAGES, Language
-from bayescal._use.program_text import page, program_text
+from bayescal._use.program_text import program_text
 
 
 def as_data(named: Mapping[str, CorrectionInUse], uncertainty: bool) -> str:
@@ -39,11 +39,10 @@ def _program(language: Language) -> Writer:
     )
 
 
-FORMATS = {".json": "json", ".h": "c", ".py": "python", ".html": "html"}
+FORMATS = {".json": "json", ".h": "c", ".py": "python"}
 OF_ONE_OUTPUT: dict[str, Writer] = {
     "json": as_data,
     **{name: _program(language) for name, language in LANGUAGES.items()},
-    "html": in_form(page),
 }
 ONE_OUTPUT = CorrectionKind(
     of=CompensationProgram,

@@ -13,13 +13,11 @@ from bayescal._core.quoting import number_text
 def code_template(
     file: str,
     filters: Mapping[str, Callable[..., Any]],
-    autoescape: bool = False,
     package: str = "bayescal._use",
 ) -> Any:
     """A template of a package, in which `number` writes a number with all its digits."""
     filters = {"number": number_text, **filters}
-    how = {"autoescape": autoescape, "keep_trailing_newline": True}
-    return templates.template(package, file, filters, **how)
+    return templates.template(package, file, filters, keep_trailing_newline=True)
 
 
 def include_guard(name: str, *computed: Any) -> str:

@@ -1,7 +1,7 @@
 """An equation as a graph of scalar operations: traced from JAX, simplified, evaluated by NumPy, written as code.
 
-One table says of each operation how NumPy computes it and how C, Python and JavaScript write it, so that every export
-means the same. Nodes that are equal are one node.
+One table says of each operation how NumPy computes it and how C and Python write it, so that every export means the
+same. Nodes that are equal are one node.
 
 A JAX function of scalars comes to a graph through its jaxpr, which is run with arrays of graph nodes in place of
 numbers. Arithmetic makes nodes; what only moves elements about (reshape, broadcast, slice, gather, concatenate) is run
@@ -27,24 +27,22 @@ from bayescal._core.quoting import c_comment, python_words
 
 @dataclass(frozen=True)
 class Operation:
-    """How NumPy computes an operation, and how C, Python and JavaScript write it, of arguments {0}, {1}, …"""
+    """How NumPy computes an operation, and how C and Python write it, of arguments {0}, {1}, …"""
 
     compute: Callable[..., Any]
     c: str
     python: str
-    javascript: str
     boolean: bool = False
 
 
 def _infix(compute: Callable[..., Any], sign: str, boolean: bool = False) -> Operation:
     written = f"{{0}} {sign} {{1}}"
-    return Operation(compute, written, written, written, boolean)
+    return Operation(compute, written, written, boolean)
 
 
 def _function(name: str) -> Operation:
-    """Called the same in NumPy, C, Python and JavaScript."""
-    called = (f"BAYESCAL_CALL({name}, {{0}})", f"math.{name}({{0}})", f"Math.{name}({{0}})")
-    return Operation(getattr(np, name), *called)
+    """Called the same in NumPy, C and Python."""
+    return Operation(getattr(np, name), f"BAYESCAL_CALL({name}, {{0}})", f"math.{name}({{0}})")
 
 
 FUNCTIONS = "exp log expm1 log1p sqrt sin cos tan asin acos atan sinh cosh tanh floor ceil"
@@ -55,24 +53,18 @@ OPERATIONS: dict[str, Operation] = {
     "sub": _infix(np.subtract, "-"),
     "mul": _infix(np.multiply, "*"),
     "div": _infix(np.divide, "/"),
-    "neg": Operation(np.negative, "-{0}", "-{0}", "-{0}"),
-    "abs": Operation(np.abs, "BAYESCAL_CALL(fabs, {0})", "abs({0})", "Math.abs({0})"),
+    "neg": Operation(np.negative, "-{0}", "-{0}"),
+    "abs": Operation(np.abs, "BAYESCAL_CALL(fabs, {0})", "abs({0})"),
     "sign": Operation(
         np.sign,
         "(BAYESCAL_REAL)(({0} > 0) - ({0} < 0))",
         "float({0} > 0) - float({0} < 0)",
-        "({0} > 0) - ({0} < 0)",
     ),
-    "max": Operation(np.maximum, "{0} > {1} ? {0} : {1}", "max({0}, {1})", "{0} > {1} ? {0} : {1}"),
-    "min": Operation(np.minimum, "{0} < {1} ? {0} : {1}", "min({0}, {1})", "{0} < {1} ? {0} : {1}"),
-    "pow": Operation(np.power, "BAYESCAL_CALL2(pow, {0}, {1})", "{0} ** {1}", "Math.pow({0}, {1})"),
-    "atan2": Operation(
-        np.arctan2,
-        "BAYESCAL_CALL2(atan2, {0}, {1})",
-        "math.atan2({0}, {1})",
-        "Math.atan2({0}, {1})",
-    ),
-    "rem": Operation(np.fmod, "BAYESCAL_CALL2(fmod, {0}, {1})", "math.fmod({0}, {1})", "{0} % {1}"),
+    "max": Operation(np.maximum, "{0} > {1} ? {0} : {1}", "max({0}, {1})"),
+    "min": Operation(np.minimum, "{0} < {1} ? {0} : {1}", "min({0}, {1})"),
+    "pow": Operation(np.power, "BAYESCAL_CALL2(pow, {0}, {1})", "{0} ** {1}"),
+    "atan2": Operation(np.arctan2, "BAYESCAL_CALL2(atan2, {0}, {1})", "math.atan2({0}, {1})"),
+    "rem": Operation(np.fmod, "BAYESCAL_CALL2(fmod, {0}, {1})", "math.fmod({0}, {1})"),
     **{name: _function(name) for name in FUNCTIONS.split()},
     "gt": _infix(np.greater, ">", True),
     "ge": _infix(np.greater_equal, ">=", True),
@@ -80,15 +72,14 @@ OPERATIONS: dict[str, Operation] = {
     "le": _infix(np.less_equal, "<=", True),
     "eq": _infix(np.equal, "==", True),
     "ne": _infix(np.not_equal, "!=", True),
-    "and": Operation(np.logical_and, "{0} && {1}", "{0} and {1}", "{0} && {1}", True),
-    "or": Operation(np.logical_or, "{0} || {1}", "{0} or {1}", "{0} || {1}", True),
-    "not": Operation(np.logical_not, "!{0}", "not {0}", "!{0}", True),
-    "select": Operation(np.where, "{0} ? {1} : {2}", "{1} if {0} else {2}", "{0} ? {1} : {2}"),
+    "and": Operation(np.logical_and, "{0} && {1}", "{0} and {1}", True),
+    "or": Operation(np.logical_or, "{0} || {1}", "{0} or {1}", True),
+    "not": Operation(np.logical_not, "!{0}", "not {0}", True),
+    "select": Operation(np.where, "{0} ? {1} : {2}", "{1} if {0} else {2}"),
     "real": Operation(
         lambda x: np.where(x, 1.0, 0.0),
         "{0} ? (BAYESCAL_REAL)1 : (BAYESCAL_REAL)0",
         "float({0})",
-        "{0} ? 1 : 0",
     ),
 }
 
@@ -499,11 +490,11 @@ class Language:
         truths: what is false, and what is true.
         statement: of a name and an expression; the same of one that is true or false.
         input: an input as it is written, of its field.
-        template: file beside this one that writes the program, if it is one by itself.
+        template: file beside this one that writes the program.
         words: text within a comment.
     """
 
-    name: Literal["c", "python", "javascript"]
+    name: Literal["c", "python"]
     cast: str
     nan: str
     infinity: str
@@ -535,9 +526,6 @@ C = Language(
     input="in->{}",
     template="compensator.h.jinja",
     words=c_comment,
-)
-JAVASCRIPT = Language(
-    *("javascript", "", "NaN", "Infinity", ("false", "true"), "const {} = {};", "const {} = {};")
 )
 LANGUAGES = {"c": C, "python": PYTHON}
 

@@ -22,6 +22,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
 from bayescal._calibration.calibration import Calibration
@@ -29,11 +30,11 @@ from bayescal._calibration.mixture import has_effect
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.inverse import settled
 from bayescal._core.jit import compiled
-from bayescal._data.column import UNCERTAINTY
 from bayescal._model import forward
 from bayescal._model.composition import Traced, compose, live
 from bayescal._model.frame import Frame
 from bayescal._model.instrument import Use
+from bayescal._model.noise_law import scores_of_tails
 from bayescal._model.parameters import CoefficientBlock, Layout, member_name
 from bayescal._model.terms import Term
 
@@ -194,9 +195,15 @@ class OperatingEquation(eqx.Module):
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:
-        """Inputs that the output depends on."""
+        """Inputs that the output, or its noise, depends on."""
         theta, inputs = self.ones()
-        keep = live(lambda inputs: self.point(theta, jnp.ones(()), inputs), inputs)
+        law = dict.fromkeys(self.layout.model.noise.parameters(), jnp.ones(()))
+
+        def value(inputs: Scalars) -> tuple[Array, Array]:
+            one = jnp.ones(())
+            return self.point(theta, one, inputs), self.noise_variance(law, one, inputs)
+
+        keep = live(value, inputs)
         return tuple(n for n, k in zip(sorted(inputs), keep, strict=True) if k)
 
     @cached_property
@@ -237,6 +244,20 @@ class OperatingEquation(eqx.Module):
         """What one slot comes to in one reading, in the slot's unit; the other arguments are those of `point`."""
         frame = self.one_reading(stimulus, self._with_moved_lags(theta, inputs))
         return jnp.reshape(self._composed(theta, frame)[0][name], ())
+
+    def noise_variance(
+        self, law: Scalars, stimulus: Float[Array, ""], inputs: Scalars
+    ) -> Float[Array, ""]:
+        """Return the variance of one reading's noise by the noise law, output unit squared.
+
+        What is known of the uncertainty of a single reading is not in it.
+
+        Args:
+            law: parameters of the noise law by name.
+            stimulus, inputs: as of `point`.
+        """
+        frame = self.one_reading(stimulus, inputs)
+        return jnp.reshape(self.layout.model.noise.variance(law, frame), ())
 
     def at_point(self, mean: np.ndarray, point: Mapping[str, float]) -> AtPoint:
         """The equation with its derivatives at θ = `mean` and one operating point: stimulus and inputs by name.
@@ -461,7 +482,7 @@ def posterior_moments(
     covariance = np.atleast_2d(np.cov(values.T)) if len(unknowns) else np.zeros((0, 0))
     for i in new:
         block = blocks[unknowns[i].key]
-        spread = _spread(calibration, block, total) * has_effect(calibration, block.effect.name)
+        spread = _spread(calibration, block) * has_effect(calibration, block.effect.name)
         mean[i], covariance[i, i] = block.coefficient.mean, float(np.mean(spread**2))
         thin[:, i] = mean[i] + _independent(thin - mean, spread[::step], covariance[i, i], random)
     thin = _with_moments(thin, mean, covariance) if step > 1 else thin
@@ -567,17 +588,12 @@ def _with_moments(
     return moved
 
 
-def _spread(calibration: Calibration, block: CoefficientBlock, draws: int) -> np.ndarray:
+def _spread(calibration: Calibration, block: CoefficientBlock) -> Float[np.ndarray, "d"]:
     """Draws of the standard deviation from which a new member is taken."""
-    c, fixed = block.coefficient, dict(calibration.model.fixed)
-    if c.group_sd is None:
-        return np.full(draws, c.size)
-    if block.group_sd_name in fixed:
-        return np.full(draws, fixed[block.group_sd_name])
-    return calibration.samples(block.group_sd_name)
-
-
-NOISE_READINGS = 1000  # over which a noise that follows a column is averaged; the mean is known far better than it
+    problem, (_, v) = calibration.problem, calibration.draws()
+    own = (block.effect.name, block.index)
+    term = next(t for t in problem.terms if (t.known.of, t.index) == own)
+    return problem.member_sd(term, problem.hyper(v.T), len(v))
 
 
 @compiled
@@ -714,36 +730,81 @@ def solved(
     return value, variance, inclination
 
 
-def noise_variance(calibration: Calibration) -> float:
-    """Mean over the posterior of the variance of one reading's noise, output unit squared.
+class NoiseInUse(NamedTuple):
+    """What the posterior says of the noise law in use.
 
-    Where it follows a column, it is also the mean over the readings of the calibration. What is known of the
-    uncertainty of each is not in it.
+    Attributes:
+        law: its parameters by name, at the posterior mean of their coordinates.
+        level: posterior mean of the variance over the readings of the fit, over the variance by `law` there.
     """
-    _, v = calibration.draws(2000)
-    layout, frame = calibration.layout, _seen_by_noise(calibration)
 
-    def variance(v):
-        parameters = forward.hyper_values(layout, v)
-        return jnp.mean(layout.model.noise.variance(parameters, frame))
-
-    return float(jnp.mean(jax.vmap(variance)(jnp.asarray(v))))
+    law: dict[str, Any]
+    level: float
 
 
-def _seen_by_noise(calibration: Calibration) -> Frame:
-    """As many readings as a mean over them takes; a single one without columns where the noise needs none."""
-    whole, follows = calibration.frame, bool(calibration.layout.model.noise.needs)
-    rows = np.arange(whole.size)[:: -(-whole.size // NOISE_READINGS)]
-    columns = {n: c[rows] for n, c in whole.columns.items() if follows and n != UNCERTAINTY}
-    one = jnp.zeros(len(rows) if follows else 1)
-    return Frame(
-        columns=columns,
-        labels={},
-        rates={n: r[rows] for n, r in whole.rates.items() if follows},
-        codes={},
-        reference=whole.reference if follows else {},
-        order=one.astype(int),
-        step=one,
-        record={},
-        silence=whole.silence,
-    )
+NOISE_READINGS, NOISE_DRAWS = 200, 2000  # over which the level of the noise is averaged
+SCORE_DRAWS = 100  # over which the distribution of one reading is
+
+
+def noise_in_use(
+    equation: OperatingEquation, calibration: Calibration, inputs: Mapping[str, np.ndarray]
+) -> NoiseInUse:
+    """Return the noise law of a calibration as it is used; `inputs` are those of the readings of the fit, (n,) each."""
+    layout, (_, v) = calibration.layout, calibration.draws(NOISE_DRAWS)
+    readings, name = calibration.readings, equation.use.stimulus
+    acting = readings[name] if readings.has(name) else np.zeros(len(readings))
+    rows = slice(None, None, -(-len(readings) // NOISE_READINGS))
+    places = _places(equation, {name: acting[rows], **{n: x[rows] for n, x in inputs.items()}})
+    law = forward.hyper_values(layout, jnp.asarray(v.mean(axis=0)))
+    each = jax.vmap(lambda v: forward.hyper_values(layout, v))(jnp.asarray(v))
+    over_draws = jax.vmap(lambda law: jnp.mean(_over_places(equation, law, *places)))(each)
+    there = jnp.mean(_over_places(equation, law, *places))
+    level = float(jnp.mean(over_draws) / there) if there > 0 else 1.0  # 0: noise as stated
+    return NoiseInUse({n: float(x) for n, x in law.items()}, level)
+
+
+def noise_variances(
+    equation: OperatingEquation, noise: NoiseInUse, places: Mapping[str, np.ndarray]
+) -> Float[np.ndarray, "n"]:
+    """Return the variance of one reading's noise, output unit squared; `places` are stimulus and inputs, (n,) each."""
+    at = _places(equation, places)
+    return noise.level * np.asarray(_over_places(equation, noise.law, *at))
+
+
+def noise_scores(
+    equation: OperatingEquation,
+    calibration: Calibration,
+    places: Mapping[str, np.ndarray],
+    deviations: Float[np.ndarray, "n m"],
+) -> Float[np.ndarray, "n m"]:
+    """Return standard normal scores of the predictive probability that one reading's noise is below a deviation."""
+    at, (_, v) = _places(equation, places), calibration.draws(SCORE_DRAWS)
+    return np.asarray(_scores_over_draws(equation, jnp.asarray(v), jnp.asarray(deviations), *at))
+
+
+def _places(equation: OperatingEquation, places: Mapping[str, np.ndarray]) -> tuple[Array, Scalars]:
+    stimulus = places[equation.use.stimulus]
+    inputs = {n: jnp.asarray(places.get(n, 0.0 * stimulus)) for n in equation.names}
+    return jnp.asarray(stimulus), inputs
+
+
+@compiled
+def _over_places(equation: OperatingEquation, law: Scalars, stimulus, inputs):
+    return jax.vmap(lambda s, i: equation.noise_variance(law, s, i))(stimulus, inputs)
+
+
+@compiled
+def _scores_over_draws(equation: OperatingEquation, v, deviations, stimulus, inputs):
+    noise = equation.layout.model.noise
+
+    def scores(law: Scalars, s, i, left):
+        frame = equation.one_reading(s, i)
+        return jax.vmap(lambda e: noise.normal_scores(e[None], law, frame)[0])(left)
+
+    def of_draw(v):
+        law = forward.hyper_values(equation.layout, v)
+        return jax.vmap(lambda *at: scores(law, *at))(stimulus, inputs, deviations)
+
+    # Of the smaller tail, which keeps its digits far out.
+    tails = jnp.mean(jax.vmap(lambda v: ndtr(-jnp.abs(of_draw(v))))(v), axis=0)
+    return scores_of_tails(tails, deviations)

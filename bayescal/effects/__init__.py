@@ -23,5 +23,6 @@ from bayescal.effects.thermal import thermal_lag as thermal_lag
 from bayescal.effects.thermometer import thermometer as thermometer
 from bayescal.effects.thermometer import thermometer_delay as thermometer_delay
 from bayescal.effects.thermometer import thermometer_offset as thermometer_offset
+from bayescal.effects.thermometer import uncertain_input as uncertain_input
 from bayescal.effects.time import drift as drift
 from bayescal.effects.time import warm_up as warm_up

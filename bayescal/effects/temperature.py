@@ -1,4 +1,4 @@
-"""Polynomials in T − T0."""
+"""Polynomials in T − T0, or in any other column from its reference value."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from bayescal._model.effect import Coefficient, Effect
-from bayescal._model.frame import Frame
+from bayescal._model.frame import Frame, reference_name
 from bayescal._model.prior import Normal
 
 
@@ -24,16 +24,17 @@ def _power(called: str, order: int, said: str, suffix: str, sign: str, per: str)
         *,
         source: str,
         column: str = "temperature",
-        name: str = "temperature",
+        name: str | None = None,
     ) -> Effect:
+        there = "T − T0" if column == "temperature" else f"{column} − {reference_name(column)}"
         return Effect(
-            f"{slot}.{name}{suffix}",
+            f"{slot}.{name or column}{suffix}",
             slot,
             basis=partial(_powered, column, order),
             coefficients=(Coefficient(unit, Normal(0.0, size)),),
             columns=(column,),
             varies=(column,),
-            equation=f"c·(T − T0){sign}",
+            equation=f"c·({there}){sign}",
             source=source,
         )
 
@@ -43,11 +44,13 @@ def _power(called: str, order: int, said: str, suffix: str, sign: str, per: str)
     Args:
         slot: that it adds to, such as "bias".
         size: prior standard deviation of c, in `unit`: how large it plausibly is.
-        unit: of c, such as "deg/s/{per}" or "ppm/{per}"; of the dimension of the slot's unit over that power of a
-            temperature.
+        unit: of c, such as "deg/s/{per}" or "ppm/{per}"; of the dimension of the slot's unit over that power of the
+            column's.
         source: where the size comes from: a document, or whose estimate it is.
-        column: the temperature T, °C; T0 is its rounded mean in the fit, printed and stored with the result.
-        name: of the effect, after the slot: `slot.name{suffix}`.
+        column: the temperature T, °C: T0 is its rounded mean in the fit; or another numeric column, such as "pressure",
+            in its own unit: its reference value is the middle of its range in the fit. Both are printed and stored with
+            the result.
+        name: of the effect, after the slot, `slot.name{suffix}`: the column's if not given.
 
     Source: a truncated Taylor series about T0; no physics beyond that the output is smooth in T.
     """

@@ -14,6 +14,7 @@ import numpy as np
 
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import run_codes
+from bayescal._data.unit_conversion import unit_label
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.prior import HalfNormal, Known, Normal
@@ -75,7 +76,8 @@ BODIES: Mapping[str, Body] = MappingProxyType(
         "diffusion": Body(slab, "T → " + " + ".join(f"{w:.3g}·T̃({m:.3g}·τ)" for m, w in slab())),
     }
 )
-WIDTHS = (0.2, 5.0)  # °C, within which hysteresis turns round: a chamber that holds wanders by less
+# Within which hysteresis turns round: a chamber that holds wanders by less.
+WIDTHS = (0.2, 5.0, "degC")
 
 
 def rate(slot: str, size: float, unit: str, *, source: str, column: str = "temperature") -> Effect:
@@ -99,11 +101,22 @@ def rate(slot: str, size: float, unit: str, *, source: str, column: str = "tempe
 
 
 def hysteresis(
-    slot: str, size: float, unit: str, *, source: str, column: str = "temperature"
+    slot: str,
+    size: float,
+    unit: str,
+    *,
+    source: str,
+    column: str = "temperature",
+    widths: tuple[float, float, str] = WIDTHS,
 ) -> Effect:
     """c·D in a continuous record: +c while it warms, −c while it cools, turned round within w of the temperature.
 
     D is Dahl's hysteresis. Of the state in which a run began exp(−travel/w) is left: one coefficient a run.
+
+    Args:
+        size: prior standard deviation of c, in `unit`.
+        column: that it follows.
+        widths: plausible range of w, and its unit: that of the column.
     """
 
     return Effect(
@@ -114,10 +127,10 @@ def hysteresis(
             Coefficient(unit, Normal(0.0, size)),
             _start(unit, size),
         ),
-        shapes=(Shape("width", "degC", *WIDTHS),),
+        shapes=(Shape("width", widths[2], *widths[:2]),),
         columns=("time", column),
         varies=(column,),
-        untestable=partial(_one_way, column),
+        untestable=partial(_one_way, column, widths),
         equation="c·D + d[run]·exp(−∫|dT|/w),  dD/dT = (sign(dT) − D)/w",
         source=source,
     )
@@ -320,16 +333,16 @@ def _lag_by_temperature(column: str, r: Frame, tau: Any) -> Any:
     return r.centred(column) * r.lag(tau, column)
 
 
-def _one_way(column: str, readings: Measurements) -> str | None:
-    """Why a temperature that does not go both ways shows no hysteresis, if so."""
+def _one_way(column: str, widths: tuple[float, float, str], readings: Measurements) -> str | None:
+    """Why a column that does not go both ways shows no hysteresis, if so."""
     frame = build_frame(readings, reference_of(readings))
-    turned = np.asarray(frame.direction(jnp.asarray(math.sqrt(math.prod(WIDTHS))), column)[0])
+    turned = np.asarray(frame.direction(jnp.asarray(math.sqrt(math.prod(widths[:2]))), column)[0])
     least = DIRECTION_SHARE
     warmed, cooled = (turned > 0.5).mean() >= least, (turned < -0.5).mean() >= least
     if warmed and cooled:
         return None
     seen = "only rises" if warmed else "only falls" if cooled else "stands still"
-    return f"needs {column} to rise and to fall within runs, by over {WIDTHS[0]:g} °C; it {seen}"
+    return f"needs {column} to rise and to fall within runs, by over {widths[0]:g} {unit_label(widths[2])}; it {seen}"
 
 
 def _too_short(low: float, readings: Measurements) -> str | None:

@@ -80,7 +80,6 @@ def test_what_a_form_leaves_out_is_said_on_the_screen_too(saved: Path) -> None:
         (("gyro.nc", "triad.nc"), "is of one output, and others are of three axes"),
         (("triad.nc", "accelerometer_triad.json"), "two of these are of accelerometer_triad"),
         (("gyro.nc", "--format", "yaml"), "cannot be written as 'yaml'"),
-        (("triad.nc", "--format", "html"), "cannot be written as 'html'"),
         (("triad.nc", "--format", "json", "--without-uncertainty"), "only C and Python"),
     ],
 )

@@ -19,6 +19,7 @@ MADE = {
     "thermal_lag": effects.thermal_lag("bias", 10.0, "ug/degC", **BODY, **START, **OWN),
     "temperature_x_lag": effects.temperature_x_lag("bias", 1.0, "ug/degC^2", **BODY, **OWN),
     "body": effects.body("bias", 100.0, "ug", **BODY, **OWN),
+    "uncertain_input": effects.uncertain_input("temperature", 0.3, "delta_degC", **OWN),
     "thermometer": effects.thermometer(0.3, **OWN),
     "thermometer_offset": effects.thermometer_offset(1.0, **OWN),
     "thermometer_delay": effects.thermometer_delay(60.0, **OWN),

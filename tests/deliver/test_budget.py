@@ -123,19 +123,6 @@ def test_a_prior_that_matters_shows_in_its_sensitivity(tmp_path: Path) -> None:
     assert "noise.white" not in found  # held at its estimate
 
 
-def test_noise_that_follows_a_column_is_averaged_over_the_readings_of_the_calibration() -> None:
-    random = np.random.default_rng(7)
-    temperature = np.linspace(-30.0, 70.0, 200)
-    spread = 0.02 * np.exp(0.02 * (temperature - 20.0))
-    output = 0.3 + 0.01 * (temperature - 20.0) + spread * random.standard_normal(200)
-    readings = bc.Measurements.from_arrays(
-        mems_gyro.INSTRUMENT, temperature=temperature, output=output
-    )
-    model = mems_gyro.INSTRUMENT.baseline().with_noise(bc.Heteroscedastic("temperature"))
-    found = bc.budget(bc.fit(model, readings), {"temperature": 60.0})
-    assert found.noise == pytest.approx(np.sqrt(np.mean(spread**2)), rel=0.15)
-
-
 @pytest.mark.slow
 def test_not_to_know_the_structure_is_a_source() -> None:
     """The average's variance is what the compensator states; what structures add is half of it, and is named."""

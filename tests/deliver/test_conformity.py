@@ -16,7 +16,7 @@ TABLE_1 = ((0.80, 0.84), (0.90, 1.28), (0.95, 1.64), (0.99, 2.33))
 
 def normal(mean: float, sd: float, scatter: float = 0.0) -> DrawnQuantity:
     draws = mean + sd * (QUANTILES if scatter == 0 else QUANTILES[10::20])  # smooth by its scatter
-    return DrawnQuantity(draws, draws, (mean, mean), scatter)
+    return DrawnQuantity(draws[:, None], np.array([scatter]))
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_a_curve_conforms_where_all_of_it_does() -> None:
     random = np.random.default_rng(2)
     a, b = random.normal(0.1, 0.2, 20_000), random.normal(0.3, 0.1, 20_000)
     low, high = a - np.abs(b), a + np.abs(b)
-    found = DrawnQuantity(low, high, (-0.2, 0.4)).probability(Limits(-0.7, 0.7))
+    found = DrawnQuantity(np.column_stack([low, high]), np.zeros(2)).probability(Limits(-0.7, 0.7))
     line = a[:, None] + b[:, None] * np.linspace(-1, 1, 51)
     assert found == np.mean(np.all(np.abs(line) <= 0.7, axis=1))
     at_the_end = stats.norm.cdf(0.7, 0.4, np.hypot(0.2, 0.1))

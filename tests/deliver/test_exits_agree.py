@@ -176,7 +176,7 @@ def test_json_read_back(case, tmp_path: Path) -> None:
     compensator, readings, wanted = case
     path = compensator.export(tmp_path / "compensator.json")
     data, loaded = json.loads(path.read_text("utf-8")), bc.load_compensator(path)
-    assert (data["schema"], data["version"]) == ("bayescal.compensator", 2)
+    assert (data["schema"], data["version"]) == ("bayescal.compensator", 3)
     covariance, factor = np.array(data["covariance"]), loaded.program.factor
     np.testing.assert_allclose(factor @ factor.T, covariance, atol=1e-12 * covariance.max())
     np.testing.assert_array_equal(np.triu(factor, 1), 0.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,9 +10,7 @@ import pytest
 
 import bayescal as bc
 from bayescal._core.quoting import ascii_text
-from bayescal._use.compensation_program import program_of
 from bayescal._use.expression_graph import LANGUAGES, Graph, statements
-from bayescal._use.operating_equation import posterior_moments
 from tests.support.export_check import (
     PAIRS,
     each_operation,
@@ -82,7 +79,8 @@ def test_the_header_in_single_precision_agrees_to_its_own_rounding(
     value, uncertainty, inclination = compensator.program.run(
         rows[:, 0], inputs_of(compensator, rows), np.float32
     )
-    noisy = np.hypot(uncertainty, compensator.noise * inclination)
+    noise = compensator.program.noise_variance(value, inputs_of(compensator, rows))
+    noisy = np.hypot(uncertainty, np.sqrt(noise) * inclination)
     eps = float(np.finfo(np.float32).eps)
     # The same operations rounded the same way; libraries may differ in the last bits of tanh and exp.
     reading = np.abs(rows[:, 0])
@@ -161,25 +159,18 @@ def test_comments_lose_no_letter(text, spelled) -> None:
     assert ascii_text(text) == spelled
 
 
-def test_an_effect_that_firmware_cannot_compute_is_named() -> None:
-    compensator = bc.compensator(bent_sensor.gyro())
-    assert compensator.equation is not None and compensator.calibration is not None
+def test_an_effect_that_firmware_cannot_compute_is_named(tmp_path) -> None:
+    gyro = bent_sensor.gyro()
     sorting = bc.Effect(
         "bias.sorted",
         "bias",
         basis=lambda r: jnp.sort(jnp.stack([r["temperature"], r["temperature"] ** 2]), axis=0)[0],
-        coefficients=(bc.Coefficient("deg/s"),),
+        coefficients=(bc.Coefficient("deg/s/degC"),),
         columns=("temperature",),
     )
-    layout = replace(compensator.equation.layout, model=bent_sensor.gyro().model + sorting)
-    equation = replace(compensator.equation, layout=layout)
-    mean = np.zeros(len(equation.unknowns()))
-    made = posterior_moments(compensator.equation, compensator.calibration, 10)._replace(mean=mean)
-    about = compensator.program.about
-    with pytest.raises(
-        bc.ModelError, match=r"effect 'bias.sorted' cannot be exported: the operation 'sort'"
-    ):
-        program_of(equation, made, compensator.inputs, stimulus_range=None, noise=0.1, about=about)
+    fit = bc.fit(gyro.model + sorting, gyro.readings, bc.LeastSquares(draws=40), strict=False)
+    with pytest.raises(bc.ModelError, match=r"bias\.sorted"):
+        bc.compensator(fit).export(tmp_path / "gyro.h")
 
 
 def test_a_graph_writes_nothing_that_comes_to_nothing() -> None:

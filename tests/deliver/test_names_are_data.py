@@ -62,7 +62,7 @@ def program_data(name: Callable[[str], str]) -> dict[str, Any]:
     unknown = {"unit": name("deg/s"), "mean": 0.5}
     return {
         "schema": "bayescal.compensator",
-        "version": 2,
+        "version": 3,
         "about": {
             "instrument": name("gyro"),
             "title": name("A gyroscope"),
@@ -84,7 +84,6 @@ def program_data(name: Callable[[str], str]) -> dict[str, Any]:
         "stimulus_range": [-100.0, 100.0],
         "unknowns": [{"name": name("bias"), **unknown}, {"name": name("scale"), **unknown}],
         "covariance": [[1.0, 0.1], [0.1, 2.0]],
-        "noise": 0.25,
         "affine": True,
         "equation": {
             "operations": [
@@ -94,6 +93,7 @@ def program_data(name: Callable[[str], str]) -> dict[str, Any]:
             "expected": 6,
             "slope": 4,
             "gradient": [7, 0],
+            "noise": 2,
         },
     }
 
@@ -247,7 +247,6 @@ SENSOR = {"name": "sensor"}
 EXITS = {
     "c": Exit(of_one_output("c"), marks_of_c),
     "python": Exit(of_one_output("python"), shape_of),
-    "html": Exit(of_one_output("html"), tags_and_scripts),
     "axes in c": Exit(of_three_axes("c", **SENSOR), tokens_of_c),
     "axes in c, called after their instrument": Exit(of_three_axes("c"), marks_of_c),
     "axes in python": Exit(of_three_axes("python", **SENSOR), shape_of),
@@ -261,7 +260,7 @@ EXITS = {
 }
 
 
-FAST = ("python", "html", "noise for kalibr", "parameters")
+FAST = ("python", "noise for kalibr", "parameters")
 WAYS = [
     pytest.param(
         name,
@@ -356,15 +355,15 @@ CHANGES: dict[str, Callable[[dict[str, Any]], object]] = {
     "two of its inputs have one name": lambda d: d["inputs"].append(d["inputs"][0]),
     "unknowns[1].mean": lambda d: d["unknowns"][1].update(mean=None),
     "covariance[0][1]": lambda d: d["covariance"].__setitem__(0, [1.0, True]),
-    "noise": lambda d: d.update(noise="0.1; system(1)"),
+    "noise": lambda d: d["equation"].update(noise="0.1; system(1)"),
     "affine": lambda d: d.update(affine="yes"),
     "equation.gradient is a table": lambda d: d["equation"].update(gradient={}),
     "equation.operations[0][0]": lambda d: d["equation"]["operations"].insert(0, [["const"]]),
     "needs 'humidity'": lambda d: d["equation"]["operations"].append(["input", "humidity"]),
     "more is not known": lambda d: d.update(more=1),
-    "noise is missing": lambda d: d.pop("noise"),
+    "None is no operation of it": lambda d: d["equation"].pop("noise"),
     "is no correction": lambda d: d.update(schema="other"),
-    "of version 3, this bayescal reads 1 and 2": lambda d: d.update(version=3),
+    "of version 4, this bayescal reads 1 to 3": lambda d: d.update(version=4),
     "is not known here: ['system', 0]": lambda d: d["equation"]["operations"].append(["system", 0]),
     "is no operation of it": lambda d: d["equation"].update(slope=10**6),
     "covariance": lambda d: d["covariance"].pop(),

@@ -202,11 +202,8 @@ def test_two_of_one_instrument_are_no_unit(tmp_path: Path) -> None:
 
 
 def test_what_holds_its_uncertainty_is_not_written_without(tmp_path: Path) -> None:
-    for path in ("a.json", "a.html"):
-        with pytest.raises(
-            bc.InputError, match="only C and Python are written without uncertainty"
-        ):
-            scalar("line").export(tmp_path / path, uncertainty=False)
+    with pytest.raises(bc.InputError, match="only C and Python are written without uncertainty"):
+        scalar("line").export(tmp_path / "a.json", uncertainty=False)
     for path in ("a.json", "a.yaml"):
         with pytest.raises(
             bc.InputError, match="only C and Python are written without uncertainty"

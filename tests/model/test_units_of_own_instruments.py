@@ -221,7 +221,6 @@ def test_a_clock_in_hours_is_refused() -> None:
     [
         (lambda r: r.has_label("run", "1"), "'run' is a group"),
         (lambda r: r.has_label("pressure", "1"), "'pressure' holds numbers"),
-        (lambda r: r.centred("pressure"), "'pressure' has no reference value"),
     ],
 )
 def test_a_basis_that_would_be_zero_or_fail_says_why(basis, said) -> None:

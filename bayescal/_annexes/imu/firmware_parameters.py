@@ -85,12 +85,15 @@ def at_rest(
                 f"parameter for {name} is in {unit_label(unit)}: give the calibration of such a sensor"
             ) from None
 
+    def rms(variances: np.ndarray) -> float:
+        return float(converted(np.sqrt(np.mean(variances, keepdims=True)))[0])
+
     return AtRest(
         temperature=np.asarray(inputs["temperature"], float),
         offset=converted(expected),
         unit=unit,
-        noise=float(converted(np.array([chosen.noise]))[0]),
-        uncertainty=float(converted(np.array([np.sqrt(np.mean(own**2))]))[0]),
+        noise=rms(chosen.noise_variance({**inputs, chosen.stimulus: rest})),
+        uncertainty=rms(own**2),
         scale=(float(scale.min()), float(scale.max())),
     )
 

@@ -31,7 +31,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -207,7 +207,9 @@ def spread_of_devices(text: str) -> SpreadOfDevices:
     )
 
 
-SHIFTS = 401  # shifts among which the most favourable one is looked for: its p_c need only be within 1/400 of the top
+# Shifts, and draws, by which the most favourable one is looked for: its p_c need only be within 1/400 of the top.
+SHIFTS, SHIFT_DRAWS = 401, 400
+DEVIATIONS = np.sinh(np.linspace(-5.3, 5.3, 107))  # standard deviations of one reading, up to 100
 BISECTIONS = 60  # of bisection, each of which halves the bracket: the last is 1e-18 of it
 FAR_SD = 10.0  # standard deviations beyond which a normal distribution has 1e-23
 
@@ -228,39 +230,49 @@ class DrawnQuantity:
     """What the posterior says of a quantity that is limited.
 
     Attributes:
-        low, high: lowest and highest value in the range that the limit names, (d,) each, by draw; one value twice for a
-            quantity at a single point.
-        estimate: the same of the posterior mean.
-        scatter: standard deviation of single readings about it; zero where it does not scatter.
+        values: in each draw at each place of the range that the limit names.
+        scatter: standard deviation of single readings about it at each place; zeros where it does not scatter.
+        scores: standard normal scores of readings that lie `DEVIATIONS` standard deviations above it, at each place;
+            None where readings are normally distributed.
     """
 
-    low: Float[np.ndarray, "d"]
-    high: Float[np.ndarray, "d"]
-    estimate: tuple[float, float]
-    scatter: float = 0.0
+    values: Float[np.ndarray, "d g"]
+    scatter: Float[np.ndarray, "g"]
+    scores: Float[np.ndarray, "g m"] | None = None
 
-    @classmethod
-    def of(cls, values: Float[np.ndarray, "d g"], scatter: float = 0.0) -> DrawnQuantity:
-        """Of its value in each draw at each place of a range."""
-        middle = values.mean(axis=0)
-        ends = float(middle.min()), float(middle.max())
-        return cls(values.min(axis=1), values.max(axis=1), ends, scatter)
+    @property
+    def estimate(self) -> tuple[float, float]:
+        """Lowest and highest posterior mean over the range."""
+        middle = self.values.mean(axis=0)
+        return float(middle.min()), float(middle.max())
+
+    @cached_property
+    def ends(self) -> DrawnQuantity:
+        """The same at its lowest and highest values alone, where readings scatter alike at all places."""
+        if np.ptp(self.scatter) > 0:
+            return self
+        ends = np.column_stack([self.values.min(axis=1), self.values.max(axis=1)])
+        scores = None if self.scores is None else np.tile(self.scores[0], (2, 1))
+        return DrawnQuantity(ends, np.tile(self.scatter[0], 2), scores)
 
     def probability(self, limits: Limits, shift: float = 0.0) -> float:
         """Probability of conformity, had the posterior stood higher by `shift`."""
-        low, high = self.low + shift, self.high + shift
-        if self.scatter == 0:
-            return float(np.mean((low >= limits.low) & (high <= limits.high)))
-        # As a function of y the probability of one reading has a single top: its least is at one of the two ends.
-        return float(np.mean(np.minimum(self._inside(low, limits), self._inside(high, limits))))
-
-    def _inside(self, value: Float[np.ndarray, "d"], limits: Limits) -> Float[np.ndarray, "d"]:
-        below, above = (limits.low - value) / self.scatter, (limits.high - value) / self.scatter
-        return ndtr(above) - ndtr(below)
+        values, scatter, scores = self.ends.values + shift, self.ends.scatter, self.ends.scores
+        if not scatter.any():
+            return float(np.mean(np.all((values >= limits.low) & (values <= limits.high), axis=1)))
+        # As a function of y the probability of one reading has a single top: where readings scatter alike its least is
+        # at one of the two ends.
+        z = (limits.low - values) / scatter, (limits.high - values) / scatter
+        if scores is not None:
+            each = list(enumerate(scores))
+            z = (np.transpose([np.interp(e[:, i], DEVIATIONS, s) for i, s in each]) for e in z)
+        below, above = map(ndtr, z)
+        return float(np.mean(np.min(above - below, axis=1)))
 
     def probability_error(self, p: float) -> float:
         """Monte-Carlo standard error of a probability from so many draws; at most that where readings scatter."""
-        return float(np.sqrt(max(p * (1 - p), 1 / len(self.low)) / len(self.low)))
+        count = len(self.values)
+        return float(np.sqrt(max(p * (1 - p), 1 / count) / count))
 
 
 def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Limits | None:
@@ -271,10 +283,10 @@ def acceptance(drawn: DrawnQuantity, limits: Limits, false_accept: float) -> Lim
         limits: the tolerance interval.
         false_accept: α.
     """
-    reach = FAR_SD * drawn.scatter
+    reach = FAR_SD * float(drawn.scatter.max())
     # Below the first shift p_c is zero, as no draw is above T_L; so it is above the last.
-    first = limits.low - float(drawn.low.max()) - reach
-    last = limits.high - float(drawn.high.min()) + reach
+    first = limits.low - float(drawn.values.min(axis=1).max()) - reach
+    last = limits.high - float(drawn.values.max(axis=1).min()) + reach
     best = _most_favourable(drawn, limits, first, last)
     wanted = 1.0 - false_accept
     if drawn.probability(limits, best) < wanted:
@@ -288,12 +300,13 @@ def _most_favourable(drawn: DrawnQuantity, limits: Limits, first: float, last: f
     """The shift with the largest p_c."""
     if np.isinf(first) and np.isinf(last):
         return 0.0
-    reach = FAR_SD * drawn.scatter
+    reach = FAR_SD * float(drawn.scatter.max())
     if np.isinf(first):  # one limit: all draws inside it
-        return limits.high - float(drawn.high.max()) - reach
+        return limits.high - float(drawn.values.max()) - reach
     if np.isinf(last):
-        return limits.low - float(drawn.low.min()) + reach
+        return limits.low - float(drawn.values.min()) + reach
     shifts = np.linspace(first, last, SHIFTS)
+    drawn = replace(drawn, values=drawn.values[:: -(-len(drawn.values) // SHIFT_DRAWS)])
     # Of equally favourable ones the middle: about it p_c falls to both sides.
     p = np.array([drawn.probability(limits, s) for s in shifts])
     return float(np.median(shifts[p == p.max()]))
@@ -400,11 +413,7 @@ class LimitedQuantity:
         return self.limit.quantity in (READING, MEAN)
 
     def drawn(self, later: float = 0.0) -> DrawnQuantity:
-        """What the posterior says of it, s after the last reading of the calibration."""
-        return DrawnQuantity.of(self.values(later))
-
-    def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
-        """Its value in each draw, in the calibration's order, at each place of the limit's range; as `drawn`."""
+        """What the posterior says of it, s after the last reading of the calibration; draws in the order of that."""
         raise NotImplementedError
 
 
@@ -414,8 +423,8 @@ class LimitedUnknown(LimitedQuantity):
 
     draws: np.ndarray
 
-    def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
-        return np.asarray(self.draws)[:, None]
+    def drawn(self, later: float = 0.0) -> DrawnQuantity:
+        return DrawnQuantity(np.asarray(self.draws)[:, None], np.zeros(1))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -461,30 +470,27 @@ class QuantityInUse(LimitedQuantity):
         return "time" in self._acting
 
     def drawn(self, later: float = 0.0) -> DrawnQuantity:
-        return DrawnQuantity.of(*self._values(later))
-
-    def values(self, later: float = 0.0) -> Float[np.ndarray, "d g"]:
-        return self._values(later)[0]
-
-    def _values(self, later: float) -> tuple[Float[np.ndarray, "d g"], float]:
-        """Values of the draws at the places, and by how much single readings scatter."""
-        chosen = self.chosen
+        chosen, places = self.chosen, dict(self.places)
         equation, moments = chosen._equation, chosen._moments
-        zero = np.zeros(len(self.places[chosen.stimulus]))
-        inputs = {n: jnp.asarray(self.places.get(n, zero)) for n in equation.names}
-        if "time" in inputs:
-            inputs["time"] = inputs["time"] + later
-        stimulus, draws = jnp.asarray(self.places[chosen.stimulus]), jnp.asarray(moments.draws)
+        if "time" in places:
+            places["time"] = places["time"] + later
+        zero = np.zeros(len(places[chosen.stimulus]))
+        inputs = {n: jnp.asarray(places.get(n, zero)) for n in equation.names}
+        stimulus, draws = jnp.asarray(places[chosen.stimulus]), jnp.asarray(moments.draws)
         if not self.is_error:
             name = self.limit.quantity
             found = operating_equation.slots_over_draws(equation, name, draws, stimulus, inputs)
-            return np.asarray(found), 0.0
+            return DrawnQuantity(np.asarray(found), zero)
         mean = jnp.asarray(moments.mean)
         found, inclination = operating_equation.errors_over_draws(
             equation, draws, mean, stimulus, inputs
         )
-        noise = chosen.noise * float(np.max(inclination)) if self.limit.quantity == READING else 0.0
-        return np.asarray(found), noise
+        if self.limit.quantity == MEAN:
+            return DrawnQuantity(np.asarray(found), zero)
+        noise = np.sqrt(chosen.noise_variance(places))
+        deviations = np.outer(noise, DEVIATIONS)
+        scores = operating_equation.noise_scores(equation, chosen._calibration, places, deviations)
+        return DrawnQuantity(np.asarray(found), noise * np.asarray(inclination), scores)
 
 
 def limited_quantity(
@@ -542,7 +548,10 @@ def limited_quantity(
     # Where a range leaves what was calibrated is said by `not_covered`, in its own words.
     beside = bias_only(chosen.stimulus) if limit.quantity in slots else ""  # is of a correction
     notes += [note for note in notes_on(chosen) if note != beside]
-    notes += _of_the_noise(calibration, limit.quantity)
+    if limit.quantity == MEAN and not calibration.model.noise.independent:
+        notes.append(
+            f"{MEAN!r} is without the correlated noise, which readings close in time share: a mean keeps it."
+        )
     return QuantityInUse(
         limit=limit,
         limits=_limits(limit, unit, local_gravity),
@@ -552,22 +561,6 @@ def limited_quantity(
         chosen=chosen,
         places=places,
     )
-
-
-def _of_the_noise(calibration: Calibration, quantity: str) -> list[str]:
-    """What a limit on a corrected reading, or on the mean of many, takes the noise for, where that is not all of it."""
-    noise = calibration.model.noise
-    if quantity == MEAN and not noise.independent:
-        return [
-            f"{MEAN!r} is without the correlated noise, which readings close in time share: a mean keeps it."
-        ]
-    if quantity == READING and noise.independent and noise.needs:
-        return [
-            f"The noise follows {', '.join(noise.needs)}; its mean over the calibration is taken."
-        ]
-    if quantity == READING and not noise.gaussian:
-        return ["The noise is taken as normal, with the standard deviation that it has."]
-    return []
 
 
 def _limits(limit: StatedLimit, unit: str, local_gravity: float) -> Limits:

@@ -128,7 +128,7 @@ def recalibration(
         return quantity.drawn(later).probability(limits)
 
     after = first_below(probability, stated)
-    changed = quantity.values(HORIZON if after is None else after) - quantity.values()
+    changed = quantity.drawn(HORIZON if after is None else after).values - quantity.drawn().values
     # What is less probable than a failure at the stated probability cannot decide about the date.
     if untold := not_measured(calibration, changed, rare=1 - stated):
 
@@ -162,8 +162,8 @@ def _alone(
     untold: NotMeasured, quantity: LimitedQuantity, calibration: Calibration, later: float = 0.0
 ) -> DrawnQuantity:
     """What the readings alone say of a quantity, without the priors of what they did not measure."""
-    values = untold.by_readings_alone(calibration, quantity.values(later))
-    return DrawnQuantity.of(values, quantity.drawn(later).scatter)
+    drawn = quantity.drawn(later)
+    return replace(drawn, values=untold.by_readings_alone(calibration, drawn.values))
 
 
 def first_below(probability: Callable[[float], float], stated: float) -> float | None:
@@ -229,7 +229,8 @@ class Decision:
         tolerance: its limits; infinite where there is none.
         estimate: posterior mean, its lowest and highest value over the range of the limit.
         uncertainty: standard uncertainty of the estimate; over a range, the largest of its two ends.
-        scatter: standard deviation of single readings; zero where the quantity does not scatter.
+        scatter: standard deviation of single readings, over a range the largest; zero where the quantity does not
+            scatter.
         probability: of conformity.
         probability_error: its Monte-Carlo standard error.
         guard_bands: below and above; None where no estimate would be accepted.
@@ -570,7 +571,7 @@ def _decision(
         tolerance=limits,
         estimate=drawn.estimate,
         uncertainty=uncertainty,
-        scatter=drawn.scatter,
+        scatter=float(drawn.scatter.max()),
         probability=p,
         probability_error=drawn.probability_error(p),
         guard_bands=None
@@ -598,7 +599,7 @@ def _decided(
     if quantity.not_covered:
         return UNDECIDED, "; ".join(quantity.not_covered)
     asked = {"of": quantity.limit.quantity, "scatter": drawn.scatter, "rare": how.false_accept}
-    if untold := not_measured(calibration, quantity.values(), **asked):
+    if untold := not_measured(calibration, drawn.values, **asked):
         alone = _alone(untold, quantity, calibration).probability(limits)
         if untold.hyperparameter or not _alike(p, alone, how.false_accept):
             return UNDECIDED, f"{CANNOT}: {untold}. {untold.cure}"
@@ -643,13 +644,14 @@ def _alike(p: float, other: float, risk: float) -> bool:
 
 def _uncertainty(drawn: DrawnQuantity) -> float:
     """Standard uncertainty; over a range, the larger of its two ends."""
-    return float(max(np.std(drawn.low, ddof=1), np.std(drawn.high, ddof=1)))
+    low, high = drawn.values.min(axis=1), drawn.values.max(axis=1)
+    return float(max(np.std(low, ddof=1), np.std(high, ddof=1)))
 
 
 def capability_index(drawn: DrawnQuantity, limits: Limits) -> float | None:
     """Width of the tolerance over 4u (JCGM 106, 7.6); None with a single limit."""
     width = limits.high - limits.low
-    u = math.hypot(_uncertainty(drawn), drawn.scatter)
+    u = math.hypot(_uncertainty(drawn), float(drawn.scatter.max()))
     if math.isinf(width):
         return None
     return width / (4 * u) if u > 0 else math.inf

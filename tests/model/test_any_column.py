@@ -1,0 +1,136 @@
+"""Effects of a column that is no temperature, in its own unit: fitted to simulated readings with truth, seed 9."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bayescal as bc
+from bayescal import effects
+
+S = "ours"
+N = 400
+PRESSURE = 100.0 + 60.0 * np.sin(2 * np.pi * np.arange(N) / 130.0)  # kPa
+LOW, HIGH = float(PRESSURE.min()), float(PRESSURE.max())
+MIDDLE = 0.5 * (LOW + HIGH)
+
+
+def sensor(*more: bc.Effect) -> bc.Instrument:
+    return bc.Instrument(
+        name="sensor",
+        title="a pressure sensor",
+        columns=(
+            bc.Column("run", None, required=False),
+            bc.Column("time", "s"),
+            bc.Column("pressure", "kPa"),
+            bc.Column("output", "mV"),
+        ),
+        slots=(bc.Slot("response", "mV"),),
+        response=lambda s, r: s["response"],
+        effects=(effects.constant("response", 50.0, "mV", source=S), *more),
+        noise=bc.White(bc.HalfCauchy(0.1)),
+        source=S,
+    )
+
+
+def fitted(truth: Any, *more: bc.Effect, **how: Any) -> bc.Calibration:
+    instrument, random = sensor(*more), np.random.default_rng(9)
+    readings = bc.Measurements.from_arrays(
+        instrument,
+        time=10.0 * np.arange(N),
+        pressure=PRESSURE,
+        output=truth + 0.05 * random.standard_normal(N),
+    )
+    return bc.fit(instrument.baseline(), readings, bc.LeastSquares(), **how)
+
+
+POLYNOMIALS = {
+    1: effects.linear("response", 1.0, "mV/kPa", source=S, column="pressure"),
+    2: effects.quadratic("response", 0.02, "mV/kPa^2", source=S, column="pressure"),
+    3: effects.cubic("response", 3e-4, "mV/kPa^3", source=S, column="pressure"),
+    4: effects.quartic("response", 5e-6, "mV/kPa^4", source=S, column="pressure"),
+}
+
+
+@pytest.mark.parametrize(("centre", "reference"), [(MIDDLE, None), (0.0, {"pressure_0": 0.0})])
+def test_a_polynomial_counts_a_column_from_its_reference_value(centre, reference) -> None:
+    x = PRESSURE - centre
+    size = [0.3, 4e-3, 5e-5, 4e-7]
+    truth = 20.0 + sum(c * x**k for k, c in enumerate(size, start=1))
+    found = fitted(truth, *POLYNOMIALS.values(), reference=reference)
+    assert found.hold_at["pressure_0"] == pytest.approx(centre)
+    for effect, want in zip(POLYNOMIALS.values(), size, strict=True):
+        draws = found.samples(effect.name)
+        assert draws.mean() == pytest.approx(want, abs=4 * draws.std())
+        assert draws.std() < 0.1 * want
+
+
+def test_hysteresis_has_widths_in_the_unit_of_its_column() -> None:
+    turned, truth = 0.0, []
+    for change in np.diff(PRESSURE, prepend=PRESSURE[0]):  # dD/dp = (sign(dp) − D)/w, w = 10 kPa
+        share = np.exp(-abs(change) / 10.0)
+        turned = share * turned + (1 - share) * np.sign(change)
+        truth.append(20.0 + 0.8 * turned)
+    effect = effects.hysteresis(
+        "response", 1.0, "mV", source=S, column="pressure", widths=(1.0, 100.0, "kPa")
+    )
+    found = fitted(np.array(truth), effect)
+    assert found.samples("response.hysteresis").mean() == pytest.approx(0.8, rel=0.05)
+    assert found.samples("response.hysteresis.width").mean() == pytest.approx(10.0, rel=0.1)
+
+
+OTHERS = {
+    "lag": effects.thermal_lag(
+        *("response", 0.3, "mV/kPa"),
+        **{"low": 20.0, "high": 500.0, "start": 5.0, "start_unit": "mV"},
+        source=S,
+        column="pressure",
+    ),
+    "rate": effects.rate("response", 1.0, "mV/(kPa/s)", source=S, column="pressure"),
+    "product": effects.temperature_x_lag(
+        "response", 0.01, "mV/kPa^2", low=20.0, high=500.0, source=S, column="pressure"
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_follows_the_past_of_a_column_is_fitted(name) -> None:
+    found = fitted(20.0 + 0.3 * (PRESSURE - MIDDLE), POLYNOMIALS[1], OTHERS[name])
+    assert found.verdict.ok
+    draws = found.samples("response.pressure")
+    assert draws.mean() == pytest.approx(0.3, abs=5 * draws.std())
+
+
+def test_a_delay_of_a_column_without_rates_is_refused() -> None:
+    late = effects.thermometer_delay(10.0, source=S, column="pressure")
+    with pytest.raises(bc.ModelError, match="pressure"):
+        fitted(0.3 * PRESSURE, POLYNOMIALS[1], late)
+
+
+@pytest.mark.parametrize(
+    "prior", [bc.HalfNormal(1.0), bc.HalfNormal, bc.LogNormal(1.0, 0.5), bc.HalfCauchy(1.0)]
+)
+def test_a_coefficient_has_no_prior_that_is_not_gaussian(prior) -> None:
+    with pytest.raises(bc.ModelError, match="Normal"):
+        bc.Coefficient("mV", prior)
+
+
+@pytest.mark.parametrize(
+    ("law", "named"),
+    [
+        (bc.Heteroscedastic("run"), "run"),
+        (bc.Heteroscedastic("elapsed"), "elapsed"),
+        (bc.Heteroscedastic("output"), "output"),
+        (bc.SummedNoise(10.0, 1000.0, ("correlated",), scatter="run"), "run"),
+        (bc.Quantised(1e6), "1e"),
+    ],
+)
+def test_a_law_that_cannot_be_of_these_readings_is_refused(law, named) -> None:
+    instrument = sensor()
+    readings = bc.Measurements.from_arrays(
+        instrument, run=np.repeat("a", N), time=np.arange(N), pressure=PRESSURE, output=PRESSURE
+    )
+    with pytest.raises(bc.ModelError, match=named):
+        bc.fit(instrument.baseline().with_noise(law), readings)
