@@ -477,8 +477,8 @@ def noise(
         readings = {next((s.output for s in one.sources if s.output), "output"): one}
     with result_folder(out) as folder:
         found = {}
-        for name, one in readings.items():
-            print_notes(one.flags)
+        print_notes(request.flags_of(readings))
+        for name, one in request.each_device(readings).items():
             found[name] = bc.noise(one, seed=seed)
             if not json_:
                 print(f"{name}\n\n{found[name]}\n")
@@ -503,4 +503,10 @@ def noise(
         made = folder is None or drawn(draw)
         if written and not json_:
             print(f"written: {', '.join(map(str, written))}")
-        return Answer(None, pictures=lambda: made)
+        doubts = [
+            f"{name}: {c}"
+            for name, one in found.items()
+            for c in one.claims
+            if c.severity != "note"
+        ]
+        return Answer(None, doubt=" ".join(doubts), pictures=lambda: made)

@@ -27,6 +27,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.prior import Normal
 
 LONGEST_LINE, DEEPEST = 500, 40  # characters of a line, brackets in each other
+TINY = float(np.finfo(float).tiny)  # below which numbers lose digits
 MAGNITUDE = 10.0  # a shape of which one value is said lies between a tenth and ten times that
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
     **{"exp": jnp.exp, "log": jnp.log, "sqrt": jnp.sqrt, "abs": jnp.abs, "sign": jnp.sign},
@@ -90,6 +91,20 @@ Checked = tuple[
 ]  # a part, and its dimension; None for a plain literal
 
 
+def _number(text: str, within: str) -> float:
+    """Return a number as it is written.
+
+    Raises:
+        InputError: it is too large, or too small, for a computer's numbers.
+    """
+    value = float(text)
+    if math.isfinite(value) and (
+        abs(value) >= TINY or not re.search("[1-9]", text.lower().split("e")[0])
+    ):
+        return value
+    raise InputError(f"{within!r}: {text} is too {'large' if abs(value) > 1 else 'small'} a number")
+
+
 class _Text:
     """What is typed, of which a place is marked where it is refused."""
 
@@ -98,6 +113,25 @@ class _Text:
 
     def refusal(self, at: int, why: str) -> InputError:
         return InputError(f"effect {self.text[:at]!r} ▸ {self.text[at:]!r}: {why}")
+
+    def node(self, kind: str, *parts: FormulaNode, name: str = "") -> FormulaNode:
+        """Return a node of these parts: a function's, an operator's; of numbers alone, their value.
+
+        Raises:
+            InputError: it has none: a division by zero, the root of a negative number, a number too large or too small.
+        """
+        at = parts[0].at
+        if name in _OF_COLUMNS or any(part.kind != "number" for part in parts):
+            return FormulaNode(kind, (name, *parts) if name else parts, at)
+        of = _FUNCTIONS[name] if name else _OPERATORS[kind]
+        try:
+            with np.errstate(all="raise"):
+                value = float(of(*(np.float64(part.parts[0]) for part in parts)))
+        except FloatingPointError as error:
+            raise self.refusal(at, f"this number has no value: {error}") from None
+        if not math.isfinite(value):
+            raise self.refusal(at, f"this number has no value: it is {value}")
+        return FormulaNode("number", (value,), at)
 
 
 class _Parser(_Text):
@@ -148,7 +182,7 @@ class _Parser(_Text):
     def _chain(self, signs: str, part: Callable[[], FormulaNode]) -> FormulaNode:
         found = part()
         while sign := self._taken(*signs):
-            found = FormulaNode(sign, (found, part()), found.at)
+            found = self.node(sign, found, part())
         return found
 
     def _sum(self) -> FormulaNode:
@@ -163,8 +197,8 @@ class _Parser(_Text):
             negative ^= sign == "-"
         base = self._atom()
         if self._taken("^", "**"):
-            base = FormulaNode("^", (base, self._deeper("powers", self._factor)), base.at)
-        return FormulaNode("neg", (base,), at) if negative else base
+            base = self.node("^", base, self._deeper("powers", self._factor))
+        return self.node("neg", base)._replace(at=at) if negative else base
 
     def _atom(self) -> FormulaNode:
         kind, value, at = self.kind, self.value, self.begins
@@ -176,9 +210,7 @@ class _Parser(_Text):
             raise self.refusal(at, "a number, a name or a bracket was expected")
         self._next()
         if kind == "number":
-            if not math.isfinite(float(value)):
-                raise self.refusal(at, f"{value} is too large")
-            return FormulaNode("number", (float(value),), at)
+            return FormulaNode("number", (_number(value, self.text),), at)
         if kind == "name" and self.kind == "sign" and self.value == "(":
             return self._call(value, at)
         return FormulaNode("name", (value,), at)
@@ -197,7 +229,7 @@ class _Parser(_Text):
         count = 2 if name in (*_OF_TWO, *_OF_A_BODY) else 1
         if len(arguments) != count:
             raise self.refusal(at, f"{name} takes {count} argument{'s' * (count > 1)}")
-        return FormulaNode("call", (name, *arguments), at)
+        return self.node("call", *arguments, name=name)._replace(at=at)
 
     def _close(self) -> None:
         if not self._taken(")"):
@@ -263,8 +295,6 @@ class Formula:
         own = [self._value(part, r, values) for part in node.parts if isinstance(part, FormulaNode)]
         if node.kind == "call":
             return _FUNCTIONS[node.parts[0]](*own)
-        if node.kind == "neg":
-            return -own[0]
         return _OPERATORS[node.kind](*own)
 
 
@@ -274,9 +304,9 @@ def _power(base: Any, exponent: Any) -> Any:
     return base ** (int(exponent) if whole else exponent)
 
 
-_OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
+_OPERATORS: dict[str, Callable[..., Any]] = {
     **{"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv},
-    "^": _power,
+    **{"^": _power, "neg": operator.neg},
 }
 
 
@@ -341,10 +371,9 @@ class _CheckedFormula(_Text):
             raise self.refusal(at, f"an exponent is a plain number, this is {of}")
         if unit is None or not unit.powers:
             return unit if of is None else NUMBER
-        value = _literal(exponent)
-        if value is None or abs(value) > 10:
+        if exponent.kind != "number" or abs(exponent.parts[0]) > 10:
             raise self.refusal(at, f"of {unit} only a power such as 2 or 0.5 has a unit")
-        return unit.raised(value)
+        return unit.raised(exponent.parts[0])
 
     def _call(
         self, node: FormulaNode, name: str, first: FormulaNode, *rest: FormulaNode
@@ -389,17 +418,6 @@ def _times(node: FormulaNode, factor: float) -> FormulaNode:
     if factor == 1.0:
         return node
     return FormulaNode("*", (node, FormulaNode("number", (factor,), node.at)), node.at)
-
-
-def _literal(node: FormulaNode) -> float | None:
-    """The value of a part that is a number, with a sign perhaps."""
-    if node.kind == "neg":
-        value = _literal(node.parts[0])
-        return None if value is None else -value
-    if node.kind == "^":
-        base, exponent = (_literal(part) for part in node.parts)
-        return None if base is None or exponent is None or abs(exponent) > 10 else base**exponent
-    return node.parts[0] if node.kind == "number" else None
 
 
 def effect(
@@ -547,19 +565,29 @@ class _TypedLine(_Text):
             return {node.parts[0]: FormulaNode("number", (1.0,), node.at)}
         a, *more = (self._linear(part, unknowns) for part in node.parts)
         if node.kind == "neg":
-            return {n: FormulaNode("neg", (part,), part.at) for n, part in a.items()}
+            return {n: self.node("neg", part) for n, part in a.items()}
         (b,) = more
         if node.kind in "+-":
             for name, part in b.items():
-                signed = part if node.kind == "+" else FormulaNode("neg", (part,), part.at)
-                a[name] = FormulaNode("+", (a[name], signed), part.at) if name in a else signed
+                signed = part if node.kind == "+" else self.node("neg", part)
+                a[name] = self.node("+", a[name], signed) if name in a else signed
             return a
         if set(b) == {""}:
-            return {n: FormulaNode(node.kind, (part, b[""]), node.at) for n, part in a.items()}
+            return {n: self.node(node.kind, part, b[""]) for n, part in a.items()}
         if set(a) == {""}:
-            return {n: FormulaNode(node.kind, (a[""], part), node.at) for n, part in b.items()}
-        both = " and ".join(sorted({*a, *b} - {""}))
-        raise self.refusal(node.at, f"{both} multiply each other: only their product could be told")
+            return {n: self.node(node.kind, a[""], part) for n, part in b.items()}
+        both = sorted({*a, *b} - {""})
+        if self.readings is not None and (unsaid := [n for n in both if n not in self.given]):
+            raise self.refusal(node.at, self._no_column(unsaid))
+        why = f"{' and '.join(both)} multiply each other: only their product could be told"
+        raise self.refusal(node.at, why)
+
+    def _no_column(self, names: Sequence[str]) -> str:
+        """Return that the readings have no columns of these names, and which they have."""
+        assert self.readings is not None
+        are = "is not a column" if len(names) == 1 else "are not columns"
+        said = " and ".join(map(repr, names))
+        return f"{said} {are} of numbers of {self.readings.file} (it has: {', '.join(self.there)})"
 
     def _columns(self) -> dict[str, tuple[str, str]]:
         """Names that are columns.
@@ -575,6 +603,8 @@ class _TypedLine(_Text):
             units = {n: readings.unit(n) for n in readings.columns if n != readings.output}
             there = {n: str(unit) for n, unit in units.items() if unit}
             there |= {"elapsed": "s"} if "time" in there else {}
+        self.there = there
+        declared = {c.name for c in self.instrument.columns} if self.instrument else set()
         own = {n: v for n, v in given.items() if not re.match(r"[-+.\d]", v)}
         found: dict[str, tuple[str, str]] = {}
         for node in (n for n in _inside(self.tree) if n.kind == "name"):
@@ -590,9 +620,10 @@ class _TypedLine(_Text):
                 found[called] = column, there[column]
             elif called in own and readings is None:
                 found[called] = column, stated
-            elif called in own:
-                why = f"{column!r} is no column of numbers; there are {', '.join(there)}"
-                raise self.refusal(node.at, why)
+            elif readings is not None and (
+                called in own or (column in declared and called not in given)
+            ):
+                raise self.refusal(node.at, self._no_column([column]))
             elif called not in given and readings is None and given:
                 found[called] = called, ""  # a column, whose unit is looked at with the readings
             elif called not in given and len(called) > 3 and (near := _near(called, there)):
@@ -604,11 +635,13 @@ class _TypedLine(_Text):
         if said is None:
             at = next(n.at for n in _inside(self.tree) if n.kind == "name" and n.parts[0] == name)
             why = f"how large {name!r} plausibly is, is not said: {name} = 100 to 2000 s"
+            why = why if self.readings is None else f"{self._no_column([name])}, and {why}"
             raise self.refusal(at, why)
         if found := _RANGE.fullmatch(said):
-            low, high, unit = float(found[1]), float(found[2]), found[3]
+            low, high, unit = _number(found[1], said), _number(found[2], said), found[3]
         elif (found := _SIZE.fullmatch(said)) and found[2] is None and float(found[1]) > 0:
-            low, high, unit = float(found[1]) / MAGNITUDE, float(found[1]) * MAGNITUDE, found[3]
+            value, unit = _number(found[1], said), found[3]
+            low, high = value / MAGNITUDE, value * MAGNITUDE
         else:
             raise InputError(f"{name} = {said!r} is no plausible range: write it as 100 to 2000 s")
         if not 0 < low < high:
@@ -650,14 +683,15 @@ class _TypedLine(_Text):
                     f"effect {self.text!r}: how large {name!r} plausibly is, is not said: {name} = 0.1 mV/V"
                 )
             text = "/".join([slot_unit, *(_power_of(n, p) for n, p in own.powers)])
-            rounded = float(f"{size / coefficient_factor(text, slot_unit):.2g}")
+            rounded = _number(f"{size / coefficient_factor(text, slot_unit):.2g}", name)
             return Coefficient(text, Normal(0.0, rounded), part)
         if not (found := _SIZE.fullmatch(said)):
             raise InputError(
                 f"{name} = {said!r} is no size with a unit: write it as 0.1 mV/V, or as 0.5 ± 0.1 mV/V"
             )
         text = (found[3] or "1").strip()
-        mean, sd = (float(found[1]), float(found[2])) if found[2] else (0.0, abs(float(found[1])))
+        sd = abs(_number(found[2] or found[1], said))
+        mean = _number(found[1], said) if found[2] else 0.0
         if not sd > 0:
             raise InputError(f"{name} = {said!r}: a size is not zero")
         whole = Dimension.of(text).times(own)
