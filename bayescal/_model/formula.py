@@ -735,7 +735,8 @@ def _scatter(made: Formula, readings: Measurements, shapes: Mapping[str, Shape])
     middle = {n: math.sqrt(s.low * s.high) for n, s in shapes.items()}
     columns = np.asarray(made(frame, **middle))
     spread = float(np.std(readings[readings.output]))
-    sizes = np.std(columns, axis=0)
+    with np.errstate(invalid="ignore"):  # what is not finite is refused where it meets the readings
+        sizes = np.std(columns, axis=0)
     sizes = np.where(sizes > 0, sizes, np.abs(columns).max(axis=0))
     return [spread / s if s > 0 and math.isfinite(s) else spread for s in sizes.tolist()]
 

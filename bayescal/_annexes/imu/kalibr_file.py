@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 from bayescal import InputError, SensorNoise
 from bayescal._calibration.sensor_noise import FILTER_QUANTILE
-from bayescal.workshop import STANDARD_GRAVITY, c_comment, parse
+from bayescal.workshop import STANDARD_GRAVITY, c_comment, option, parse
 
 KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 BRIEF = {
@@ -92,7 +92,7 @@ def _kind(name: str, unit: str) -> str:
         return "accelerometer"
     raise InputError(
         f"the channel {name!r} in {unit or 'no unit'} is neither a gyroscope's nor an accelerometer's: an imu.yaml has "
-        "no place for it. Say its unit, as --unit gyro_x=deg/s"
+        f"no place for it. Say its unit: {option('--unit', f'{name}=UNIT')}"
     )
 
 
