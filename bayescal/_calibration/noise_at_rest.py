@@ -222,7 +222,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
         InputError: no column `time`, no run of 30 readings, uneven steps, or an output that is rounded too coarsely.
     """
     runs = even_runs(readings)
-    _require_resolved(readings, runs)
+    _scatter(readings, runs)  # refused before means hide it
     count = _level_count(np.asarray(readings["output"], float), runs)
     # Means of a process that is short against their time are white, but for what neighbours share.
     base: Terms = (AVERAGED,) if (count or 1) > 1 else ()
@@ -235,7 +235,8 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     fits: dict[Terms, Mode] = {base: _fit(channel, base)}
     limits = {"tone": (clear, LINE_SD)}
     if not base:
-        limits[ROUNDED] = _rounded(output, runs), NEIGHBOURS_SD
+        negative = _negative(output, runs)
+        limits[ROUNDED if negative > 0 else AVERAGED] = abs(negative), NEIGHBOURS_SD
     further = tuple(term for term, (sigmas, limit) in limits.items() if sigmas > limit)
     kept = tuple(term for term in further if limits[term][0] > SURE_SD)
     among = (*ALONE, *further)
@@ -290,7 +291,7 @@ def _level_count(output: Float[np.ndarray, "n"], runs: EvenRuns) -> int | None:
         variance -= law.allan_variance({WHITE: 0.0, **line}, line[TONE[0]] ** 2, runs.factors, 1.0)
     level = variance[2:] <= 4.0 ** (2 * LEVEL_SLOPE) * variance[:-2]
     level &= sum(runs.lengths) >= FEWEST_MEANS * runs.factors[:-2]
-    level[:1] &= clear > LINE_SD or _rounded(output, runs) > -NEIGHBOURS_SD
+    level[:1] &= clear > LINE_SD or _negative(output, runs) > -NEIGHBOURS_SD
     return int(runs.factors[np.argmax(level)]) if level.any() else None
 
 
@@ -326,7 +327,7 @@ def _beside(terms: Terms, among: Terms) -> Iterator[Terms]:
                 yield _sorted((*rest, term))
 
 
-def _rounded(output: Float[np.ndarray, "n"], runs: EvenRuns) -> float:
+def _negative(output: Float[np.ndarray, "n"], runs: EvenRuns) -> float:
     """Return how surely neighbours are correlated negatively, as rounded angles are, in standard deviations.
 
     Half the mean square of differences k readings apart is γ₀ − γₖ, which slow noise lets rise steadily: where it
@@ -381,40 +382,32 @@ def _total(fits: dict[Terms, Mode], terms: tuple[str, ...]) -> float:
     return fits[terms].log_evidence + math.log(share)
 
 
-def _changes(output: Float[np.ndarray, "n"], runs: EvenRuns) -> Float[np.ndarray, "k"]:
-    """Return the differences of neighbouring readings."""
-    changes = np.concatenate([np.diff(own) for own in runs.of(output)])
-    return changes[np.isfinite(changes)]
-
-
-def _require_resolved(readings: Measurements, runs: EvenRuns) -> None:
-    """Refuse an output that is rounded too coarsely; one that is held changes by many of its least steps.
+def _scatter(readings: Measurements, runs: EvenRuns) -> float:
+    """Return the standard deviation of a reading, by the changes between neighbours; a held output has some that are 0.
 
     Raises:
-        InputError: most readings equal their neighbours, and the others differ by the least step.
+        InputError: the output is rounded too coarsely: most readings equal their neighbours, and the others differ by
+            the least step.
     """
     output = np.asarray(readings["output"], float)
-    sizes = np.abs(_changes(output, runs))
-    if np.median(sizes) > 0:
-        return
-    changed = sizes[sizes > 0]
-    if not len(changed) or np.median(changed) < 2 * np.min(np.diff(np.unique(output))):
+    changes = np.concatenate([np.diff(own) for own in runs.of(output)])
+    changes = changes[np.isfinite(changes)]
+    changed = changes[changes != 0]
+    held = 2 * len(changed) <= len(changes)
+    if held and not np.median(abs(changed)) >= 2 * np.min(
+        np.diff(np.unique(output)), initial=math.inf
+    ):
         raise InputError(
             f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is rounded "
             "more coarsely than its noise: record it with more digits"
         )
+    return float(np.median(abs(changed - np.median(changed)))) * 1.4826 / math.sqrt(2)
 
 
 def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, tuple[Claim, ...]]:
     output, claims = np.asarray(readings["output"], float), list[Claim]()
     rows = [r for r in runs.rows if len(r) > 1]
-    changes = _changes(output, runs)
-    size = float(np.median(np.abs(changes - np.median(changes)))) * 1.4826 / math.sqrt(2)
-    if not size > 0:
-        raise InputError(
-            f"{readings.file}: the output is held, each value for several readings, and changes too seldom for its "
-            "noise to be read: record for longer, or give each value once"
-        )
+    size = _scatter(readings, runs)
     given = {"output": output - np.median(output)}
     effects = [LEVEL]
     if readings.has("temperature") and float(np.ptp(readings["temperature"])) > STIRRED_DEGREES:

@@ -124,6 +124,11 @@ class SensorNoise(Printed):
     densities: tuple[np.ndarray, np.ndarray] = field(repr=False)
     horizon: float
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The claims in words."""
+        return tuple(map(str, self.claims))
+
     def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
         terms = plain_table(["term", "value", "95 % interval", "SI"], rows, fold=40)
@@ -131,7 +136,7 @@ class SensorNoise(Printed):
             :SHOWN_SUMS
         ]
         laws = ", ".join(f"{words} {probability(p)}" for words, p in likely)
-        said = [f"Noise law: {laws}.", *(f"Note: {claim}" for claim in self.claims)]
+        said = [f"Noise law: {laws}.", *(f"Note: {note}" for note in self.notes)]
         unit = unit_label(self.unit)
         m = self.measured
         head = ["τ [s]", "Allan deviation", "noise law", "95 % of such records"]

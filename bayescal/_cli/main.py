@@ -11,6 +11,7 @@ Heavy modules load inside the commands, so that `bayescal --help` answers at onc
 from __future__ import annotations
 
 import contextlib
+import errno
 import gc
 import io
 import os
@@ -33,10 +34,7 @@ from bayescal._search.own_files import in_one_line, own_file_line
 OBJECTS = 1_000_000
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 TOO_LITTLE_MEMORY = "too little memory: give fewer readings (--average), or allow more (ulimit -v)"
-# What XLA, C++ and the system's loader say of it in errors of other classes.
-OUT_OF_MEMORY = re.compile(
-    "RESOURCE_EXHAUSTED|bad_alloc|failed to map segment|annot allocate memory|can't start new thread"
-)
+OUT_OF_MEMORY = re.compile("RESOURCE_EXHAUSTED|bad_alloc")  # of XLA, and of C++ beneath it
 
 app = typer.Typer(
     name="bayescal",
@@ -114,6 +112,8 @@ def command() -> int:
     except MemoryError:
         return _failed(TOO_LITTLE_MEMORY, 2)
     except OSError as error:
+        if error.errno == errno.ENOMEM:
+            return _failed(TOO_LITTLE_MEMORY, 2)
         return _failed(
             f"{error.filename or 'standard output, or a file'}: {error.strerror or error}", 2
         )
@@ -122,7 +122,9 @@ def command() -> int:
             return _failed(
                 f"{where} failed: {in_one_line(error)}. Mend it, or leave --effects out", 2
             )
-        if OUT_OF_MEMORY.search(str(error)):
+        # Where a limit holds, neither a thread starts nor a library loads once it is reached.
+        at_limit = type(error) in (ImportError, RuntimeError) and _is_limited()
+        if at_limit or OUT_OF_MEMORY.search(str(error)):
             return _failed(TOO_LITTLE_MEMORY, 2)
         usage = getattr(error, "format_message", None)  # an option that the parser refused
         if usage is None:

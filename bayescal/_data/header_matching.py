@@ -495,7 +495,7 @@ class MatchedFile:
             found = alike[column.name]
             # no column is proposed for two
             one = len(found) == 1 and single.count(found[0].raw) == 1
-            self._note_lack(column, found)
+            self._note_lack(column, found, one)
             if one:
                 rule = self.rule(column.name)
                 kinds = (column.unit or "1", *(RAW if rule.output else ()))
@@ -513,10 +513,10 @@ class MatchedFile:
         unsaid = [h for h in free if column.unit and not (longest_unit(h) or like_a_unit(h))]
         return rule.resembled(raw) or raw or rule.resembled(free) or unsaid
 
-    def _note_lack(self, column: Column, alike: Sequence[Header]) -> None:
-        """Note that the file has no such column, with the headers that may be meant."""
+    def _note_lack(self, column: Column, alike: Sequence[Header], one: bool) -> None:
+        """Note that the file has no such column, with the headers that may be meant: `one` whose unit is asked for."""
         asked = f"{column.name} [{column.example}]" if column.unit else column.name
-        choices = [self._as_column(column, header) for header in alike[:SHOWN_HEADERS]]
+        choices = [self._as_column(column, header, one) for header in alike[:SHOWN_HEADERS]]
         advice, given = "", choices[0] if len(choices) == 1 else f"({' or '.join(choices)})"
         if alike:
             shown = ", ".join(h.raw for h in alike[:SHOWN_HEADERS])
@@ -536,7 +536,7 @@ class MatchedFile:
         cure = f"{advice}Add such a column{', or say which it is' if alike else ''}"
         self.problem(column.name, _LACKS, asked, cure, given if alike else "", sentence=sentence)
 
-    def _as_column(self, column: Column, header: Header) -> str:
+    def _as_column(self, column: Column, header: Header, one: bool) -> str:
         """Return the options that say that a header is a column; what the file cannot tell is left to fill in."""
         said = option("--columns", f"{column.name}={header.raw}")
         raw, rule = raw_unit(header), self.rule(column.name)
@@ -544,7 +544,7 @@ class MatchedFile:
         if raw and self.options.nominal_scale is None and not converts:
             per = f"({column.unit})" if "/" in str(column.unit) else column.unit
             return f"{said} {option('--nominal-scale', f'NUMBER {unit_in(raw, (ANY,))}/{per}')}"
-        if column.unit is None or rule.fitting(header, {}) or header.unit:
+        if one or column.unit is None or rule.fitting(header, {}) or header.unit:
             return said
         return f"{said} {option('--unit', f'{header.raw}=UNIT')}"
 
