@@ -13,6 +13,7 @@ import operator
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -91,18 +92,18 @@ Checked = tuple[
 ]  # a part, and its dimension; None for a plain literal
 
 
-def _number(text: str, within: str) -> float:
+def _number(text: str, refusal: Callable[[str], InputError] = InputError) -> float:
     """Return a number as it is written.
 
     Raises:
-        InputError: it is too large, or too small, for a computer's numbers.
+        InputError: by `refusal`: it is too large, or too small, for a computer's numbers.
     """
     value = float(text)
     if math.isfinite(value) and (
         abs(value) >= TINY or not re.search("[1-9]", text.lower().split("e")[0])
     ):
         return value
-    raise InputError(f"{within!r}: {text} is too {'large' if abs(value) > 1 else 'small'} a number")
+    raise refusal(f"{text} is a number too {'large' if abs(value) > 1 else 'small'}")
 
 
 class _Text:
@@ -210,7 +211,7 @@ class _Parser(_Text):
             raise self.refusal(at, "a number, a name or a bracket was expected")
         self._next()
         if kind == "number":
-            return FormulaNode("number", (_number(value, self.text),), at)
+            return FormulaNode("number", (_number(value, partial(self.refusal, at)),), at)
         if kind == "name" and self.kind == "sign" and self.value == "(":
             return self._call(value, at)
         return FormulaNode("name", (value,), at)
@@ -577,17 +578,19 @@ class _TypedLine(_Text):
         if set(a) == {""}:
             return {n: self.node(node.kind, a[""], part) for n, part in b.items()}
         both = sorted({*a, *b} - {""})
-        if self.readings is not None and (unsaid := [n for n in both if n not in self.given]):
-            raise self.refusal(node.at, self._no_column(unsaid))
+        unsaid = [n for n in both if n not in self.given]
+        if self.readings is not None and len(unsaid) == 1 < len(both):
+            raise self.refusal(node.at, self._no_column(unsaid[0]))
         why = f"{' and '.join(both)} multiply each other: only their product could be told"
+        if self.readings is not None and unsaid:
+            why += f". {' and '.join(map(self._no_column, unsaid))}"
         raise self.refusal(node.at, why)
 
-    def _no_column(self, names: Sequence[str]) -> str:
-        """Return that the readings have no columns of these names, and which they have."""
+    def _no_column(self, name: str) -> str:
+        """Return that the readings have no column of a name, and which they have."""
         assert self.readings is not None
-        are = "is not a column" if len(names) == 1 else "are not columns"
-        said = " and ".join(map(repr, names))
-        return f"{said} {are} of numbers of {self.readings.file} (it has: {', '.join(self.there)})"
+        has = ", ".join(self.there)
+        return f"{name!r} is not a column of numbers of {self.readings.file} (it has: {has})"
 
     def _columns(self) -> dict[str, tuple[str, str]]:
         """Names that are columns.
@@ -604,7 +607,11 @@ class _TypedLine(_Text):
             there = {n: str(unit) for n, unit in units.items() if unit}
             there |= {"elapsed": "s"} if "time" in there else {}
         self.there = there
-        declared = {c.name for c in self.instrument.columns} if self.instrument else set()
+        declared = (
+            {c.name for c in self.instrument.columns if c.name != "output"}
+            if self.instrument
+            else {}
+        )
         own = {n: v for n, v in given.items() if not re.match(r"[-+.\d]", v)}
         found: dict[str, tuple[str, str]] = {}
         for node in (n for n in _inside(self.tree) if n.kind == "name"):
@@ -623,7 +630,7 @@ class _TypedLine(_Text):
             elif readings is not None and (
                 called in own or (column in declared and called not in given)
             ):
-                raise self.refusal(node.at, self._no_column([column]))
+                raise self.refusal(node.at, self._no_column(column))
             elif called not in given and readings is None and given:
                 found[called] = called, ""  # a column, whose unit is looked at with the readings
             elif called not in given and len(called) > 3 and (near := _near(called, there)):
@@ -635,12 +642,12 @@ class _TypedLine(_Text):
         if said is None:
             at = next(n.at for n in _inside(self.tree) if n.kind == "name" and n.parts[0] == name)
             why = f"how large {name!r} plausibly is, is not said: {name} = 100 to 2000 s"
-            why = why if self.readings is None else f"{self._no_column([name])}, and {why}"
+            why = why if self.readings is None else f"{self._no_column(name)}, and {why}"
             raise self.refusal(at, why)
         if found := _RANGE.fullmatch(said):
-            low, high, unit = _number(found[1], said), _number(found[2], said), found[3]
+            low, high, unit = _number(found[1]), _number(found[2]), found[3]
         elif (found := _SIZE.fullmatch(said)) and found[2] is None and float(found[1]) > 0:
-            value, unit = _number(found[1], said), found[3]
+            value, unit = _number(found[1]), found[3]
             low, high = value / MAGNITUDE, value * MAGNITUDE
         else:
             raise InputError(f"{name} = {said!r} is no plausible range: write it as 100 to 2000 s")
@@ -683,15 +690,14 @@ class _TypedLine(_Text):
                     f"effect {self.text!r}: how large {name!r} plausibly is, is not said: {name} = 0.1 mV/V"
                 )
             text = "/".join([slot_unit, *(_power_of(n, p) for n, p in own.powers)])
-            rounded = _number(f"{size / coefficient_factor(text, slot_unit):.2g}", name)
+            rounded = _number(f"{size / coefficient_factor(text, slot_unit):.2g}")
             return Coefficient(text, Normal(0.0, rounded), part)
         if not (found := _SIZE.fullmatch(said)):
             raise InputError(
                 f"{name} = {said!r} is no size with a unit: write it as 0.1 mV/V, or as 0.5 ± 0.1 mV/V"
             )
         text = (found[3] or "1").strip()
-        sd = abs(_number(found[2] or found[1], said))
-        mean = _number(found[1], said) if found[2] else 0.0
+        sd, mean = abs(_number(found[2] or found[1])), _number(found[1]) if found[2] else 0.0
         if not sd > 0:
             raise InputError(f"{name} = {said!r}: a size is not zero")
         whole = Dimension.of(text).times(own)
@@ -733,10 +739,10 @@ def _scatter(made: Formula, readings: Measurements, shapes: Mapping[str, Shape])
     """Size of each coefficient at which its term varies as much as the output does, base units of the output."""
     frame = build_frame(readings, reference_of(readings))
     middle = {n: math.sqrt(s.low * s.high) for n, s in shapes.items()}
-    columns = np.asarray(made(frame, **middle))
-    spread = float(np.std(readings[readings.output]))
-    with np.errstate(invalid="ignore"):  # what is not finite is refused where it meets the readings
+    with np.errstate(all="ignore"):  # what is not finite is refused where it meets the readings
+        columns = np.asarray(made(frame, **middle))
         sizes = np.std(columns, axis=0)
+    spread = float(np.std(readings[readings.output]))
     sizes = np.where(sizes > 0, sizes, np.abs(columns).max(axis=0))
     return [spread / s if s > 0 and math.isfinite(s) else spread for s in sizes.tolist()]
 
