@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import pickle
-from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -343,6 +342,12 @@ def test_basis_that_is_not_finite_in_a_reading_is_refused(readings, own) -> None
     plain = bc.fit(GYROSCOPE.baseline(), data, bc.LeastSquares(), strict=False)
     with pytest.raises(bc.ModelError, match="own"):
         bc.discover(plain, effects=[own])
+
+
+@pytest.mark.parametrize("name", ["unknown(run)", "unknown(run, jump)"])
+def test_unknown_dependence_on_labels_is_refused(readings, name) -> None:
+    with pytest.raises(bc.ModelError, match="run"):
+        bc.fit(GYROSCOPE.baseline() + name, readings, bc.LeastSquares())
 
 
 @given(st.text("0123456789.eE+-*/^() ,TVsk", max_size=24))
