@@ -225,9 +225,10 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     _scatter(readings, runs)  # refused before means hide it
     count = _level_count(np.asarray(readings["output"], float), runs)
     # Means of a process that is short against their time are white, but for what neighbours share.
-    base: Terms = (AVERAGED,) if (count or 1) > 1 else ()
-    if base:
+    base: Terms = ()
+    if count is not None and count > 1:
         readings, runs = _means_of(readings, runs, count)
+        base = (AVERAGED,)
     channel, claims = _channel(readings, runs)
     output = np.asarray(readings["output"], float)
     clear, line = _line(output, runs)

@@ -28,7 +28,6 @@ from bayescal._data.allan_deviation import (
     AllanDeviation,
     EvenRuns,
     degrees_of_freedom,
-    even_runs,
     habit,
     noise_types,
     of_runs,
@@ -218,7 +217,7 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
                 f"{readings.file}: each {group} has noise of its own ({', '.join(levels)}): give the readings of one, "
                 f"as readings.select(readings[{group!r}] == {levels[0]!r})"
             )
-    found, step = weigh_noise(readings, seed), even_runs(readings).step
+    found = weigh_noise(readings, seed)
     readings, runs, unit = found.readings, found.runs, readings.unit("output") or ""
     measured = of_runs(readings, np.asarray(readings["output"], float), runs)
     draws = np.concatenate([one.allan_variance(runs.factors, runs.step) for one in found.drawn])
@@ -240,7 +239,7 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
     return SensorNoise(
         file=readings.file,
         unit=unit,
-        step=step,
+        step=runs.step / (found.count or 1),
         law=_words(found.drawn[0].terms),
         probabilities={_words(t): p for t, p in found.probabilities.items()},
         figures=_figures(found, unit, draws),

@@ -166,7 +166,7 @@ def behind(
     if kind == "mean":
         return np.convolve(fine, np.ones(6 * FINE) / (6 * FINE), "valid")[::FINE][:n]
     order = {"first order": 1, "Butterworth": 2, "Butterworth of fourth order": 4}[kind]
-    passed = sosfilt(butter(order, 8.0, fs=FINE / step, output="sos"), fine)
+    passed = np.asarray(sosfilt(butter(order, 8.0, fs=FINE / step, output="sos"), fine))
     return passed[400 * FINE :: FINE][:n]
 
 

@@ -212,7 +212,7 @@ def test_columns_come_as_a_mapping_behind_the_instrument():
     m = bc.Measurements.from_arrays(SCALE, {"output": [1.0, 2.0], "humidity [%]": [40.0, 41.0]})
     assert m.has("humidity") and len(m) == 2
     with pytest.raises(bc.InputError, match="instrument"):
-        bc.Measurements.from_arrays({"output": [1.0, 2.0]}, SCALE)
+        bc.Measurements.from_arrays({"output": [1.0, 2.0]}, SCALE)  # pyright: ignore[reportArgumentType]
 
 
 def test_readings_cannot_be_changed_by_accident():
