@@ -185,9 +185,11 @@ input.one_order (note)
   → Take them in another order in one run.
 
 # What was done to a record at rest, and what it cannot tell (sensor_noise.py)
+noise.held (note)
+    The output is held: a value stands for {times} readings on average, and one reading of each is taken.
 noise.means (note)
-    Below {time} s neighbouring readings are correlated, by a low-pass, a mean, an interpolation or held values: all is
-    read from means of {count} readings, along which the Allan deviation falls with slope −½.
+    Below {time} s neighbouring readings are correlated, by a low-pass, a mean or an interpolation: all is read from
+    means of {count} readings, along which the Allan deviation falls with slope −½.
 noise.no_level (note)
     The Allan deviation nowhere falls with slope −½ over two octaves: {name} is not seen.
   → Record for longer, without a low-pass.

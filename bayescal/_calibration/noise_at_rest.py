@@ -66,6 +66,7 @@ SURE_SD = 6.0
 # is so steep from means over 3.4·T on, of which only neighbours are correlated by more than a hundredth.
 LEVEL_SLOPE = -0.35
 FEWEST_MEANS = 64  # whose slope is known to 0.1
+HELD_SHARE = 0.05  # of neighbours that are equal, from which an output with digits enough is held
 SHORT_STEPS = 3.0  # correlation time, below which a process is part of N: its density is level over these octaves
 # °C, range of a temperature at rest, below which it is taken as constant: two steps of a thermometer that is read to
 # 0.1 °C.
@@ -221,9 +222,9 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     Raises:
         InputError: no column `time`, no run of 30 readings, uneven steps, or an output that is rounded too coarsely.
     """
-    runs = even_runs(readings)
-    _scatter(readings, runs)  # refused before means hide it
-    count = _level_count(np.asarray(readings["output"], float), runs)
+    output = np.asarray(readings["output"], float)
+    runs = _without_repeats(output, even_runs(readings))
+    count = _level_count(output, runs)
     # Means of a process that is short against their time are white, but for what neighbours share.
     base: Terms = ()
     if count is not None and count > 1:
@@ -277,6 +278,29 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
             sampled[further] = _sampled(channel, further, fit, seed, FEWEST_SHARE)
         walk = _drawn(channel, further, sampled[further], seed, FEWEST_SHARE)
     return WeighedNoise(tuple(drawn), walk, probabilities, claims, readings, runs, count)
+
+
+def _changes(output: Float[np.ndarray, "n"], runs: EvenRuns) -> Float[np.ndarray, "k"]:
+    """Return the differences of neighbouring readings."""
+    changes = np.concatenate([np.diff(own) for own in runs.of(output)])
+    return changes[np.isfinite(changes)]
+
+
+def _without_repeats(output: Float[np.ndarray, "n"], runs: EvenRuns) -> EvenRuns:
+    """Return the first reading of each value of a held output, at their mean step; of another one, all readings.
+
+    Of neighbours that differ by about m, 0.27·g/m are equal by rounding to steps of g; of a held output many more are.
+    """
+    changes = np.abs(_changes(output, runs))
+    changed = changes[changes > 0]
+    least = np.min(np.diff(np.unique(output)), initial=math.inf)
+    rounded = least / np.median(changed) if len(changed) else 1.0
+    if len(changed) >= (1 - max(HELD_SHARE, rounded)) * len(changes):
+        return runs
+    there = [r[r >= 0] for r in runs.rows]
+    rows = [own[np.append(True, np.diff(output[own]) != 0)] for own in there]
+    span = sum(len(r) - 1 for r in runs.rows) * runs.step
+    return EvenRuns(tuple(rows), span / sum(len(r) - 1 for r in rows))
 
 
 def _level_count(output: Float[np.ndarray, "n"], runs: EvenRuns) -> int | None:
@@ -383,32 +407,16 @@ def _total(fits: dict[Terms, Mode], terms: tuple[str, ...]) -> float:
     return fits[terms].log_evidence + math.log(share)
 
 
-def _scatter(readings: Measurements, runs: EvenRuns) -> float:
-    """Return the standard deviation of a reading, by the changes between neighbours; a held output has some that are 0.
-
-    Raises:
-        InputError: the output is rounded too coarsely: most readings equal their neighbours, and the others differ by
-            the least step.
-    """
-    output = np.asarray(readings["output"], float)
-    changes = np.concatenate([np.diff(own) for own in runs.of(output)])
-    changes = changes[np.isfinite(changes)]
-    changed = changes[changes != 0]
-    held = 2 * len(changed) <= len(changes)
-    if held and not np.median(abs(changed)) >= 2 * np.min(
-        np.diff(np.unique(output)), initial=math.inf
-    ):
+def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, tuple[Claim, ...]]:
+    output, claims = np.asarray(readings["output"], float), list[Claim]()
+    rows = [r for r in runs.rows if len(r) > 1]
+    changes = _changes(output, runs)
+    size = float(np.median(np.abs(changes - np.median(changes)))) * 1.4826 / math.sqrt(2)
+    if not size > 0:
         raise InputError(
             f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is rounded "
             "more coarsely than its noise: record it with more digits"
         )
-    return float(np.median(abs(changed - np.median(changed)))) * 1.4826 / math.sqrt(2)
-
-
-def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, tuple[Claim, ...]]:
-    output, claims = np.asarray(readings["output"], float), list[Claim]()
-    rows = [r for r in runs.rows if len(r) > 1]
-    size = _scatter(readings, runs)
     given = {"output": output - np.median(output)}
     effects = [LEVEL]
     if readings.has("temperature") and float(np.ptp(readings["temperature"])) > STIRRED_DEGREES:

@@ -28,6 +28,7 @@ from bayescal._data.allan_deviation import (
     AllanDeviation,
     EvenRuns,
     degrees_of_freedom,
+    even_runs,
     habit,
     noise_types,
     of_runs,
@@ -217,7 +218,7 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
                 f"{readings.file}: each {group} has noise of its own ({', '.join(levels)}): give the readings of one, "
                 f"as readings.select(readings[{group!r}] == {levels[0]!r})"
             )
-    found = weigh_noise(readings, seed)
+    found, step = weigh_noise(readings, seed), even_runs(readings).step
     readings, runs, unit = found.readings, found.runs, readings.unit("output") or ""
     measured = of_runs(readings, np.asarray(readings["output"], float), runs)
     draws = np.concatenate([one.allan_variance(runs.factors, runs.step) for one in found.drawn])
@@ -233,13 +234,16 @@ def noise(readings: Measurements, *, seed: int = 0) -> SensorNoise:
         claims.insert(0, Claim("noise.no_level", "N", name=habit(unit).names[0]))
     elif found.count > 1:
         claims.insert(0, Claim("noise.means", "N", time=runs.step, count=found.count))
+    held = runs.step / (found.count or 1) / step
+    if held > 1:
+        claims.insert(0, Claim("noise.held", "N", times=held))
     if outside.sum() > MAX_OUTSIDE:
         at = tuple(number(t) for t in measured.tau[outside])
         claims.append(Claim("noise.outside", count=len(at), times=len(outside), outside=at))
     return SensorNoise(
         file=readings.file,
         unit=unit,
-        step=runs.step / (found.count or 1),
+        step=step,
         law=_words(found.drawn[0].terms),
         probabilities={_words(t): p for t, p in found.probabilities.items()},
         figures=_figures(found, unit, draws),
