@@ -54,6 +54,10 @@ def kalibr_yaml(
     ]
     for name, noise in channels.items():
         lines += [f"# {c_comment(name)}: {noise.law}. {_left_out(noise)}"]
+        for n in (figure for figure in noise.figures if figure.symbol == "N"):
+            middle, low, high = (f"{value:.4e}" for value in n.si)
+            seen = f"{middle} {n.si_unit} ({low} to {high})" if not n.bound else "not seen"
+            lines += [f"#   N: {seen}"]
     for kind, unit in KINDS.items():
         own = [noise for name, noise in channels.items() if kinds[name] == kind]
         lines.append(f"# {kind}, {unit}")
