@@ -111,6 +111,7 @@ from ._report.whole_folder import whole_folder as whole_folder
 from ._tables.open_table import open_table as open_table
 from ._tables.raw_table import Objection as Objection
 from ._tables.raw_table import Objections as Objections
+from ._tables.raw_table import option as option
 
 # corrections, and the files that they are written to
 from ._use.correction import NOT_RELIABLE as NOT_RELIABLE

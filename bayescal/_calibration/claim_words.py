@@ -183,6 +183,33 @@ input.one_order (note)
     Not decidable from these readings: whether {of[0]} is of the sensor, or the output is late or smoothed: {column}
     goes through its values in one order.
   → Take them in another order in one run.
+
+# What was done to a record at rest, and what it cannot tell (sensor_noise.py)
+noise.held (note)
+    The output is held: a value stands for {times} readings on average, and one reading of each is taken.
+noise.means (note)
+    Below {time} s neighbouring readings are correlated, by a low-pass, a mean or an interpolation: all is read from
+    means of {count} readings, along which the Allan deviation falls with slope −½.
+noise.no_level (note)
+    The Allan deviation nowhere falls with slope −½ over two octaves: {name} is not seen.
+  → Record for longer, without a low-pass.
+noise.temperature (note)
+    A polynomial of degree {degree} over {of[0]} was taken out beside the noise.
+noise.lost (note)
+    {share:.2g} % of the readings were lost: the filter goes on without.
+noise.blocks (note)
+    Of {readings} readings the filter took {means} means of {count} by their exact law, and {stretches} stretches of
+    {length} single readings.
+noise.event (note)
+    At {at} s the average over {over} s changes by {change} {unit:unit}, {times} times what is usual: that is an event,
+    such as a warm-up, a knock or a step, and the law takes it for noise.
+  → Leave it out.
+noise.ended (note)
+    The search for the noise law was ended early ({why}): sums that were not fitted may be more probable.
+noise.outside (doubt)
+    The Allan deviation lies outside the interval that holds 95 % of such records at {count} of {times} averaging times
+    ({outside:list} s): the noise law does not describe this record.
+  → Look at its spectrum (a vibration, an event, a setting that changed), or give a part of it.
 """
 
 

@@ -5,6 +5,11 @@ integrated out beside it (restricted likelihood); the sums are weighed by their 
 most probable one drawn by importance sampling. Of a long log the filter takes the means of blocks of readings, by
 their exact law, and some stretches of single readings.
 
+N is the density along which the Allan deviation falls with slope −½ (IEEE 952, C.1.2). A low-pass, a moving average, an
+interpolation or a held output correlates readings over times shorter than those: where the deviation falls so only from
+means of m readings on, all is read from these means. Of a process that is short against T they are white noise, but for
+a correlation of neighbours.
+
 Sources: D. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood); IEEE Std 952-1997, Annex C.
 """
 
@@ -21,6 +26,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import ndtri, softmax
 
+from bayescal._calibration.claim import Claim
 from bayescal._core import deadline
 from bayescal._core.errors import InputError
 from bayescal._core.importance_weights import resample, smoothed
@@ -44,24 +50,29 @@ from bayescal._model.noise_terms import FLAT, TERMS
 from bayescal._model.parameters import Layout, bind
 from bayescal._model.prior import HalfCauchy, Positive
 from bayescal._model.state_space import filtered, of_means
-from bayescal._model.summed_noise import SumOfTerms
+from bayescal._model.summed_noise import SummedNoise, SumOfTerms
 
 # Share of the probability of the likeliest noise law of a sensor at rest, from which another one has its share of the
 # draws; a tenth of them would be too few for figures of its own.
 DRAWN_SHARE = 0.1
 # Standard deviations by which the correlation of neighbouring readings must leave that of readings farther apart,
-# before noise of neighbours alone (rounding, or the sensor's own averaging) is tried.
+# before quantisation noise is tried, or means are taken.
 NEIGHBOURS_SD = 2.0
 # Standard deviations by which a frequency must stand above its neighbours in a record's spectrum, before a tone is
 # tried.
 LINE_SD = 4.5
 # Standard deviations of either, from which every sum has that term; the best one is weighed without it all the same.
 SURE_SD = 6.0
+# Slope of the Allan deviation over two octaves where it falls along N: of what is left of a low-pass of the time T it
+# is so steep from means over 3.4·T on, of which only neighbours are correlated by more than a hundredth.
+LEVEL_SLOPE = -0.35
+FEWEST_MEANS = 64  # whose slope is known to 0.1
+HELD_SHARE = 0.05  # of neighbours that are equal, from which an output with digits enough is held
+SHORT_STEPS = 3.0  # correlation time, below which a process is part of N: its density is level over these octaves
 # °C, range of a temperature at rest, below which it is taken as constant: two steps of a thermometer that is read to
 # 0.1 °C.
 STIRRED_DEGREES = 0.2
 
-ENDED = "the search for the noise law was ended early ({}): sums that were not fitted may be more probable"
 
 Terms = tuple[str, ...]  # names of those of a sum, beside white noise
 # Readings above which means of blocks are taken: the filter then takes a tenth of a second.
@@ -70,7 +81,7 @@ NOTHING = 1e6  # times the scatter of neighbours: the uncertainty of a place wit
 STRETCHES = 8  # of single readings beside the means, as many readings as there are means at most
 ALONE = ("walk", "flicker", "correlated")  # terms that are weighed one by one, then in pairs
 TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
-ROUNDED, AVERAGED = "quantisation", "averaging"  # of neighbouring readings alone; one of them more
+ROUNDED, AVERAGED = "quantisation", "averaging"  # of neighbouring readings alone
 # Of five values at 2 to 6: what the straight line through them has at 1.
 LINE = 0.2 - 0.3 * np.arange(-2, 3)
 WINDOW = 64  # readings of the shortest spectra in which a line is looked for; others are twice as long, and so on
@@ -136,6 +147,20 @@ class RestNoise(NamedTuple):
     draws: dict[str, np.ndarray]
     law: SumOfTerms
 
+    def density(self, step: float) -> Float[np.ndarray, "d"]:
+        """Return N at each draw, output unit times √s, of readings `step` s apart.
+
+        White noise, as it is or averaged, and each Ornstein–Uhlenbeck process of a few steps: of the variance s² and a
+        correlation ρ of neighbours it has the spectral density s²·(1 + ρ)/(1 − ρ) per reading at low frequencies.
+        """
+        variance = self.draws[WHITE] ** 2 + self.draws.get(f"noise.{AVERAGED}", 0.0) ** 2
+        derived = {**self.draws, **self.law.derived(self.draws)}
+        for place in range(1, 1 + self.terms.count("correlated")):
+            size, time = (derived[f"noise.correlated{place}.{what}"] for what in ("size", "time"))
+            short = time <= SHORT_STEPS * step
+            variance = variance + np.where(short, size**2 / np.tanh(0.5 * step / time), 0.0)
+        return np.sqrt(variance * step)
+
     def allan_variance(self, factors: Float[np.ndarray, "k"], step: float) -> np.ndarray:
         """Of the law at each draw (d, k), output unit squared."""
         total = self.draws[WHITE] ** 2 + self.law.slow_variance(self.draws)
@@ -173,15 +198,19 @@ class WeighedNoise(NamedTuple):
         drawn: the sums that are probable, the most probable first, each with draws in proportion to its probability.
         walk: the most probable one with a random walk added if it has none: a bound, where none is seen.
         probabilities: of each sum, by its terms, the most probable first.
-        notes: what was done to the record, in words.
-        runs: of it.
+        claims: what was done to the record.
+        readings: the record, or means of it, that the sums are of.
+        runs: of these.
+        count: readings in each mean; None where the Allan deviation nowhere falls with slope −½.
     """
 
     drawn: tuple[RestNoise, ...]
     walk: RestNoise
     probabilities: dict[tuple[str, ...], float]
-    notes: tuple[str, ...]
+    claims: tuple[Claim, ...]
+    readings: Measurements
     runs: EvenRuns
+    count: int | None
 
 
 @on_one_thread
@@ -195,46 +224,57 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     Raises:
         InputError: no column `time`, no run of 30 readings, uneven steps, or an output that is rounded too coarsely.
     """
-    runs = even_runs(readings)
-    channel, notes = _channel(readings, runs)
-    with deadline.finishing():
-        fits: dict[Terms, Mode] = {(): _fit(channel, ())}
     output = np.asarray(readings["output"], float)
-    (brief, surely), (clear, line) = _of_neighbours(output, runs), _line(output, runs)
+    runs = _without_repeats(output, even_runs(readings))
+    count = _level_count(output, runs)
+    # Means of a process that is short against their time are white, but for what neighbours share.
+    base: Terms = ()
+    if count is not None and count > 1:
+        readings, runs = _means_of(readings, runs, count)
+        base = (AVERAGED,)
+    channel, claims = _channel(readings, runs)
+    output = np.asarray(readings["output"], float)
+    clear, line = _line(output, runs)
     channel = channel._replace(line=line)
-    limits = {brief: (surely, NEIGHBOURS_SD), "tone": (clear, LINE_SD)}
+    with deadline.finishing():
+        fits: dict[Terms, Mode] = {base: _fit(channel, base)}
+    limits = {"tone": (clear, LINE_SD)}
+    if not base:
+        negative = _negative(output, runs)
+        limits[ROUNDED if negative > 0 else AVERAGED] = abs(negative), NEIGHBOURS_SD
     further = tuple(term for term, (sigmas, limit) in limits.items() if sigmas > limit)
     kept = tuple(term for term in further if limits[term][0] > SURE_SD)
     end = deadline.current()
     end.defer_interrupt()
     try:
         end.ask()
-        for _ in _fitted_sums(channel, fits, further, kept):
+        for _ in _fitted_sums(channel, fits, base, further, kept):
             end.ask()
     except deadline.TimeIsUp:
-        notes.append(ENDED.format(end.why))
+        claims += (Claim("noise.ended", why=end.why),)
     with deadline.finishing():
         drawn, walk, probabilities = _drawn_sums(channel, fits, seed)
-    return WeighedNoise(tuple(drawn), walk, probabilities, tuple(notes), runs)
+    return WeighedNoise(tuple(drawn), walk, probabilities, claims, readings, runs, count)
 
 
 def _fitted_sums(
-    channel: _AtRest, fits: dict[Terms, Mode], further: Terms, kept: Terms
+    channel: _AtRest, fits: dict[Terms, Mode], base: Terms, further: Terms, kept: Terms
 ) -> Iterator[Terms]:
     """Fit sums until none beside the most probable one is left; yield each.
 
     Args:
         channel: what is fitted.
-        fits: white noise alone; the others are put there.
+        fits: the least sum alone; the others are put there.
+        base: terms of that sum, which every sum has;
         further: terms of neighbouring readings, or a tone, that may be there;
         kept: and those of them that every sum has.
     """
     among = (*ALONE, *further)
     for term in among:
-        terms = (term,) if term in further else _sorted((*kept, term))
+        terms = _sorted((*base, *(() if term in further else kept), term))
         fits[terms] = _fit(channel, terms)
         yield terms
-    looked: Terms = ()
+    looked: Terms | None = None
     while (best := max(fits, key=lambda t: _total(fits, t))) != looked:
         looked = best
         known = dict(zip(channel.law(best).parameters(), fits[best].v, strict=True))
@@ -277,6 +317,60 @@ def _drawn_sums(
     return drawn, walk, probabilities
 
 
+def _changes(output: Float[np.ndarray, "n"], runs: EvenRuns) -> Float[np.ndarray, "k"]:
+    """Return the differences of neighbouring readings."""
+    changes = np.concatenate([np.diff(own) for own in runs.of(output)])
+    return changes[np.isfinite(changes)]
+
+
+def _without_repeats(output: Float[np.ndarray, "n"], runs: EvenRuns) -> EvenRuns:
+    """Return the first reading of each value of a held output, at their mean step; of another one, all readings.
+
+    Of neighbours that differ by about m, 0.27·g/m are equal by rounding to steps of g; of a held output many more are.
+    """
+    changes = np.abs(_changes(output, runs))
+    changed = changes[changes > 0]
+    least = np.min(np.diff(np.unique(output)), initial=math.inf)
+    rounded = least / np.median(changed) if len(changed) else 1.0
+    if len(changed) >= (1 - max(HELD_SHARE, rounded)) * len(changes):
+        return runs
+    there = [r[r >= 0] for r in runs.rows]
+    rows = [own[np.append(True, np.diff(output[own]) != 0)] for own in there]
+    span = sum(len(r) - 1 for r in runs.rows) * runs.step
+    return EvenRuns(tuple(rows), span / sum(len(r) - 1 for r in rows))
+
+
+def _level_count(output: Float[np.ndarray, "n"], runs: EvenRuns) -> int | None:
+    """Return how many readings a mean has from which on the Allan deviation falls with slope −½; None if none has.
+
+    A narrow line is left out: its Allan deviation rises and falls over a period. Single readings that are correlated
+    with their neighbours are with others, too.
+    """
+    clear, line = _line(output, runs)
+    variance, _ = overlapping(output, runs)
+    if clear > LINE_SD:
+        law = SummedNoise(1.0, 2.0 * len(output), ("tone",))
+        variance -= law.allan_variance({WHITE: 0.0, **line}, line[TONE[0]] ** 2, runs.factors, 1.0)
+    level = variance[2:] <= 4.0 ** (2 * LEVEL_SLOPE) * variance[:-2]
+    level &= sum(runs.lengths) >= FEWEST_MEANS * runs.factors[:-2]
+    level[:1] &= clear > LINE_SD or _negative(output, runs) > -NEIGHBOURS_SD
+    return int(runs.factors[np.argmax(level)]) if level.any() else None
+
+
+def _means_of(readings: Measurements, runs: EvenRuns, count: int) -> tuple[Measurements, EvenRuns]:
+    """Return means of `count` readings that follow each other; one of fewer than half of them is lost."""
+    parts = [r[: len(r) // count * count].reshape(-1, count) for r in runs.rows if len(r) >= count]
+    there = [2 * np.sum(part >= 0, axis=1) >= count for part in parts]
+    full = np.concatenate([part[own] for part, own in zip(parts, there, strict=True)])
+    means = readings.select(full.max(axis=1))
+    for name in readings.columns:
+        if readings.unit(name) is not None:
+            means = means.with_column(name, _means(readings[name], full))
+    place = np.split(np.cumsum(np.concatenate(there)) - 1, np.cumsum([len(t) for t in there])[:-1])
+    rows = tuple(np.where(own, at, -1) for own, at in zip(there, place, strict=True))
+    return means, EvenRuns(rows, count * runs.step)
+
+
 def _sorted(terms: Terms) -> Terms:
     """As a sum has them."""
     return tuple(sorted(terms, key=list(TERMS).index))
@@ -295,11 +389,11 @@ def _beside(terms: Terms, among: Terms) -> Iterator[Terms]:
                 yield _sorted((*rest, term))
 
 
-def _of_neighbours(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[str, float]:
-    """The noise of neighbouring readings alone that a record may have, and how surely, in standard deviations.
+def _negative(output: Float[np.ndarray, "n"], runs: EvenRuns) -> float:
+    """Return how surely neighbours are correlated negatively, as rounded angles are, in standard deviations.
 
     Half the mean square of differences k readings apart is γ₀ − γₖ, which slow noise lets rise steadily: where it
-    begins above or below what it comes to from two apart on, neighbours alone are correlated.
+    begins above what it comes to from two apart on (or below), neighbours are correlated negatively (or positively).
     """
     squares, counts = np.zeros(len(LINE) + 1), np.zeros(len(LINE) + 1)
     for own in runs.of(output):
@@ -312,8 +406,7 @@ def _of_neighbours(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[str,
     expected = float(LINE @ rise[1:])
     # Each γₖ of n readings of white noise, of the variance γ₀, has the variance γ₀²/n.
     deviation = abs(expected) * math.sqrt((1 + float(LINE @ LINE)) / counts[0])
-    surely = (rise[0] - expected) / deviation
-    return (ROUNDED if surely > 0 else AVERAGED), abs(surely)
+    return float(rise[0] - expected) / deviation
 
 
 def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[str, float]]:
@@ -345,17 +438,17 @@ def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[s
 
 
 def _total(fits: dict[Terms, Mode], terms: tuple[str, ...]) -> float:
-    """Log evidence and log prior: white noise has one half of it, other sums that are weighed share the rest."""
-    others, nothing = max(1, len(fits) - 1), settings().prior_complete
-    return fits[terms].log_evidence + math.log(nothing if not terms else (1 - nothing) / others)
+    """Log evidence and log prior: level noise, the first, has one half of it; other sums share the rest."""
+    others, level = max(1, len(fits) - 1), settings().prior_complete
+    share = level if terms == next(iter(fits)) else (1 - level) / others
+    return fits[terms].log_evidence + math.log(share)
 
 
-def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]]:
-    output, notes = np.asarray(readings["output"], float), []
+def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, tuple[Claim, ...]]:
+    output, claims = np.asarray(readings["output"], float), list[Claim]()
     rows = [r for r in runs.rows if len(r) > 1]
-    jumps = np.concatenate([np.diff(own) for own in runs.of(output)])
-    jumps = jumps[np.isfinite(jumps)]
-    size = float(np.median(np.abs(jumps - np.median(jumps)))) * 1.4826 / math.sqrt(2)
+    changes = _changes(output, runs)
+    size = float(np.median(np.abs(changes - np.median(changes)))) * 1.4826 / math.sqrt(2)
     if not size > 0:
         raise InputError(
             f"{readings.file}: more than half of the readings are equal to their neighbours, so the output is rounded "
@@ -366,23 +459,17 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
     if readings.has("temperature") and float(np.ptp(readings["temperature"])) > STIRRED_DEGREES:
         given["temperature"] = np.asarray(readings["temperature"], float)
         effects.append(CURVE)
-        notes.append(
-            f"a polynomial of degree {DEGREE} over temperature was taken out beside the noise"
-        )
+        claims.append(Claim("noise.temperature", "temperature", degree=DEGREE))
     if runs.lost:
-        notes.append(
-            f"{100 * runs.lost:.2g} % of the readings were lost: the filter goes on without"
-        )
+        claims.append(Claim("noise.lost", share=runs.lost))
     total = sum(len(r) for r in rows)
     count = 2 ** max(0, math.ceil(math.log2(total / BLOCK_MEANS_READINGS)))
     blocks: list[np.ndarray] = []
     if count > 1:
         blocks = [r[: len(r) // count * count].reshape(-1, count) for r in rows if len(r) >= count]
         rows = _stretches(rows, BLOCK_MEANS_READINGS // STRETCHES)
-        notes.append(
-            f"of {total} readings the filter took {sum(map(len, blocks))} means of {count} by their exact law, and "
-            f"{len(rows)} stretches of {len(rows[0])} single readings"
-        )
+        taken = {"readings": total, "means": sum(map(len, blocks)), "count": count}
+        claims.append(Claim("noise.blocks", **taken, stretches=len(rows), length=len(rows[0])))
     parts = [*blocks, *(r[:, None] for r in rows)]
     lengths = [len(part) for part in parts]
     beside: dict[str, Any] = (
@@ -405,7 +492,7 @@ def _channel(readings: Measurements, runs: EvenRuns) -> tuple[_AtRest, list[str]
     variance, _ = overlapping(output, runs)
     record = Record(CHANNEL, frame, np.asarray(frame["output"]))
     own = (size, runs.step, longest, runs.factors * runs.step, variance)
-    return _AtRest(layout, record, count, sum(map(len, blocks)), *own), notes
+    return _AtRest(layout, record, count, sum(map(len, blocks)), *own), tuple(claims)
 
 
 def _means(values: Float[np.ndarray, "n"], part: Int[np.ndarray, "k c"]) -> np.ndarray:

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._calibration.claim import Claim
 from bayescal._calibration.noise_at_rest import (
     AVERAGED,
     ROUNDED,
     RestingSum,
-    RestNoise,
     WeighedNoise,
     weigh_noise,
 )
 from bayescal._core import deadline
+from bayescal._core.errors import InputError
 from bayescal._core.formatting import number, probability
 from bayescal._core.result_table import Printed, ResultTable, plain_table
 from bayescal._data.allan_deviation import (
@@ -27,6 +29,7 @@ from bayescal._data.allan_deviation import (
     AllanDeviation,
     EvenRuns,
     degrees_of_freedom,
+    even_runs,
     habit,
     noise_types,
     of_runs,
@@ -47,6 +50,8 @@ EVENT_RATIO = 7.0
 
 NORMAL_MEDIAN = 0.6745  # standard deviations: the median absolute value of a normal number
 SHOWN_SUMS = 4  # sums that are printed with their probabilities
+# Averaging times at which a record may lie outside the law's 95 % interval: one in 20 does, and neighbours together.
+MAX_OUTSIDE = 2
 
 
 @dataclass(frozen=True)
@@ -59,7 +64,7 @@ class NoiseFigure:
         unit, si_unit: of data sheets; and in base units.
         value, low, high: median and interval, in `unit`.
         si: the same three in `si_unit`.
-        bound: whether only `high` is known: nothing of it is seen in the record.
+        bound: whether nothing of it is seen in the record: `high` alone is known, or not even that (infinite).
     """
 
     symbol: str
@@ -76,6 +81,8 @@ class NoiseFigure:
         """As printed."""
         value, si = f"{number(self.value)}", f"{number(self.si[0])}"
         extent = f"{number(self.low)} to {number(self.high)}"
+        if self.bound and not math.isfinite(self.high):
+            return [f"{self.name} {self.symbol}", "", "not seen", ""]
         if self.bound:
             value, extent, si = f"< {number(self.high)}", "not seen", f"< {number(self.si[2])}"
         said = f"{value} {unit_label(self.unit)}", extent, f"{si} {unit_label(self.si_unit)}"
@@ -97,7 +104,7 @@ class SensorNoise(Printed):
         expected: of the law (k,), the median of its posterior; output unit.
         low, high: 95 % posterior band of that (k,).
         estimate_low, estimate_high: between which 95 % of Allan deviations of such a record lie under the law (k,).
-        notes: what was done to the record, in words.
+        claims: what was done to the record, and what stands against the law.
         densities: posterior draws of the N and the K that a filter is given, output unit times and per √s.
         horizon: the longest averaging time that this K holds for, s.
     """
@@ -114,9 +121,14 @@ class SensorNoise(Printed):
     high: np.ndarray = field(repr=False)
     estimate_low: np.ndarray = field(repr=False)
     estimate_high: np.ndarray = field(repr=False)
-    notes: tuple[str, ...]
+    claims: tuple[Claim, ...]
     densities: tuple[np.ndarray, np.ndarray] = field(repr=False)
     horizon: float
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The claims in words."""
+        return tuple(map(str, self.claims))
 
     def _parts(self) -> list[str | ResultTable]:
         rows = [figure.row() for figure in self.figures]
@@ -125,7 +137,7 @@ class SensorNoise(Printed):
             :SHOWN_SUMS
         ]
         laws = ", ".join(f"{words} {probability(p)}" for words, p in likely)
-        said = [f"Noise law: {laws}.", *(f"Note: {note}." for note in self.notes)]
+        said = [f"Noise law: {laws}.", *(f"Note: {note}" for note in self.notes)]
         unit = unit_label(self.unit)
         m = self.measured
         head = ["τ [s]", "Allan deviation", "noise law", "95 % of such records"]
@@ -180,7 +192,7 @@ class SensorNoise(Printed):
                 **{"quantile": FILTER_QUANTILE, "N": n, "K": k},
                 "horizon": self.horizon,
             },
-            "notes": list(self.notes),
+            "claims": [claim.data() for claim in self.claims],
         }
 
 
@@ -199,11 +211,19 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
         time_limit: seconds, after which the sums fitted so far are what there is, as at Ctrl-C; a note says so.
 
     Raises:
-        InputError: no column `time`, no run of 30 readings, uneven steps, or an output that is rounded too coarsely.
+        InputError: readings of several devices, no column `time`, no run of 30 readings, uneven steps, or an output
+            that is rounded too coarsely.
     """
+    for group in ("device", "axis"):
+        if len(levels := readings.groups(group)[0]) > 1:
+            raise InputError(
+                f"{readings.file}: each {group} has noise of its own ({', '.join(levels)}): give the readings of one, "
+                f"as readings.select(readings[{group!r}] == {levels[0]!r})"
+            )
     with deadline.until(time_limit):
         found = weigh_noise(readings, seed)
-    runs, unit = found.runs, readings.unit("output") or ""
+    step = even_runs(readings).step
+    readings, runs, unit = found.readings, found.runs, readings.unit("output") or ""
     measured = of_runs(readings, np.asarray(readings["output"], float), runs)
     draws = np.concatenate([one.allan_variance(runs.factors, runs.step) for one in found.drawn])
     tail = 0.5 * (1 - CONFIDENCE)
@@ -212,10 +232,22 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
     random = np.random.default_rng(seed)
     spread = np.sqrt(draws * random.chisquare(edf, draws.shape) / edf)
     estimate_low, estimate_high = np.quantile(spread, [tail, 1 - tail], axis=0)
+    outside = (measured.deviation < estimate_low) | (measured.deviation > estimate_high)
+    claims = [*found.claims, *_events(readings, runs)]
+    if found.count is None:
+        claims.insert(0, Claim("noise.no_level", "N", name=habit(unit).names[0]))
+    elif found.count > 1:
+        claims.insert(0, Claim("noise.means", "N", time=runs.step, count=found.count))
+    held = runs.step / (found.count or 1) / step
+    if held > 1:
+        claims.insert(0, Claim("noise.held", "N", times=held))
+    if outside.sum() > MAX_OUTSIDE:
+        at = tuple(number(t) for t in measured.tau[outside])
+        claims.append(Claim("noise.outside", count=len(at), times=len(outside), outside=at))
     return SensorNoise(
         file=readings.file,
         unit=unit,
-        step=runs.step,
+        step=step,
         law=_words(found.drawn[0].terms),
         probabilities={_words(t): p for t, p in found.probabilities.items()},
         figures=_figures(found, unit, draws),
@@ -225,14 +257,14 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
         high=high,
         estimate_low=estimate_low,
         estimate_high=estimate_high,
-        notes=(*found.notes, *_events(readings, runs)),
+        claims=tuple(claims),
         densities=_for_filter(found),
         horizon=float(runs.factors[-1] * runs.step),
     )
 
 
-def _events(readings: Measurements, runs: EvenRuns) -> tuple[str, ...]:
-    """The largest change between neighbouring averages, if stationary Gaussian noise has none such; in words."""
+def _events(readings: Measurements, runs: EvenRuns) -> tuple[Claim, ...]:
+    """The largest change between neighbouring averages, if stationary Gaussian noise has none such."""
     output, times = (runs.of(np.asarray(readings[name], float)) for name in ("output", "time"))
     worst, said = EVENT_RATIO, ()
     for own, time in zip(output, times, strict=True):
@@ -250,28 +282,14 @@ def _events(readings: Measurements, runs: EvenRuns) -> tuple[str, ...]:
                     float(jumps[at]) / usual,
                     float(time[0] + runs.step * m * full[at + 1]),
                 )
-                change = f"{number(float(jumps[at]))} {unit_label(readings.unit('output') or '')}".strip()
-                said = (
-                    f"at {number(when)} s the average over {number(m * runs.step)} s changes by {change}, "
-                    f"{number(worst)} times what is usual: that is an event, such as a warm-up, a knock or a step, and "
-                    "the law takes it for noise. Leave it out",
-                )
+                event = {"at": when, "over": runs.step * m, "change": float(jumps[at])}
+                unit = readings.unit("output") or ""
+                said = (Claim("noise.event", **event, unit=unit, times=worst),)
     return said
 
 
 def _words(terms: tuple[str, ...]) -> str:
     return RestingSum(1.0, 2.0, terms).in_words
-
-
-def _density(one: RestNoise) -> np.ndarray:
-    """Draws of the white noise of a reading as averages have it: with what the sensor has averaged itself (d,)."""
-    return np.hypot(one.draws[WHITE], one.draws.get("noise.averaging", 0.0))
-
-
-def _shared(one: RestNoise) -> np.ndarray:
-    """Draws of the correlation of neighbouring readings by the sensor's own averaging, white noise included (d,)."""
-    averaged = one.draws["noise.averaging"] ** 2
-    return 0.25 * averaged / (0.5 * averaged + one.draws[WHITE] ** 2)
 
 
 def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
@@ -280,7 +298,7 @@ def _for_filter(found: WeighedNoise) -> tuple[np.ndarray, np.ndarray]:
     of_walk = step * (2 * factors**2 + 1) / (6 * factors)
     densities, walks = [], []
     for one in found.drawn:
-        own = _density(one)
+        own = one.density(step) / step**0.5
         rounded = one.draws.get("noise.quantisation", 0.0) / step
         own = np.sqrt(own**2 + 3 * rounded**2)  # falls more slowly than Q, and is as much at first
         if not {*one.terms} - {ROUNDED, AVERAGED}:
@@ -311,20 +329,20 @@ def _figures(
     own = unit or "1"
     density, walk = f"{own}/Hz^0.5", f"{own}/s^0.5"
 
-    def over_all(name: str, of: Any = None) -> np.ndarray | None:
-        having = [of(one) if of else one.draws[name] for one in found.drawn if name in one.draws]
+    def over_all(name: str) -> np.ndarray | None:
+        having = [one.draws[name] for one in found.drawn if name in one.draws]
         every = sum(len(one.draws[WHITE]) for one in found.drawn)
         return np.concatenate(having) if 2 * sum(map(len, having)) > every else None
 
-    white = np.concatenate([_density(one) for one in found.drawn])
     made = []
     if (q := over_all("noise.quantisation")) is not None:
         made.append(_figure("Q", "quantisation noise", names.rounded, f"{own}*s", q))
-    made.append(_figure("N", names.names[0], names.units[0], density, white * step**0.5))
-    if (shared := over_all("noise.averaging", _shared)) is not None:
-        made.append(
-            _figure("", "correlation of neighbours, averaged by the sensor", "1", "1", shared)
-        )
+    white = np.concatenate([one.density(step) for one in found.drawn])
+    n = _figure("N", names.names[0], names.units[0], density, white)
+    if not found.count:
+        unknown = {"value": math.nan, "low": 0.0, "high": math.inf, "si": (math.nan, 0.0, math.inf)}
+        n = replace(n, **unknown, bound=True)
+    made.append(n)
     if (b := over_all("noise.flicker")) is not None:
         made.append(_figure("B", f"{names.names[1]} (flicker)", names.units[1], own, b))
     lowest = np.argmin(np.median(curve, axis=0))

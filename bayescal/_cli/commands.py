@@ -442,9 +442,10 @@ def noise(
         readings = {next((s.output for s in one.sources if s.output), "output"): one}
     with result_folder(out) as folder:
         found = {}
-        for i, (name, one) in enumerate(readings.items()):
-            print_notes(one.flags)
-            with deadline.sooner(1 / (len(readings) - i)):
+        print_notes(request.flags_of(readings))
+        channels = request.each_device(readings)
+        for i, (name, one) in enumerate(channels.items()):
+            with deadline.sooner(1 / (len(channels) - i)):
                 found[name] = bc.noise(one, seed=seed)
             if not json_:
                 print(f"{name}\n\n{found[name]}\n")
@@ -469,4 +470,10 @@ def noise(
         made = folder is None or drawn(draw)
         if written and not json_:
             print(f"written: {', '.join(map(str, written))}")
-        return Answer(None, pictures=lambda: made)
+        doubts = [
+            f"{name}: {c}"
+            for name, one in found.items()
+            for c in one.claims
+            if c.severity != "note"
+        ]
+        return Answer(None, doubt=" ".join(doubts), pictures=lambda: made)

@@ -10,9 +10,12 @@ Heavy modules load inside the commands, so that `bayescal --help` answers at onc
 from __future__ import annotations
 
 import contextlib
+import errno
 import gc
 import io
 import os
+import re
+import signal
 import sys
 from typing import NoReturn
 
@@ -29,6 +32,8 @@ from bayescal._search.own_files import in_one_line, own_file_line
 # Python's own 700 look thirty times while modules load.
 OBJECTS = 1_000_000
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+TOO_LITTLE_MEMORY = "too little memory: give fewer readings (--average), or allow more (ulimit -v)"
+OUT_OF_MEMORY = re.compile("RESOURCE_EXHAUSTED|bad_alloc")  # of XLA, and of C++ beneath it
 
 app = typer.Typer(
     name="bayescal",
@@ -51,13 +56,36 @@ def main() -> NoReturn:
     Files are closed and workers gone by now. What Python and JAX would take down on their way out, a hundred programs
     and a thousand modules, is memory that goes with the process: it took 0.9 s of each command.
     """
-    status = command()
+    status = _in_child() if _is_limited() else command()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):
             stream.flush()
     if not (sys.getprofile() or sys.gettrace()):  # who watches has still to tell what was seen
         os._exit(status)
     sys.exit(status)
+
+
+def _is_limited() -> bool:
+    """Return whether the process may have only so much address space (ulimit -v)."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return False
+    return resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
+
+
+def _in_child() -> int:
+    """Run the command in a child process: C++ aborts where an allocation fails, which only another process can say."""
+    child = os.fork()
+    if not child:
+        os.setpgid(0, 0)  # the terminal's Ctrl-C comes once, from here
+        return command()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda number, _: os.kill(child, number))
+    ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if -ended in (signal.SIGABRT, signal.SIGBUS, signal.SIGKILL, signal.SIGSEGV):
+        return _failed(TOO_LITTLE_MEMORY, 2)
+    return ended if ended >= 0 else 128 - ended
 
 
 def command() -> int:
@@ -80,7 +108,11 @@ def command() -> int:
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except MemoryError:
+        return _failed(TOO_LITTLE_MEMORY, 2)
     except OSError as error:
+        if error.errno == errno.ENOMEM:
+            return _failed(TOO_LITTLE_MEMORY, 2)
         return _failed(
             f"{error.filename or 'standard output, or a file'}: {error.strerror or error}", 2
         )
@@ -89,6 +121,10 @@ def command() -> int:
             return _failed(
                 f"{where} failed: {in_one_line(error)}. Mend it, or leave --effects out", 2
             )
+        # Where a limit holds, neither a thread starts nor a library loads once it is reached.
+        at_limit = type(error) in (ImportError, RuntimeError) and _is_limited()
+        if at_limit or OUT_OF_MEMORY.search(str(error)):
+            return _failed(TOO_LITTLE_MEMORY, 2)
         usage = getattr(error, "format_message", None)  # an option that the parser refused
         if usage is None:
             raise

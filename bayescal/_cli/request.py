@@ -237,3 +237,32 @@ def flags_of(readings: Mapping[str, Measurements]) -> list[str]:
         flag if len(names) == len(readings) else f"{', '.join(names)}: {flag}"
         for flag, names in said.items()
     ]
+
+
+def each_device(readings: Mapping[str, Measurements]) -> dict[str, Measurements]:
+    """Split the readings of channels by device and by axis, where a file holds several.
+
+    Raises:
+        InputError: a device is named as a sensor whose output is in another unit.
+    """
+    from bayescal._data.header_rules import BEGINNINGS, plain
+    from bayescal._data.unit_conversion import alike
+
+    found = dict(readings)
+    for group in ("device", "axis"):
+        before, found = found, {}
+        for name, one in before.items():
+            levels, codes = one.groups(group)
+            if len(levels) == 1:
+                found[name] = one
+                continue
+            for code, label in enumerate(levels):
+                found[f"{name}, {group} {label}"] = one.select(codes == code)
+                unit = one.unit(one.output) or ""
+                kinds = (k for k, words in BEGINNINGS.items() if plain(label).startswith(words))
+                if any(not alike(kind, unit) for kind in kinds):
+                    raise InputError(
+                        f"{one.file}: the column {group!r} names {label!r}, whose output is not in "
+                        f"{unit or 'no unit'}: give the readings of each sensor in a file of their own"
+                    )
+    return found

@@ -373,8 +373,8 @@ def even_runs(readings: Measurements) -> EvenRuns:
     readings between.
 
     Raises:
-        InputError: no column `time`, no run of 30 readings, steps that differ by more than 5 % from whole numbers of
-            the usual one, or more than a fifth of a run lost.
+        InputError: no column `time`, no run of 30 readings, times most of which equal the one before, steps that differ
+            by more than 5 % from whole numbers of the usual one, or more than a fifth of a run lost.
     """
     need = f"Allan deviation of {readings.file} needs"
     if not readings.has("time"):
@@ -388,9 +388,14 @@ def even_runs(readings: Measurements) -> EvenRuns:
     usual = float(np.median(np.concatenate(steps)))
     if (grid := _grid(readings["time"], rows, usual)) is not None:
         return EvenRuns(tuple(rows), grid)
+    if not usual > 0:
+        raise InputError(
+            f"{need} readings in time: most have the time of the one before. Record the time with more digits, or give "
+            "a column that counts"
+        )
     placed = list[np.ndarray]()
     for own, r in zip(steps, rows, strict=True):
-        taken = np.maximum(np.round(own / usual), 1.0) if usual > 0 else np.ones(len(own))
+        taken = np.maximum(np.round(own / usual), 1.0)
         places = np.concatenate([[0], np.cumsum(taken)]).astype(int)
         odd = np.flatnonzero(np.abs(own - taken * usual) > EVEN_STEPS * taken * usual)
         if not len(odd) and len(r) < (1 - LOST_SHARE) * (places[-1] + 1):
@@ -427,7 +432,7 @@ def _grid(time: np.ndarray, rows: Sequence[np.ndarray], usual: float) -> float |
             return None
         found.append(grid)
     grid = float(np.median(found))
-    return grid if all(abs(own - grid) <= EVEN_STEPS * grid for own in found) else None
+    return grid if all(abs(own - grid) < EVEN_STEPS * grid for own in found) else None
 
 
 def overlapping(

@@ -27,9 +27,11 @@ from bayescal._data.header_rules import (
     by_name,
     called,
     fits,
+    is_channel,
     labels_in,
     like_a_unit,
     like_labels,
+    longest_unit,
     plain,
     raw_unit,
     readings_of,
@@ -63,6 +65,7 @@ from bayescal._tables.raw_table import (
 )
 
 MISSING_READINGS = ("refuse", "drop")
+SHOWN_HEADERS = 4  # of those that may be meant
 _LACKS = "no such column"
 
 
@@ -501,48 +504,49 @@ class MatchedFile:
         return offered, {place[h.raw] for found in alike.values() for h in found}
 
     def _resembled(self, column: Column, free: Sequence[Header]) -> list[Header]:
-        """Headers that may mean a column; the output in the unit of the nominal scale that was given, if one is."""
+        """Headers that may mean a column: the output in the unit of the nominal scale that was given, those that look
+        like it, or all that say no unit."""
         rule, scale = self.rule(column.name), self.options.nominal_scale
         raw = []
         if rule.output and scale is not None:
             raw = [h for h in free if any(fits(r.unit or "", scale.unit) for r in readings_of(h))]
-        return rule.resembled(raw) or raw or rule.resembled(free)
+        unsaid = [h for h in free if column.unit and not (longest_unit(h) or like_a_unit(h))]
+        return rule.resembled(raw) or raw or rule.resembled(free) or unsaid
 
     def _note_lack(self, column: Column, alike: Sequence[Header], one: bool) -> None:
-        """Note that the file has no such column, with the headers that look like it."""
+        """Note that the file has no such column, with the headers that may be meant: `one` whose unit is asked for."""
         asked = f"{column.name} [{column.example}]" if column.unit else column.name
-        advice, chosen = "", ""
+        choices = [self._as_column(column, header, one) for header in alike[:SHOWN_HEADERS]]
+        advice, given = "", choices[0] if len(choices) == 1 else f"({' or '.join(choices)})"
         if alike:
-            advice = (
-                f"{', '.join(h.raw for h in alike[:4])} look{'s' * (len(alike) == 1)} like it. "
-            )
-            chosen = option("--columns", f"{column.name}={alike[0].raw}")
-            raw = raw_unit(alike[0])
-            converts = column.unit in (None, ANY) or (raw and fits(raw, column.unit))
-            if raw and self.options.nominal_scale is None and not converts:
-                per = f"({column.unit})" if "/" in str(column.unit) else column.unit
-                chosen += f" {option('--nominal-scale', f'NUMBER {unit_in(raw, (ANY,))}/{per}')}"
+            shown = ", ".join(h.raw for h in alike[:SHOWN_HEADERS])
+            advice = f"{shown} {'looks' if len(alike) == 1 else 'look'} like it. "
+            if "--nominal-scale" in given:
                 advice += "The nominal scale says what one unit of output is of it; --nominal-zero what it is at zero. "
-            if len(alike) > 1 and column.name == output_name(self.instrument):
-                channels = option(
-                    "--channels", ",".join(h.name for h in alike if "," not in h.name)
-                )
-                advice += f"Together, as channels of one unit: {channels}. "
+            channels = [h.name for h in alike if "," not in h.name and is_channel(h, alike[0])]
+            if len(channels) > 1 and column.name == output_name(self.instrument):
+                together = option("--channels", ",".join(channels))
+                advice += f"Together, as channels of one unit: {together}. "
         meaning = f" ({column.meaning})" if column.meaning else ""
+        say = f", or say which one it is {given if len(choices) > 1 else f'({given})'}"
         sentence = (
             f"{self.table.file!r} lacks the column {column.name!r}{meaning} that {self.instrument.name!r} needs; it "
-            f"has: {names_in(self.table)}. {advice}Add a column {asked!r}, or say which one it is "
-            f"({chosen or f'--columns {column.name}=…'})"
+            f"has: {names_in(self.table)}. {advice}Add a column {asked!r}{say if alike else ''}"
         )
-        cure = f"{advice}Add such a column, or say which it is"
-        given = chosen
-        if not one:
-            header = alike[0].raw if len(alike) == 1 else "HEADER"
-            given = chosen if len(alike) == 1 else option("--columns", f"{column.name}=HEADER")
-            own = [self.rule(column.name).fitting(h, {}) or h.unit for h in alike] or [None]
-            without = column.unit is not None and not all(own)
-            given += f" {option('--unit', f'{header}=UNIT')}" * without
-        self.problem(column.name, _LACKS, asked, cure, given, sentence=sentence)
+        cure = f"{advice}Add such a column{', or say which it is' if alike else ''}"
+        self.problem(column.name, _LACKS, asked, cure, given if alike else "", sentence=sentence)
+
+    def _as_column(self, column: Column, header: Header, one: bool) -> str:
+        """Return the options that say that a header is a column; what the file cannot tell is left to fill in."""
+        said = option("--columns", f"{column.name}={header.raw}")
+        raw, rule = raw_unit(header), self.rule(column.name)
+        converts = column.unit in (None, ANY) or (raw and fits(raw, column.unit))
+        if raw and self.options.nominal_scale is None and not converts:
+            per = f"({column.unit})" if "/" in str(column.unit) else column.unit
+            return f"{said} {option('--nominal-scale', f'NUMBER {unit_in(raw, (ANY,))}/{per}')}"
+        if one or column.unit is None or rule.fitting(header, {}) or header.unit:
+            return said
+        return f"{said} {option('--unit', f'{header.raw}=UNIT')}"
 
     def fix_units(self, offered: Mapping[str, tuple[int, Header]]) -> None:
         """Give columns a unit in place of "any": the fixed unit of what the file has, or of a header that is offered.
@@ -628,11 +632,11 @@ class MatchedFile:
         if without_unit:
             needs_none = (n for n, c in self.expected.items() if c.unit is None or n == "time")
             lacking = [n for n in needs_none if n not in self.positions]
-            meant = f"to say that one is {' or '.join(lacking)}: --columns NAME=HEADER; "
+            meant = " or ".join(option("--columns", f"{n}={without_unit[0]}") for n in lacking)
+            meant = f"to say what one is: {meant}; " * bool(lacking)
             said = (
                 f"{file}: ignored, because they have no unit: {', '.join(without_unit)} "
-                f"({meant if lacking else ''}to keep one beside the instrument's, write 'name [unit]' "
-                "or give units=)"
+                f"({meant}to keep one beside the instrument's, write 'name [unit]' or give units=)"
             )
             flags.append(Flag(said, "column.ignored", *without_unit))
         return kept, [*flags, *self._unused(kept, without_unit)]

@@ -357,6 +357,15 @@ def _share_a_word(theirs: str, ours: str) -> bool:
     return any(a == b or (min(len(a), len(b)) > 2 and b.startswith(a)) for a, b in words)
 
 
+def is_channel(header: Header, other: Header) -> bool:
+    """Return whether a header says a unit of motion, or one of the kind of another header's; or both say none."""
+    own, its = (longest_unit(h) for h in (header, other))
+    unit = (own and own.unit) or ""
+    return (own is None and its is None) or any(
+        alike(unit, kind) for kind in (*MOTION, (its and its.unit) or "")
+    )
+
+
 def channels_beside(output: str, columns: Mapping[str, str | None], unit: str | None) -> list[str]:
     """Columns that are channels of the unit whose output this is: of another axis, of its own and another motion, or
     of another number and alike.

@@ -123,6 +123,7 @@ class Measurements(Printed):
     def from_arrays(
         cls,
         instrument: InstrumentLike,
+        arrays: Mapping[str, ArrayLike] | None = None,
         /,
         *,
         units: Mapping[str, str] | None = None,
@@ -137,6 +138,7 @@ class Measurements(Printed):
 
         Args:
             instrument: whose columns these are.
+            arrays: columns whose names are no Python names, such as "humidity [%]".
             units: unit of a column that is not in the instrument's own (or has none: "any"), and of
                 further columns to keep.
             local_gravity: m/s², for columns in m/s².
@@ -147,15 +149,20 @@ class Measurements(Printed):
                 `units` says otherwise, or a name like a file's header, `humidity [%]`.
 
         Raises:
-            InputError: what `read` refuses, and columns of unequal length.
+            InputError: what `read` refuses, columns of unequal length, or columns where the instrument is expected.
         """
+        if not hasattr(instrument, "nominal_scale"):
+            raise InputError(
+                "from_arrays takes the instrument first, and then the columns: from_arrays(instrument, {'output': …}); "
+                f"a {type(instrument).__name__} came first"
+            )
         own = {
             name: None if c.unit == ANY else c.unit
             for c in instrument.columns
             for name in (c.name, *c.also)
         }
         own.setdefault("output_uncertainty", own.get(output_name(instrument)))
-        table = Table.of_columns(ARRAYS, equally_long(columns), own)
+        table = Table.of_columns(ARRAYS, equally_long({**(arrays or {}), **columns}), own)
         options = ReadOptions.of(
             instrument,
             units=units or {},

@@ -66,7 +66,8 @@ def read(  # pyright: ignore[reportInconsistentOverload]
     converted to the instrument's units, and rows keep their order. Dates, and counts since 1970, become seconds since
     the first reading of all files. Where several files have no column `run`, each is a run named after its file. A
     column that the instrument does not know is kept in base units if it has a unit, and otherwise left out with a
-    flag. Of a log (PX4 .ulg, ArduPilot .bin, ROS .bag, .mcap, .db3) only the channels that `columns` names are read.
+    flag. Of a log (PX4 .ulg, ArduPilot .bin, ROS .bag, .mcap, .db3) only the channels are read that `columns` names,
+    or that the instrument knows by name.
 
     Args:
         path_or_paths: the files.
@@ -118,9 +119,11 @@ def read(  # pyright: ignore[reportInconsistentOverload]
 
     def one(options: ReadOptions) -> Measurements:
         problems, tables = Objections(), list[Table]()
+        known = (name for c in instrument.columns for name in (c.name, *c.also))
+        asked = (*options.headers, *known)
         for path, name in zip(paths, names, strict=True):
             with problems.collecting(name):
-                tables.append(open_table(path, name, max_bytes, options.decimal, options.headers))
+                tables.append(open_table(path, name, max_bytes, options.decimal, asked))
         return measured(tables, instrument, options, allow_one_temperature, _runs(paths), problems)
 
     return one(options) if outputs is None else _each(outputs, options, instrument, one)

@@ -15,6 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from bayescal._core.errors import ModelError
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
 from bayescal._inference import programs
@@ -116,8 +117,30 @@ class Record:
         return made
 
     def show(self, more: Iterable[Effect] = ()) -> None:
-        """Take the instrument's effects and some more as the library: those that the readings have the columns for."""
+        """Take the instrument's effects and some more as the library: those that the readings have the columns for.
+
+        Raises:
+            ModelError: the basis of an effect of the user's own is not finite in a reading.
+        """
         self.library = self.instrument.shown_by(self.frame, more)
+        for effect in self.library:
+            if not (effect.name in self.instrument.known or effect.is_placeholder):
+                self._require_finite(effect)
+
+    def _require_finite(self, effect: Effect) -> None:
+        """Refuse a basis that divides by zero, or takes the root of a negative number, at the middle of its shapes."""
+        of = ColumnsOf.of(effect)
+        if of.corrections:
+            return
+        middle = tuple(float(prior.value(0.0)) for prior in of.priors)
+        lost = np.flatnonzero(~np.isfinite(self.columns(of, middle)).all(axis=1))
+        if len(lost):
+            held = [c for c in effect.columns if c in self.frame.columns]
+            at = ", ".join(f"{c} {self.frame[c][lost[0]]:.6g}" for c in held)
+            raise ModelError(
+                f"Effect {effect.name!r} is not finite in {len(lost)} of {self.size} readings, first in reading "
+                f"{lost[0] + 1} ({at}): look where it divides by zero, or takes the root of a negative number"
+            )
 
     def of_noise(self, left: Float[np.ndarray, "n"]) -> Record:
         """What a model leaves of the readings, as the output of a channel at rest: a fit of noise alone."""

@@ -13,6 +13,7 @@ import operator
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -27,6 +28,7 @@ from bayescal._model.instrument import Instrument
 from bayescal._model.prior import Normal
 
 LONGEST_LINE, DEEPEST = 500, 40  # characters of a line, brackets in each other
+TINY = float(np.finfo(float).tiny)  # below which numbers lose digits
 MAGNITUDE = 10.0  # a shape of which one value is said lies between a tenth and ten times that
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
     **{"exp": jnp.exp, "log": jnp.log, "sqrt": jnp.sqrt, "abs": jnp.abs, "sign": jnp.sign},
@@ -90,6 +92,20 @@ Checked = tuple[
 ]  # a part, and its dimension; None for a plain literal
 
 
+def _number(text: str, refusal: Callable[[str], InputError] = InputError) -> float:
+    """Return a number as it is written.
+
+    Raises:
+        InputError: by `refusal`: it is too large, or too small, for a computer's numbers.
+    """
+    value = float(text)
+    if math.isfinite(value) and (
+        abs(value) >= TINY or not re.search("[1-9]", text.lower().split("e")[0])
+    ):
+        return value
+    raise refusal(f"{text} is a number too {'large' if abs(value) > 1 else 'small'}")
+
+
 class _Text:
     """What is typed, of which a place is marked where it is refused."""
 
@@ -98,6 +114,25 @@ class _Text:
 
     def refusal(self, at: int, why: str) -> InputError:
         return InputError(f"effect {self.text[:at]!r} ▸ {self.text[at:]!r}: {why}")
+
+    def node(self, kind: str, *parts: FormulaNode, name: str = "") -> FormulaNode:
+        """Return a node of these parts: a function's, an operator's; of numbers alone, their value.
+
+        Raises:
+            InputError: it has none: a division by zero, the root of a negative number, a number too large or too small.
+        """
+        at = parts[0].at
+        if name in _OF_COLUMNS or any(part.kind != "number" for part in parts):
+            return FormulaNode(kind, (name, *parts) if name else parts, at)
+        of = _FUNCTIONS[name] if name else _OPERATORS[kind]
+        try:
+            with np.errstate(all="raise"):
+                value = float(of(*(np.float64(part.parts[0]) for part in parts)))
+        except FloatingPointError as error:
+            raise self.refusal(at, f"this number has no value: {error}") from None
+        if not math.isfinite(value):
+            raise self.refusal(at, f"this number has no value: it is {value}")
+        return FormulaNode("number", (value,), at)
 
 
 class _Parser(_Text):
@@ -148,7 +183,7 @@ class _Parser(_Text):
     def _chain(self, signs: str, part: Callable[[], FormulaNode]) -> FormulaNode:
         found = part()
         while sign := self._taken(*signs):
-            found = FormulaNode(sign, (found, part()), found.at)
+            found = self.node(sign, found, part())
         return found
 
     def _sum(self) -> FormulaNode:
@@ -163,8 +198,8 @@ class _Parser(_Text):
             negative ^= sign == "-"
         base = self._atom()
         if self._taken("^", "**"):
-            base = FormulaNode("^", (base, self._deeper("powers", self._factor)), base.at)
-        return FormulaNode("neg", (base,), at) if negative else base
+            base = self.node("^", base, self._deeper("powers", self._factor))
+        return self.node("neg", base)._replace(at=at) if negative else base
 
     def _atom(self) -> FormulaNode:
         kind, value, at = self.kind, self.value, self.begins
@@ -176,9 +211,7 @@ class _Parser(_Text):
             raise self.refusal(at, "a number, a name or a bracket was expected")
         self._next()
         if kind == "number":
-            if not math.isfinite(float(value)):
-                raise self.refusal(at, f"{value} is too large")
-            return FormulaNode("number", (float(value),), at)
+            return FormulaNode("number", (_number(value, partial(self.refusal, at)),), at)
         if kind == "name" and self.kind == "sign" and self.value == "(":
             return self._call(value, at)
         return FormulaNode("name", (value,), at)
@@ -197,7 +230,7 @@ class _Parser(_Text):
         count = 2 if name in (*_OF_TWO, *_OF_A_BODY) else 1
         if len(arguments) != count:
             raise self.refusal(at, f"{name} takes {count} argument{'s' * (count > 1)}")
-        return FormulaNode("call", (name, *arguments), at)
+        return self.node("call", *arguments, name=name)._replace(at=at)
 
     def _close(self) -> None:
         if not self._taken(")"):
@@ -263,8 +296,6 @@ class Formula:
         own = [self._value(part, r, values) for part in node.parts if isinstance(part, FormulaNode)]
         if node.kind == "call":
             return _FUNCTIONS[node.parts[0]](*own)
-        if node.kind == "neg":
-            return -own[0]
         return _OPERATORS[node.kind](*own)
 
 
@@ -274,9 +305,9 @@ def _power(base: Any, exponent: Any) -> Any:
     return base ** (int(exponent) if whole else exponent)
 
 
-_OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
+_OPERATORS: dict[str, Callable[..., Any]] = {
     **{"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv},
-    "^": _power,
+    **{"^": _power, "neg": operator.neg},
 }
 
 
@@ -341,10 +372,9 @@ class _CheckedFormula(_Text):
             raise self.refusal(at, f"an exponent is a plain number, this is {of}")
         if unit is None or not unit.powers:
             return unit if of is None else NUMBER
-        value = _literal(exponent)
-        if value is None or abs(value) > 10:
+        if exponent.kind != "number" or abs(exponent.parts[0]) > 10:
             raise self.refusal(at, f"of {unit} only a power such as 2 or 0.5 has a unit")
-        return unit.raised(value)
+        return unit.raised(exponent.parts[0])
 
     def _call(
         self, node: FormulaNode, name: str, first: FormulaNode, *rest: FormulaNode
@@ -389,17 +419,6 @@ def _times(node: FormulaNode, factor: float) -> FormulaNode:
     if factor == 1.0:
         return node
     return FormulaNode("*", (node, FormulaNode("number", (factor,), node.at)), node.at)
-
-
-def _literal(node: FormulaNode) -> float | None:
-    """The value of a part that is a number, with a sign perhaps."""
-    if node.kind == "neg":
-        value = _literal(node.parts[0])
-        return None if value is None else -value
-    if node.kind == "^":
-        base, exponent = (_literal(part) for part in node.parts)
-        return None if base is None or exponent is None or abs(exponent) > 10 else base**exponent
-    return node.parts[0] if node.kind == "number" else None
 
 
 def effect(
@@ -547,19 +566,31 @@ class _TypedLine(_Text):
             return {node.parts[0]: FormulaNode("number", (1.0,), node.at)}
         a, *more = (self._linear(part, unknowns) for part in node.parts)
         if node.kind == "neg":
-            return {n: FormulaNode("neg", (part,), part.at) for n, part in a.items()}
+            return {n: self.node("neg", part) for n, part in a.items()}
         (b,) = more
         if node.kind in "+-":
             for name, part in b.items():
-                signed = part if node.kind == "+" else FormulaNode("neg", (part,), part.at)
-                a[name] = FormulaNode("+", (a[name], signed), part.at) if name in a else signed
+                signed = part if node.kind == "+" else self.node("neg", part)
+                a[name] = self.node("+", a[name], signed) if name in a else signed
             return a
         if set(b) == {""}:
-            return {n: FormulaNode(node.kind, (part, b[""]), node.at) for n, part in a.items()}
+            return {n: self.node(node.kind, part, b[""]) for n, part in a.items()}
         if set(a) == {""}:
-            return {n: FormulaNode(node.kind, (a[""], part), node.at) for n, part in b.items()}
-        both = " and ".join(sorted({*a, *b} - {""}))
-        raise self.refusal(node.at, f"{both} multiply each other: only their product could be told")
+            return {n: self.node(node.kind, a[""], part) for n, part in b.items()}
+        both = sorted({*a, *b} - {""})
+        unsaid = [n for n in both if n not in self.given]
+        if self.readings is not None and len(unsaid) == 1 < len(both):
+            raise self.refusal(node.at, self._no_column(unsaid[0]))
+        why = f"{' and '.join(both)} multiply each other: only their product could be told"
+        if self.readings is not None and unsaid:
+            why += f". {' and '.join(map(self._no_column, unsaid))}"
+        raise self.refusal(node.at, why)
+
+    def _no_column(self, name: str) -> str:
+        """Return that the readings have no column of a name, and which they have."""
+        assert self.readings is not None
+        has = ", ".join(self.there)
+        return f"{name!r} is not a column of numbers of {self.readings.file} (it has: {has})"
 
     def _columns(self) -> dict[str, tuple[str, str]]:
         """Names that are columns.
@@ -575,6 +606,12 @@ class _TypedLine(_Text):
             units = {n: readings.unit(n) for n in readings.columns if n != readings.output}
             there = {n: str(unit) for n, unit in units.items() if unit}
             there |= {"elapsed": "s"} if "time" in there else {}
+        self.there = there
+        declared = (
+            {c.name for c in self.instrument.columns if c.name != "output"}
+            if self.instrument
+            else {}
+        )
         own = {n: v for n, v in given.items() if not re.match(r"[-+.\d]", v)}
         found: dict[str, tuple[str, str]] = {}
         for node in (n for n in _inside(self.tree) if n.kind == "name"):
@@ -590,9 +627,10 @@ class _TypedLine(_Text):
                 found[called] = column, there[column]
             elif called in own and readings is None:
                 found[called] = column, stated
-            elif called in own:
-                why = f"{column!r} is no column of numbers; there are {', '.join(there)}"
-                raise self.refusal(node.at, why)
+            elif readings is not None and (
+                called in own or (column in declared and called not in given)
+            ):
+                raise self.refusal(node.at, self._no_column(column))
             elif called not in given and readings is None and given:
                 found[called] = called, ""  # a column, whose unit is looked at with the readings
             elif called not in given and len(called) > 3 and (near := _near(called, there)):
@@ -604,11 +642,13 @@ class _TypedLine(_Text):
         if said is None:
             at = next(n.at for n in _inside(self.tree) if n.kind == "name" and n.parts[0] == name)
             why = f"how large {name!r} plausibly is, is not said: {name} = 100 to 2000 s"
+            why = why if self.readings is None else f"{self._no_column(name)}, and {why}"
             raise self.refusal(at, why)
         if found := _RANGE.fullmatch(said):
-            low, high, unit = float(found[1]), float(found[2]), found[3]
+            low, high, unit = _number(found[1]), _number(found[2]), found[3]
         elif (found := _SIZE.fullmatch(said)) and found[2] is None and float(found[1]) > 0:
-            low, high, unit = float(found[1]) / MAGNITUDE, float(found[1]) * MAGNITUDE, found[3]
+            value, unit = _number(found[1]), found[3]
+            low, high = value / MAGNITUDE, value * MAGNITUDE
         else:
             raise InputError(f"{name} = {said!r} is no plausible range: write it as 100 to 2000 s")
         if not 0 < low < high:
@@ -650,14 +690,14 @@ class _TypedLine(_Text):
                     f"effect {self.text!r}: how large {name!r} plausibly is, is not said: {name} = 0.1 mV/V"
                 )
             text = "/".join([slot_unit, *(_power_of(n, p) for n, p in own.powers)])
-            rounded = float(f"{size / coefficient_factor(text, slot_unit):.2g}")
+            rounded = _number(f"{size / coefficient_factor(text, slot_unit):.2g}")
             return Coefficient(text, Normal(0.0, rounded), part)
         if not (found := _SIZE.fullmatch(said)):
             raise InputError(
                 f"{name} = {said!r} is no size with a unit: write it as 0.1 mV/V, or as 0.5 ± 0.1 mV/V"
             )
         text = (found[3] or "1").strip()
-        mean, sd = (float(found[1]), float(found[2])) if found[2] else (0.0, abs(float(found[1])))
+        sd, mean = abs(_number(found[2] or found[1])), _number(found[1]) if found[2] else 0.0
         if not sd > 0:
             raise InputError(f"{name} = {said!r}: a size is not zero")
         whole = Dimension.of(text).times(own)
@@ -699,9 +739,10 @@ def _scatter(made: Formula, readings: Measurements, shapes: Mapping[str, Shape])
     """Size of each coefficient at which its term varies as much as the output does, base units of the output."""
     frame = build_frame(readings, reference_of(readings))
     middle = {n: math.sqrt(s.low * s.high) for n, s in shapes.items()}
-    columns = np.asarray(made(frame, **middle))
+    with np.errstate(all="ignore"):  # what is not finite is refused where it meets the readings
+        columns = np.asarray(made(frame, **middle))
+        sizes = np.std(columns, axis=0)
     spread = float(np.std(readings[readings.output]))
-    sizes = np.std(columns, axis=0)
     sizes = np.where(sizes > 0, sizes, np.abs(columns).max(axis=0))
     return [spread / s if s > 0 and math.isfinite(s) else spread for s in sizes.tolist()]
 

@@ -228,6 +228,11 @@ class Model(Printed):
                         f"(it has: {', '.join(readings.columns)}). Record it, or take the effect out: "
                         f"model - {effect.name!r}"
                     )
+                if effect.is_placeholder and readings.unit(column) is None:
+                    raise ModelError(
+                        f"Effect {effect.name!r} is along a column of numbers, and {column!r} of {readings.file} holds "
+                        "labels: a deviation of each is an effect with coefficients per group, such as bias.run"
+                    )
         for column in self.noise.needs:
             if not readings.has(column):
                 raise ModelError(

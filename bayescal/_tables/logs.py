@@ -82,7 +82,7 @@ def columns_of(
 
     Args:
         sensors: of the log.
-        chosen: names of channels; what else is named here is left to the caller.
+        chosen: names of channels; all if it names none that the log has.
         file: its name in messages.
 
     Returns:
@@ -90,16 +90,14 @@ def columns_of(
         each a sentence.
 
     Raises:
-        InputError: no channel is chosen that the log has, or no row has all that is asked for.
+        InputError: the log has no channels, or no row has all that is asked for.
     """
     holder = {name: sensor for sensor in sensors for name in sensor.channels}
-    wanted = [name for name in dict.fromkeys(chosen) if name in holder]
-    if not wanted:
-        listed = ", ".join(holder) or "none of a sensor that is read"
-        raise InputError(
-            f"{file!r} is a log, and which of its channels to read is not said. It has: {listed}. "
-            "Choose one: --columns output=gyro_x (in Python columns={'output': 'gyro_x'})"
-        )
+    if not holder:
+        raise InputError(f"{file!r} is a log without messages of a sensor that is read")
+    headers = {f"{name} [{one.channels[name][1]}]": name for name, one in holder.items()}
+    wanted = [headers.get(name, name) for name in dict.fromkeys(chosen)]
+    wanted = [name for name in dict.fromkeys(wanted) if name in holder] or list(holder)
     used = list({id(holder[name]): holder[name] for name in wanted}.values())
     base = max(used, key=lambda sensor: _step(sensor.time))
     kept, notes = _common(base, used, file), []

@@ -134,11 +134,11 @@ def open_log(path: Path, file: str, chosen: Collection[str]) -> Table:
     Args:
         path: of a file whose suffix is one of `LOG_FORMATS`.
         file: its name in messages.
-        chosen: names of channels, such as "gyro_x"; names of no channel are passed over.
+        chosen: names of channels, such as "gyro_x"; names of no channel are passed over, and all are read if none
+            is left.
 
     Raises:
-        InputError: the package that reads it is not installed, the file is not what its suffix says, or
-            none of its channels is chosen.
+        InputError: the package that reads it is not installed, or the file is not what its suffix says.
     """
     title, package, read = LOG_FORMATS[path.suffix.lower()]
     try:

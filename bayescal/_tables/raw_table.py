@@ -147,7 +147,7 @@ def _together(options: Iterable[str]) -> str:
     apart = dict[str, list[str]]()
     for one in options:
         header = shlex.split(one)[1].partition("=")[2] if one.startswith("--columns ") else one
-        apart.setdefault(one if header == "HEADER" else header, []).append(one)
+        apart.setdefault(header, []).append(one)
     return " ".join(a[0] if len(a) == 1 else f"({' or '.join(a)})" for a in apart.values())
 
 

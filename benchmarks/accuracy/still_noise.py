@@ -84,7 +84,8 @@ def measure(case: tuple[str, int, int]) -> tuple[dict[str, Any], str]:
     row = {"made": kind, "readings": n, "seed": seed, "truth": truth, "law": list(best)}
     row |= {"probability": weighed[best], "weighed": KINDS[kind] in weighed}
     row |= {"oracle": _oracle(readings, KINDS[kind], weighed), "seconds": seconds}
-    row["figures"] = {f.symbol or f.name: [f.value, f.low, f.high, f.bound] for f in found.figures}
+    seen = (f for f in found.figures if math.isfinite(f.high))
+    row["figures"] = {f.symbol or f.name: [f.value, f.low, f.high, f.bound] for f in seen}
     return row, f"{case} {truth} -> {found.law} {row['oracle']}"
 
 

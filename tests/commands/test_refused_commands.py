@@ -52,6 +52,11 @@ REFUSED = (
     (f"{FIT} --reference T0=warm", "'warm' is not a number"),
     (f"{FIT} --add bias.moon", "bias.moon"),
     (f"{FIT} --add bias.drift", "needs the column 'time'"),
+    *(
+        (f"{FIT} --add bias.own --effect 'own: {formula}'", "ffect")
+        for formula in ("s*1/0", "s*9**9**9**9", "s*sqrt(-1)", "s*10**-320", "s*temperature/0")
+    ),
+    (f"{FIT} --add bias.own --effect 'own: s * supply_voltage'", "'supply_voltage'"),
     (f"{FIT} --structure cube", "has no structure 'cube'"),
     (f"{FIT} --local-gravity 0", "'--local-gravity'"),
     (f"{FIT} --average 1m", "'1m' is no time to average over: write a positive number with a"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import pickle
 from pathlib import Path
@@ -10,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import bayescal as bc
 from bayescal_models import mems_gyro
@@ -157,6 +160,12 @@ REFUSED = {
     "supply: s * rate(T * 2)": ("'T * 2)'", "takes the name of a column"),
     "supply: s * exp(-elapsed / tau); s = 1 deg/s": ("'tau)'", "tau = 100 to 2000 s"),
     "supply: s * 1e999": ("'1e999'", "too large"),
+    "supply: s * T * 10**-320": ("'10**-320'", ""),
+    "supply: s * 1 / 0": ("'", ""),
+    "supply: s * 9**9**9**9": ("'9**9**9'", ""),
+    "supply: s * sqrt(-1)": ("'-1)'", ""),
+    "supply: s * run": ("'run'", "temperature"),
+    "supply: s * pressure; s = 1 deg/s": ("'s * pressure'", "pressure"),
     "supply: s * min(T, supply_voltage)": ("'supply_voltage)'", "added to or compared with"),
     "supply: " + "(" * 60: ("'" + "(" * 20, "brackets deeper"),
     "supply: s * output": ("'output'", ""),
@@ -178,8 +187,10 @@ def test_a_formula_that_is_none_is_refused_with_the_place_marked(readings, line)
     ("line", "words"),
     [
         ("supply: s * (supply_voltage - 5); s = 0.1 degC", "correct the unit of s"),
-        ("supply: s * T; s = much", "is no column of numbers"),
+        ("supply: s * T; s = much", "is not a column of numbers"),
         ("supply: s * T; s = 0 deg/s/degC", "a size is not zero"),
+        ("supply: s * T; s = 1e-400 deg/s/degC", "1e-400"),
+        ("supply: s * exp(-elapsed / tau); s = 1 deg/s; tau = 1 to 1e400 s", "1e400"),
         ("supply: s * T; k = 1 V", "k is given, and does not stand in"),
         ("supply: s * T; s : 1 V", "is not of the form s = 0.1 mV/V"),
         ("supply s * T", "has no name and formula"),
@@ -301,3 +312,45 @@ def test_it_is_found_saved_loaded_compensated_and_exported(tmp_path: Path) -> No
     )
     assert refused.status == 2 and "▸ 'supply_voltage)'" in refused.err
     assert "bias.supply" in json.dumps(found.data)
+
+
+def test_column_that_is_not_there_is_named(readings) -> None:
+    without = bc.Measurements.from_arrays(
+        GYROSCOPE, {n: readings[n] for n in ("time", "temperature", "output")}
+    )
+    with pytest.raises(bc.InputError, match=r"supply_voltage.*the given arrays.*temperature"):
+        bc.effect("own: s * supply_voltage", readings=without, instrument=GYROSCOPE)
+
+
+FUNCTION = bc.Effect(
+    "bias.own",
+    "bias",
+    basis=lambda r: 1 / (r["temperature"] - 25),
+    coefficients=(bc.Coefficient("deg/s*degC", bc.Normal(0.0, 1.0)),),
+    columns=("temperature",),
+)
+
+
+@pytest.mark.parametrize("own", ["s / (T - 25)", "s * sqrt(T / 1 - 25)", "s * T / 0", FUNCTION])
+def test_basis_that_is_not_finite_in_a_reading_is_refused(readings, own) -> None:
+    """In the model, and among the candidates of a search; typed, or a function."""
+    data = readings.with_column("temperature", np.arange(N) + 5.0)
+    if isinstance(own, str):
+        own = bc.effect(f"own: {own}", readings=data, instrument=GYROSCOPE)
+    with pytest.raises(bc.ModelError, match="own"):
+        bc.fit(GYROSCOPE.baseline() + own, data, bc.LeastSquares())
+    plain = bc.fit(GYROSCOPE.baseline(), data, bc.LeastSquares(), strict=False)
+    with pytest.raises(bc.ModelError, match="own"):
+        bc.discover(plain, effects=[own])
+
+
+@pytest.mark.parametrize("name", ["unknown(run)", "unknown(run, jump)"])
+def test_unknown_dependence_on_labels_is_refused(readings, name) -> None:
+    with pytest.raises(bc.ModelError, match="run"):
+        bc.fit(GYROSCOPE.baseline() + name, readings, bc.LeastSquares())
+
+
+@given(st.text("0123456789.eE+-*/^() ,TVsk", max_size=24))
+def test_no_line_ends_in_another_error_than_a_refusal(readings, text) -> None:
+    with contextlib.suppress(bc.InputError):
+        bc.effect(f"own: s * ({text})", readings=readings, instrument=GYROSCOPE)

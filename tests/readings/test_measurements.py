@@ -205,8 +205,14 @@ def test_arrays_are_checked_as_files_are():
 
 def test_further_arrays_need_a_unit_to_be_kept():
     m = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0], humidity=[1.0, 2.0])
-    assert not m.has("humidity") and "ignored, because they have no unit: humidity" in m.flags[0]
-    assert "to say that one is run or device or time or axis: --columns NAME=HEADER" in m.flags[0]
+    assert not m.has("humidity") and "--columns run=humidity" in m.flags[0]
+
+
+def test_columns_come_as_a_mapping_behind_the_instrument():
+    m = bc.Measurements.from_arrays(SCALE, {"output": [1.0, 2.0], "humidity [%]": [40.0, 41.0]})
+    assert m.has("humidity") and len(m) == 2
+    with pytest.raises(bc.InputError, match="instrument"):
+        bc.Measurements.from_arrays({"output": [1.0, 2.0]}, SCALE)  # pyright: ignore[reportArgumentType]
 
 
 def test_readings_cannot_be_changed_by_accident():

@@ -52,7 +52,7 @@ def test_what_a_chamber_was_told_is_never_proposed_for_its_thermometer(tmp_path:
     text = table(**{"time [s]": STEPS, "Setpoint (°C)": 20 + STEPS, "output [deg/s]": STEPS / 1e4})
     path.write_text(text, encoding="utf-8")
     said = options_said(path, GYRO)
-    assert "temperature=HEADER" in said and "Setpoint" not in said
+    assert "Setpoint" not in said
 
 
 def test_a_unit_of_differences_is_refused_with_file_and_column(tmp_path: Path) -> None:
@@ -232,7 +232,7 @@ def test_a_column_that_is_another_s_only_one_is_not_proposed(put) -> None:
 def test_what_may_be_needed_is_not_proposed_to_be_left_out(put, head) -> None:
     columns = {"time [s]": STEPS, "temperature [degC]": 20 + STEPS / 20, "UB (V)": 5 + STEPS % 7}
     asked = options_said(put(table(**columns, **{head: STEPS / 1e4})), GYRO)
-    assert "--ignore" not in asked and "UB (V)" not in asked and "UNIT" in asked
+    assert "--ignore" not in asked and f"{head}=UNIT" in asked
 
 
 def test_a_unit_that_nothing_shows_is_not_suggested(put) -> None:
@@ -258,7 +258,7 @@ def test_a_header_that_looks_like_two_columns_is_an_alternative_for_each(put) ->
 
 def test_no_unit_is_asked_of_headers_that_have_one(put) -> None:
     columns = {"time [s]": STEPS, "Oven (°C)": 20 + STEPS / 20, "Flow (l/min)": STEPS}
-    assert options_said(put(table(**columns)), STILL) == "--columns output=HEADER"
+    assert "--unit" not in options_said(put(table(**columns)), STILL)
 
 
 def test_a_column_that_may_be_one_of_the_instrument_s_is_said(put) -> None:

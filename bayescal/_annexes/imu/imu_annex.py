@@ -5,6 +5,7 @@ Light: heavy modules load inside.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,7 +50,7 @@ commands = Commands(
         "baseline": "Look for no effect beside bias, scale, misalignment.",
         "dry_run": "Say what these poses do not determine and which to add; fit nothing.",
         "gyroscopes": "Their three columns, as gx,gy,gz; else by the usual names.",
-        "magnetometers": "Their three columns, as mx,my,mz, where there are any.",
+        "magnetometers": "Their three columns, as mx,my,mz; else by the usual names, if there are any.",
         "poses": "Each row is a pose or a rate; else steady stretches of a log.",
         "shortest": "Shortest pose in a log, s; 2, or 1 where many still stretches are shorter.",
         "instrument": "Of three axes: accelerometer_triad, gyro_triad, magnetometer_triad.",
@@ -179,13 +180,8 @@ def imu(
     from bayescal.workshop import Objections, names_in_unit, sensor_name
 
     sensor_name(asked.name, "")
-    how, field = columns.for_read(), columns.local_field
-    if field is not None and not magnetometers:
-        raise InputError(
-            f"--local-field {field!r}: it is of magnetometers; say which they are (--magnetometers mx,my,mz)"
-        )
-    given = dict(zip(SENSORS, (accelerometers, gyroscopes), strict=False))
-    given |= {"magnetometer_triad": magnetometers} if magnetometers else {}
+    how = columns.for_read()
+    given = dict(zip(SENSORS, (accelerometers, gyroscopes, magnetometers), strict=True))
     instruments = {name: instrument_named(name) for name in given}
     logs, problems = {}, Objections()
     for name, three in given.items():
@@ -197,10 +193,13 @@ def imu(
         except InputError as error:
             if not error.problems:
                 raise
+            optional = SENSORS[name] == "magnetometers" and not (three or columns.local_field)
+            if optional and _lacks_outputs(error.problems):
+                continue
             problems += _of_sensor(SENSORS[name], instruments[name], error.problems)
     problems.refuse()
     columns.keep()
-    (force, forces), (turns, rates), *others = zip(instruments.values(), logs.values(), strict=True)
+    (force, forces), (turns, rates), *others = ((instruments[n], log) for n, log in logs.items())
     long = {"shortest": asked.shortest}
     with result_folder(asked.out) as folder:
         poses = bc.poses(forces, force, **long)
@@ -262,20 +261,26 @@ def _three(given: str | None) -> dict[str, str]:
     return dict(zip((f"output_{a}" for a in "xyz"), names, strict=False))
 
 
+def _lacks_outputs(problems: Sequence[Objection]) -> list[Objection]:
+    """Return the objections to three outputs, where a file has none of them."""
+    found = [p for p in problems if p.column in {f"output_{axis}" for axis in "xyz"}]
+    return found if len(found) == 3 else []
+
+
 def _of_sensor(sensors: str, instrument: Any, problems: Sequence[Objection]) -> Sequence[Objection]:
     """Objections of a log, with one sentence in place of three where it has none of a sensor's three columns."""
-    from bayescal.workshop import Objection
+    from bayescal.workshop import Objection, option
 
-    three = {f"output_{axis}" for axis in "xyz"}
-    missing = [p for p in problems if p.column in three]
-    if len(missing) < len(three):
+    if not (missing := _lacks_outputs(problems)):
         return problems
-    columns = ",".join(f"{sensors[0]}{axis}" for axis in "xyz")
+    words = (word for p in missing for word in shlex.split(p.option.strip("()")))
+    own = dict.fromkeys(w.partition("=")[2] for w in words if w.startswith("output_"))
+    three = ",".join(own if len(own) == 3 else (f"{sensors[0]}{axis}" for axis in "xyz"))
     return [
         Objection(
             missing[0].file,
             f"holds no three columns called as those of {sensors} are, in a unit that converts to {instrument.unit}",
-            cure=f"Say which they are (--{sensors} {columns}), or take a log that has them",
+            cure=f"Say which they are ({option(f'--{sensors}', three)}), or take a log that has them",
         )
     ]
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 from bayescal import InputError, SensorNoise
 from bayescal._calibration.sensor_noise import FILTER_QUANTILE
-from bayescal.workshop import STANDARD_GRAVITY, c_comment, parse
+from bayescal.workshop import STANDARD_GRAVITY, c_comment, option, parse
 
 KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 BRIEF = {
@@ -54,6 +54,10 @@ def kalibr_yaml(
     ]
     for name, noise in channels.items():
         lines += [f"# {c_comment(name)}: {noise.law}. {_left_out(noise)}"]
+        for n in (figure for figure in noise.figures if figure.symbol == "N"):
+            middle, low, high = (f"{value:.4e}" for value in n.si)
+            seen = f"{middle} {n.si_unit} ({low} to {high})" if not n.bound else "not seen"
+            lines += [f"#   N: {seen}"]
     for kind, unit in KINDS.items():
         own = [noise for name, noise in channels.items() if kinds[name] == kind]
         lines.append(f"# {kind}, {unit}")
@@ -92,7 +96,7 @@ def _kind(name: str, unit: str) -> str:
         return "accelerometer"
     raise InputError(
         f"the channel {name!r} in {unit or 'no unit'} is neither a gyroscope's nor an accelerometer's: an imu.yaml has "
-        "no place for it. Say its unit, as --unit gyro_x=deg/s"
+        f"no place for it. Say its unit: {option('--unit', f'{name}=UNIT')}"
     )
 
 
