@@ -31,7 +31,7 @@ from bayescal._core.progress import stage, tell
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import said_of, set_aside
-from bayescal._data.time_in_runs import going_on
+from bayescal._data.time_in_runs import going_on, on_clock
 from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import NOT_SAMPLED
@@ -119,14 +119,15 @@ def calibrate(
 
     Raises:
         ModelError: the readings lack what the model needs.
-        InputError: there is no such column to ignore or to allow.
+        InputError: there is no such column to ignore or to allow; hold-out data have dates and the readings none, or the
+            other way round.
         TimeIsUp: the time limit came before the first model was fitted.
     """
 
     def run() -> SearchPath:
         causes = with_causes(readings, model.instrument, ignore, covariates)
         used = set_aside(causes, keep_spikes, model.columns)
-        kept = None if holdout is None else set_aside(holdout, keep_spikes, model.columns)
+        kept = None if apart is None else set_aside(apart, keep_spikes, model.columns)
         used, accepted = _said_of_holdout(used, kept), frozenset(accept_conflicts)
         loop = Loop(used, kept, method, seed, reference, max_effects, accepted, resumed=len(seeds))
         loop, first = loop.begin(model)
@@ -145,8 +146,7 @@ def calibrate(
             return loop.not_searched(first, early.why)
         return loop.to_best(first, library, shut, stopped, follow)
 
-    if holdout is not None:
-        model.require(holdout)
+    apart = None if holdout is None else held_out(model, readings, holdout)
     with deadline.until(time_limit), deadline.share(WORK):
         return deadline.within(run)
 
@@ -536,12 +536,23 @@ def step_of(
     )
 
 
+def held_out(model: Model, readings: Measurements, holdout: Measurements) -> Measurements:
+    """Hold-out data on the clock of the readings.
+
+    Raises:
+        ModelError: they lack what the model needs.
+        InputError: one has dates and the other has none.
+    """
+    model.require(holdout)
+    return on_clock(holdout, readings.since, "what may be found, such as a drift,")
+
+
 def _said_of_holdout(readings: Measurements, holdout: Measurements | None) -> Measurements:
     """The readings with a flag, where hold-out data continue their record, or are a part of it."""
     if holdout is None:
         return readings
     said = said_of(readings, holdout)
-    if not said and (going := going_on(readings, holdout)[0]):
+    if not said and (going := going_on(readings, holdout)):
         said = (
             f"{readings.file}: {sum(map(len, going.values()))} readings of the hold-out data continue its run "
             f"{', '.join(going)}: they are predicted with the record's past, so lags, hysteresis and correlated noise "

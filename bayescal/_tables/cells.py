@@ -123,7 +123,7 @@ def date_text(seconds: float) -> str:
     return when.replace(tzinfo=None).isoformat(sep=" ")
 
 
-_EARLIEST, LATEST = 946_684_800.0, 4_102_444_800.0  # s; the years 2000 and 2100
+EARLIEST, LATEST = 946_684_800.0, 4_102_444_800.0  # s; the years 2000 and 2100
 _LONGEST = 1e7  # s, nearly four months: as milliseconds, a clock's microseconds since its start would last longer
 
 
@@ -141,7 +141,7 @@ def from_first(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
 
 def _is_unix(low: float, high: float) -> bool:
     """Whether seconds between these are seconds since 1970."""
-    return low >= _EARLIEST and high <= LATEST
+    return low >= EARLIEST and high <= LATEST
 
 
 def unit_of_counts(values: np.ndarray) -> str | None:
