@@ -172,11 +172,11 @@ class Fitted:
         rows = np.unique(np.linspace(0, len(self.readings) - 1, 8, dtype=int))
         now = self.frame.reordered(rows, np.arange(len(rows)), self.frame.step[rows])
         moved = 0.3 * float(self.reference["time_span"])  # pyright: ignore[reportArgumentType]
-        later = now.with_column("time", np.asarray(now["time"]) + moved)
+        later = now.with_column("time", now["time"] + moved)
         at_mode = self.problem.hyper(self.mode.v)
 
         def changes(effect: Effect) -> bool:
-            shapes = {s.name: at_mode[effect.shape_name(s)] for s in effect.column_shapes}
+            shapes: Any = {s.name: at_mode[effect.shape_name(s)] for s in effect.column_shapes}
             return not np.array_equal(effect.evaluate(now, shapes), effect.evaluate(later, shapes))
 
         return tuple(e.name for e in self.model.effects if "time" in e.columns and changes(e))

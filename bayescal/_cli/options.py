@@ -163,7 +163,7 @@ HELP = {
         "unit if not given."
     ),
     "criterion": "residual, ratio-variance or ratio-variance-raw.",
-    "date_order": "Of dates such as 05/06/2026, where no day above 12 shows it.",
+    "date_order": "Of dates such as 05/06/2026, where no day above 12 shows it; hms for times such as 10.11.12.",
     "decimal": "In numbers of text files, where they do not show it.",
     "demo.instrument": "Whose demonstration.",
     "demo.json_": "Print result.json on stdout, and the story on stderr.",
@@ -262,7 +262,7 @@ MORE: dict[str, dict[str, Any]] = {
     "channels": {"metavar": "NAME,NAME,…"},
     "check": {"metavar": "my.py:INSTRUMENT"},
     "covariates": {"metavar": "NAME,NAME,…"},
-    "date_order": {"metavar": "mdy|dmy|ymd"},
+    "date_order": {"metavar": "mdy|dmy|ymd|hms"},
     "decimal": {"metavar": ".|,"},
     "discover.ignore": {"metavar": "COLUMN"},
     "effects_file": {"names": ["--effects"]},

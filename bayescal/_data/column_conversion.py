@@ -384,12 +384,11 @@ class ColumnReader:
             return cells
         dates, fitting = cells.in_order(self.file.options.date_order), cells.fitting_orders
         if dates.orders:
-            came = "leave open which number is the day"
+            came = "leave open which number is the day, or whether they are times"
             came = came if fitting else "are not all dates in one order of month, day and year"
             orders = fitting or [n for n, v in cells.orders.items() if not np.isnan(v).all()]
-            begin = (
-                f"{n} if it begins {date_text(np.nanmin(cells.orders[n]))[:10]}" for n in orders
-            )
+            firsts = {n: date_text(float(np.nanmin(cells.orders[n]))).split() for n in orders}
+            begin = (f"{n} if it begins {first[n == 'hms']}" for n, first in firsts.items())
             self.file.problem(
                 self.header.raw,
                 f"its dates {came}",

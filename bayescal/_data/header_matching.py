@@ -100,8 +100,8 @@ class ReadOptions:
         nominal_scale: in place of the instrument's.
         missing: "refuse" rows with a missing reading, or "drop" them.
         decimal: between the whole and its parts in text files; empty where the file shows it.
-        date_order: of month, day and year in dates such as 05/06/2026: "mdy", "dmy" or "ymd"; empty where the dates
-            show it.
+        date_order: of month, day and year in dates such as 05/06/2026: "mdy", "dmy" or "ymd", or "hms" of times such as
+            10.11.12; empty where the dates show it.
         ignore: columns of the file that are left out.
         only: whether all columns beside the instrument's are.
         others: columns of the file that are outputs of other channels, and left out.
@@ -142,7 +142,7 @@ class ReadOptions:
         if self.date_order not in ("", *ORDERS):
             raise InputError(
                 f"date_order={self.date_order!r} (--date-order) is not one of {', '.join(ORDERS)}: the order of month, "
-                "day and year"
+                "day and year, or of hours, minutes and seconds"
             )
 
     @classmethod

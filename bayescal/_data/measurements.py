@@ -446,7 +446,9 @@ def assemble(
     names, output = file_names([source.file for source in sources]), output_name(instrument)
     since, units = converted.origin, converted.units
     if since is not None:
-        began = f"{names}: time is in s since {date_text(since)} (dates without a zone count as UTC)"
+        began = (
+            f"{names}: time is in s since {date_text(since)} (dates without a zone count as UTC)"
+        )
         converted.flags.append(began)
     repeated = repeated_rows(converted.values)
     flags = [*converted.flags, *flags_of(converted, output, names, repeated)]

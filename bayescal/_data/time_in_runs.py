@@ -11,6 +11,7 @@ from bayescal._core.errors import InputError
 from bayescal._data.dataset_checks import PAUSE_STEPS
 from bayescal._data.measurements import Measurements
 from bayescal._tables.cells import date_text
+from bayescal._tables.raw_table import option
 
 # Changes from one record to the other, a reading, beyond which two lie in one time and neither goes on with the other.
 INTERLEAVED_SHARE = 0.2
@@ -58,10 +59,8 @@ def run_starts(readings: Measurements, record: Measurements | None = None) -> np
     return first
 
 
-def _known_runs(
-    record: Measurements, readings: Measurements
-) -> dict[int, tuple[str, np.ndarray]]:
-    """Return the name and the sorted times of the record's runs by the index of the run of that name in the readings."""
+def _known_runs(record: Measurements, readings: Measurements) -> dict[int, tuple[str, np.ndarray]]:
+    """Return name and sorted times of the record's runs, by the index of the run of that name in the readings."""
     (names, codes), (asked, _) = run_codes(record), run_codes(readings)
     return {
         i: (name, np.sort(record["time"][codes == names.index(name)]))
@@ -96,11 +95,12 @@ def on_clock(readings: Measurements, epoch: float | None, changing: str) -> Meas
     if not changing:
         return readings
     dated = f"counts time from {date_text(epoch)}" if epoch is not None else "has no dates"
-    own, example = ("no dates", "2026-05-13 10:14:20") if epoch is not None else ("dates", "9 d")
+    own, example = ("no dates", "2026-05-13 10:14:20") if epoch is not None else ("dates", "9 days")
+    of = readings.sources[0].file if len(readings.sources) == 1 else "FILE"
     raise InputError(
-        f"{readings.file}: its times have {own}, the calibration {dated}, and {changing} changes with the date. Say when "
-        f"its first reading was taken{' on the clock of the calibration' * (epoch is None)}: --begin '{example}' "
-        f"(in Python, begin={example!r} where it is read)"
+        f"{readings.file}: its times have {own}, the calibration {dated}, and {changing} changes with the date. Say "
+        f"when its first reading was taken{' on the clock of the calibration' * (epoch is None)}: "
+        f"{option('--begin', f'{of}={example}')} (in Python, begin={example!r} where it is read)"
     )
 
 

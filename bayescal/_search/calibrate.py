@@ -119,8 +119,8 @@ def calibrate(
 
     Raises:
         ModelError: the readings lack what the model needs.
-        InputError: there is no such column to ignore or to allow; hold-out data have dates and the readings none, or the
-            other way round.
+        InputError: there is no such column to ignore or to allow; of readings and hold-out data one has dates and the
+            other none.
         TimeIsUp: the time limit came before the first model was fitted.
     """
 

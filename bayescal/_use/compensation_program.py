@@ -368,8 +368,8 @@ def clock_note(calibration: Calibration, inputs: Collection[str]) -> list[str]:
     last, since = float(calibration.readings["time"].max()), calibration.readings.since
     end = f"{number(last, 6)} s" if since is None else date_text(since + last)
     return [
-        f"What changes with the date: {', '.join(calibration.dated)}. Time counts {clock_words(calibration)}; the last reading was taken at {end}, and "
-        "what is stated later is an extrapolation."
+        f"What changes with the date: {', '.join(calibration.dated)}. Time counts {clock_words(calibration)}; the "
+        f"last reading was taken at {end}, and what is stated later is an extrapolation."
     ]
 
 
