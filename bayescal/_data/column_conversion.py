@@ -146,7 +146,7 @@ def _converted(
 
 def _day_position(table: Table, positions: Mapping[str, int]) -> int | None:
     """Where a column of days stands beside one of times of day."""
-    named = (i for i, h in enumerate(table.headers) if plain(h.name) in DAYS)
+    named = (i for i, h in enumerate(table.headers) if plain(h.name) in DAYS and not h.unit)
     found = [i for i in named if i != positions["time"]]
     return found[0] if len(found) == 1 else None
 

@@ -598,7 +598,7 @@ class MatchedFile:
             header = self.table.headers[position]
             if name in self.expected or position in passed or self.options.leaves_out(header):
                 continue
-            if plain(header.name) in DAYS and "time" in self.positions:
+            if plain(header.name) in DAYS and not header.unit and "time" in self.positions:
                 continue  # taken with the time of day
             if name in TAKEN:
                 said = f"{file}: column {header.raw!r} ignored: the name {name!r} is taken"
