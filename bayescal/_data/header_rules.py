@@ -66,7 +66,10 @@ BEGINNINGS = {
     "rad": ("tilt", "angle", "incl", "roll", "pitch"),
 }
 # A column of days beside one of times of day, in the languages of those who write both with points.
-DAYS = frozenset("date datum day tag dato dag data giorno fecha dia jour paiva paivamaara pvm".split())
+DAYS = (
+    *("date", "datum", "day", "tag", "dato", "dag", "data", "giorno", "fecha", "dia", "jour"),
+    *("paiva", "paivamaara", "pvm"),
+)
 RAW = (
     "V",
     "Hz",
