@@ -111,7 +111,6 @@ def test_a_time_has_no_upper_end_where_what_follows_it_has_died_out(bent, tmp_pa
             assert list(one(output=bent_sensor.BIAS, warn=False, **late).outside) == flagged
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4, 8])
 def test_a_time_constant_that_is_hardly_known_stays_in_its_range(seed: int) -> None:
     """Warm-up of 1.5 standard deviations of the noise: a draw of τ below zero made 1e85 µg of a reading."""
@@ -134,6 +133,7 @@ def test_a_time_constant_that_is_hardly_known_stays_in_its_range(seed: int) -> N
     assert np.max(found.uncertainty) < 16
 
 
+@pytest.mark.slow
 def test_a_still_sensor_gives_its_output_less_its_bias() -> None:
     sensor = still_sensor.simulate(seed=3, runs=2, interval=60)
     chosen = still_sensor.INSTRUMENT.for_readings(sensor)
