@@ -115,7 +115,10 @@ def test_a_time_has_no_upper_end_where_what_follows_it_has_died_out(bent, tmp_pa
 def test_a_time_constant_that_is_hardly_known_stays_in_its_range(seed: int) -> None:
     """Warm-up of 1.5 standard deviations of the noise: a draw of τ below zero made 1e85 µg of a reading."""
     random, count = np.random.default_rng(seed), 48
-    elapsed, angle = np.tile(140.0 * np.arange(count), 2), np.tile(np.arange(count) * np.pi / 6, 2)
+    elapsed, angle = (
+        np.tile(140.0 * np.arange(count), 2),
+        np.tile(np.arange(count) % 12 * np.pi / 6, 2),
+    )
     temperature = 25 + 30 * np.sin(elapsed / 1500)
     acts = 1e6 * np.sin(angle)
     bias = 100 + 10 * (temperature - 25) + 12 * np.exp(-elapsed / 1000)
