@@ -14,8 +14,6 @@ import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bayescal._core.errors import InputError
-from bayescal._core.json_shape import DEEPEST
 from bayescal._tables.raw_table import bytes_text, unusable
 
 _CHUNK = 1 << 20  # bytes unpacked at a time
@@ -63,45 +61,35 @@ def refuse_zip(path: Path, file: str) -> None:
 
 
 def refuse_hdf5(opened: Any, file: str, size: int) -> None:
-    """Look at an open HDF5 file: what its arrays state, how deep its groups go, whether it names other files.
+    """Look at an open HDF5 file: what its arrays state, whether its groups end, whether it names other files.
 
     Raises:
-        InputError: it states too much, is nested deeper than any, or leads elsewhere.
+        InputError: it states too much, a group stands in itself, or it leads elsewhere.
     """
     import h5py  # a tenth of a second that other formats do without
     from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
 
-    total, waiting = 0, [(opened, 0)]
-    seen = {h5o.get_info(opened.id).addr}
+    total, waiting, seen = 0, [opened], {h5o.get_info(opened.id).addr}
     while waiting:
-        group, depth = waiting.pop()
+        group = waiting.pop()
         for name in group:
-            link, inner = group.get(name, getlink=True), f"{group.name.rstrip('/')}/{name}"
-            if not isinstance(link, h5py.HardLink):
-                raise InputError(
-                    f"{file!r}: {inner} is a link to somewhere else, which is not followed. Save the readings in the "
-                    "file itself"
-                )
-            node = group[name]
-            address = h5o.get_info(node.id).addr
-            if address in seen and isinstance(node, h5py.Group):
-                raise InputError(f"{file!r}: the group {inner} stands there twice, or in itself")
-            seen.add(address)
-            if len(seen) > _OBJECTS or depth >= DEEPEST:
+            hard = isinstance(group.get(name, getlink=True), h5py.HardLink)
+            node, inner = group[name] if hard else None, f"{group.name.rstrip('/')}/{name}"
+            array = isinstance(node, h5py.Dataset)
+            if not hard or (array and (node.is_virtual or node.external)):
+                came = f"{inner} is a link to somewhere else, or its numbers stand in another file"
                 raise unusable(
-                    file,
-                    f"has more than {_OBJECTS:,} arrays and groups, or groups in each other deeper than {DEEPEST}",
-                    "save the readings as CSV",
+                    file, f"is not all there: {came}", "Save the readings in the file itself"
                 )
-            if isinstance(node, h5py.Group):
-                waiting.append((node, depth + 1))
-            elif isinstance(node, h5py.Dataset):
-                if node.is_virtual or node.external:
-                    raise InputError(
-                        f"{file!r}: the numbers of {inner} stand in another file, which is not read. Save them in the "
-                        "file itself"
-                    )
+            address = h5o.get_info(node.id).addr
+            if len(seen) > _OBJECTS or (address in seen and not array):
+                came = f"has the group {inner} twice, or over {_OBJECTS:,} arrays and groups"
+                raise unusable(file, came, "Save the readings as CSV")
+            seen.add(address)
+            if array:
                 total += int(node.size or 0) * node.dtype.itemsize
+            else:
+                waiting += [node] * isinstance(node, h5py.Group)
     refuse_unpacked(file, size, total, ARRAYS)
 
 

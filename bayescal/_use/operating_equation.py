@@ -464,7 +464,9 @@ def posterior_moments(
         spread = _spread(calibration, block, total) * has_effect(calibration, block.effect.name)
         mean[i], covariance[i, i] = block.coefficient.mean, float(np.mean(spread**2))
         thin[:, i] = mean[i] + _independent(thin - mean, spread[::step], covariance[i, i], random)
-    linear = [i for i, u in enumerate(unknowns) if u.kind != "shape"]  # a shape moved so may leave its range
+    linear = [
+        i for i, u in enumerate(unknowns) if u.kind != "shape"
+    ]  # a shape moved so may leave its range
     if step > 1:
         own = mean[linear], covariance[np.ix_(linear, linear)]
         thin[:, linear] = _with_moments(thin[:, linear], *own)

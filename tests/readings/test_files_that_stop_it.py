@@ -37,8 +37,8 @@ SAID = {
     "blanks.xlsx": "times as much; at most 25 times are read",
     "zeros.mat": "times as much; at most 100 times are read",
     "never_written.nc": "times as much",
-    "external_link.nc": "/output is a link to somewhere else",
-    "external_file.mat": "the numbers of /output stand in another file",
+    "external_link.nc": "/output",
+    "external_file.mat": "/output",
     "columns.csv": "has 200,000 columns, at most 100,000 are read",
 }
 
