@@ -127,7 +127,7 @@ def calibrate(
     def run() -> SearchPath:
         causes = with_causes(readings, model.instrument, ignore, covariates)
         used = set_aside(causes, keep_spikes, model.columns)
-        kept = None if apart is None else set_aside(apart, keep_spikes, model.columns)
+        kept = None if holdout is None else set_aside(holdout, keep_spikes, model.columns)
         used, accepted = _said_of_holdout(used, kept), frozenset(accept_conflicts)
         loop = Loop(used, kept, method, seed, reference, max_effects, accepted, resumed=len(seeds))
         loop, first = loop.begin(model)
@@ -146,7 +146,10 @@ def calibrate(
             return loop.not_searched(first, early.why)
         return loop.to_best(first, library, shut, stopped, follow)
 
-    apart = None if holdout is None else held_out(model, readings, holdout)
+    if holdout is not None:
+        model.require(holdout)
+        found = "what may be found, such as a drift," * readings.has("time")
+        holdout = on_clock(holdout, readings.since, found)
     with deadline.until(time_limit), deadline.share(WORK):
         return deadline.within(run)
 
@@ -534,17 +537,6 @@ def step_of(
             *following_members(calibration, accepted),
         ),
     )
-
-
-def held_out(model: Model, readings: Measurements, holdout: Measurements) -> Measurements:
-    """Hold-out data on the clock of the readings.
-
-    Raises:
-        ModelError: they lack what the model needs.
-        InputError: one has dates and the other has none.
-    """
-    model.require(holdout)
-    return on_clock(holdout, readings.since, "what may be found, such as a drift,")
 
 
 def _said_of_holdout(readings: Measurements, holdout: Measurements | None) -> Measurements:

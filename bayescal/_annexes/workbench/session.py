@@ -52,7 +52,7 @@ from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_
 from bayescal._calibration.summary import unknown_rows
 from bayescal._core import deadline
 from bayescal._report.section import of_folder
-from bayescal._search.calibrate import Loop, held_out, step_of
+from bayescal._search.calibrate import Loop, step_of
 from bayescal._search.discover import discovery_at
 from bayescal._search.gate import judged
 from bayescal._search.library import Library
@@ -201,7 +201,7 @@ class Session:
         spikes, apart = asked.keep_spikes, None
         model.require(readings)
         if holdout is not None:
-            holdout = held_out(model, readings, holdout)
+            model.require(holdout)
             apart = set_aside(holdout, spikes)
         folder = kept.begun_folder(folder)
         origin = origin or Origin.kept(model.instrument, readings, holdout, folder, spikes)
