@@ -182,7 +182,7 @@ class Fitted:
         return tuple(e.name for e in self.model.effects if "time" in e.columns and changes(e))
 
     def on_clock(self, readings: Measurements) -> Measurements:
-        """Readings with times counted from this calibration's epoch.
+        """Return readings with times counted from this calibration's epoch.
 
         Raises:
             InputError: one has dates and the other has none, and an effect changes with the date.

@@ -22,8 +22,8 @@ from bayescal._data.header_matching import (
     InstrumentLike,
     MatchedFile,
     ReadOptions,
-    begin_of,
     output_name,
+    parse_begin,
     period_of,
     unit_of,
 )
@@ -214,7 +214,7 @@ class ColumnReader:
             if self._is_time:
                 values, self.converted.origin = from_first(values)
                 self._note_epoch(cells)
-                values = self._begun(values)
+                values = self._from_begin(values)
             self.converted.values[self.column.name] = values
             self.converted.units[self.column.name] = self.column.unit
 
@@ -290,13 +290,13 @@ class ColumnReader:
                 f"taken as since 1904 (LabVIEW): since 1970 it would begin {date_text(since)[:10]}"
             )
 
-    def _begun(self, values: np.ndarray) -> np.ndarray:
+    def _from_begin(self, values: np.ndarray) -> np.ndarray:
         """Count times from when the first reading was taken, where the user says that."""
         options, file = self.file.options, self.file.table.file
         text = options.begin.get(file, options.begin.get("", ""))
         if not text or not np.isfinite(values).any():
             return values
-        begin, dated = begin_of(text)
+        begin, dated = parse_begin(text)
         if dated and self.converted.origin is not None and file not in options.begin:
             return values
         self._flag(f"is counted from its first reading at {text} (--begin)")

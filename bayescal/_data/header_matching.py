@@ -723,8 +723,8 @@ def period_of(text: str) -> tuple[float, str]:
 _PERIOD = re.compile(r"(\d+\.?\d*)(?:\^(\d{1,2}))?\s*([^\d\s.^].*)?")
 
 
-def begin_of(text: str) -> tuple[float, bool]:
-    """When a file's first reading was taken: seconds, and whether they count from 1970 (else on a calibration's clock).
+def parse_begin(text: str) -> tuple[float, bool]:
+    """Parse when a first reading was taken: seconds, and whether they count from 1970 (else on a calibration's clock).
 
     Raises:
         InputError: it is neither a date nor a time.

@@ -98,7 +98,7 @@ def on_clock(readings: Measurements, epoch: float | None, changing: str) -> Meas
     own, example = ("no dates", "2026-05-13 10:14:20") if epoch is not None else ("dates", "9 days")
     of = readings.sources[0].file if len(readings.sources) == 1 else "FILE"
     raise InputError(
-        f"{readings.file}: its times have {own}, the calibration {dated}, and {changing} changes with the date. Say "
+        f"{readings.file}: its times have {own}, the calibration {dated}; with the date changes {changing}. Say "
         f"when its first reading was taken{' on the clock of the calibration' * (epoch is None)}: "
         f"{option('--begin', f'{of}={example}')} (in Python, begin={example!r} where it is read)"
     )

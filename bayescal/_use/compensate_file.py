@@ -116,8 +116,8 @@ class _FileCompensation:
         if low <= clock.high and high >= clock.low:
             raise InputError(
                 f"{readings.file}: its times, {low:.6g} to {high:.6g} s, are among those of the calibration, "
-                f"{clock.low:.6g} to {clock.high:.6g} s, at which it was not read: its clock began anew, and "
-                f"{used.dated} changes with the date. Say when its first reading was taken on the clock of the "
+                f"{clock.low:.6g} to {clock.high:.6g} s, at which it was not read: its clock began anew, and with "
+                f"the date changes {used.dated}. Say when its first reading was taken on the clock of the "
                 "calibration: --begin '9 days'; or --begin '0 s' where time counts from the start of each run"
             )
 

@@ -196,7 +196,7 @@ def gathered(
 
 
 def _since(values: ArrayLike, epoch: float | None) -> ArrayLike:
-    """Dates as seconds since the epoch; numbers as they are."""
+    """Convert dates to seconds since the epoch; numbers stay."""
     array = np.asarray(values)
     if array.dtype.kind != "M":
         return values
@@ -354,7 +354,7 @@ def provenance_of(
 
 
 def clock_words(calibration: Calibration) -> str:
-    """What the calibration's time counts from."""
+    """Say what the calibration's time counts from."""
     if calibration.readings.since is None:
         return "from the zero of the calibration's column 'time', which has no date"
     began = date_text(calibration.readings.since)
@@ -362,14 +362,14 @@ def clock_words(calibration: Calibration) -> str:
 
 
 def clock_note(calibration: Calibration, inputs: Collection[str]) -> list[str]:
-    """What changes with the date, and from when time counts, in a sentence; none where nothing follows the time."""
+    """Say what changes with the date and what time counts from; nothing where no input is the time."""
     if "time" not in inputs:
         return []
     last, since = float(calibration.readings["time"].max()), calibration.readings.since
     end = f"{number(last, 6)} s" if since is None else date_text(since + last)
     return [
-        f"What changes with the date: {', '.join(calibration.dated)}. Time counts {clock_words(calibration)}; the "
-        f"last reading was taken at {end}, and what is stated later is an extrapolation."
+        f"With the date changes {', '.join(calibration.dated) or 'the noise'}. Time counts {clock_words(calibration)}; "
+        f"the last reading was taken at {end}, and what is stated later is an extrapolation."
     ]
 
 

@@ -178,7 +178,7 @@ class Compensator:
 
     @property
     def dated(self) -> str:
-        """What changes with the date, in words; empty for nothing."""
+        """Names of what changes with the date, for messages; empty for nothing."""
         if all(i.name != "time" for i in self.inputs):
             return ""
         return "the correction" if self.loaded else ", ".join(self._calibration.dated) or "it"
