@@ -187,7 +187,7 @@ class Fitted:
         Raises:
             InputError: one has dates and the other has none, and an effect changes with the date.
         """
-        return on_clock(readings, self.readings.since, ", ".join(self.dated))
+        return on_clock(readings, self.readings.since, lambda: ", ".join(self.dated))
 
     def frame_of(self, readings: Measurements) -> Frame:
         """Other readings as this calibration sees them: its clock, its T0, its runs, its groups."""

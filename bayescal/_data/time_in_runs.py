@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -73,7 +74,9 @@ def _usual_step(times: np.ndarray) -> float:
     return float(np.median(np.diff(times))) * (1 + 1e-9) if times.size > 1 else 0.0
 
 
-def on_clock(readings: Measurements, epoch: float | None, changing: str) -> Measurements:
+def on_clock(
+    readings: Measurements, epoch: float | None, changing: Callable[[], str]
+) -> Measurements:
     """Return readings with their times counted from a calibration's epoch.
 
     Times without dates count from the calibration's zero where that has no date either: a column `time` has one origin
@@ -82,7 +85,7 @@ def on_clock(readings: Measurements, epoch: float | None, changing: str) -> Meas
     Args:
         readings: for a calibration, or beside its own as hold-out data.
         epoch: seconds since 1970 at the calibration's time zero; None where its times have no dates.
-        changing: what changes with the date, for the message; empty for nothing.
+        changing: gives what changes with the date, for the message; empty for nothing.
 
     Raises:
         InputError: one has dates and the other has none, and something changes with the date.
@@ -92,13 +95,13 @@ def on_clock(readings: Measurements, epoch: float | None, changing: str) -> Meas
     if readings.since is not None and epoch is not None:
         time = np.round(readings["time"] + (readings.since - epoch), 6)
         return replace(readings.with_column("time", time), since=epoch)
-    if not changing:
+    if not (names := changing()):
         return readings
     dated = f"counts time from {date_text(epoch)}" if epoch is not None else "has no dates"
     own, example = ("no dates", "2026-05-13 10:14:20") if epoch is not None else ("dates", "9 days")
     of = readings.sources[0].file if len(readings.sources) == 1 else "FILE"
     raise InputError(
-        f"{readings.file}: its times have {own}, the calibration {dated}; with the date changes {changing}. Say "
+        f"{readings.file}: its times have {own}, the calibration {dated}; with the date changes {names}. Say "
         f"when its first reading was taken{' on the clock of the calibration' * (epoch is None)}: "
         f"{option('--begin', f'{of}={example}')} (in Python, begin={example!r} where it is read)"
     )

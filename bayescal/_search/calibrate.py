@@ -149,7 +149,7 @@ def calibrate(
     if holdout is not None:
         model.require(holdout)
         found = "what may be found, such as a drift" * readings.has("time")
-        holdout = on_clock(holdout, readings.since, found)
+        holdout = on_clock(holdout, readings.since, lambda: found)
     with deadline.until(time_limit), deadline.share(WORK):
         return deadline.within(run)
 

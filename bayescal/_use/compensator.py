@@ -125,7 +125,7 @@ class Compensator:
                 "a loaded compensator has no draws: use method='first order', or the calibration itself"
             )
         if readings is not None:
-            readings = on_clock(readings, self.epoch, self.dated)
+            readings = on_clock(readings, self.epoch, lambda: self.dated)
         given, record = gathered(self.inputs, readings, columns, self.epoch)
         if self.calibration is None:
             value, own, inclination = self.program.run(given["output"], given)
