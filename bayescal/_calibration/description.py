@@ -153,7 +153,8 @@ def of_today(described: dict[str, Any]) -> dict[str, Any]:
     }
     fixed = {name_of_today(name): value for name, value in described.get("fixed", {}).items()}
     typed = {name: line_of_today(line) for name, line in described.get("typed", {}).items()}
-    changed = {"unknowns": unknowns, "fixed": fixed, "typed": typed}
+    reference = {n: v for n, v in described.get("reference", {}).items() if n != "run_starts"}
+    changed = {"unknowns": unknowns, "fixed": fixed, "typed": typed, "reference": reference}
     return described | {key: value for key, value in changed.items() if key in described}
 
 

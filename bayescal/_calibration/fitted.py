@@ -15,6 +15,7 @@ from bayescal._calibration.confounding import Confounder, confounders, unexplain
 from bayescal._calibration.on_readings import Vectors, pointwise
 from bayescal._core.errors import InputError
 from bayescal._data.measurements import Measurements
+from bayescal._data.time_in_runs import on_clock
 from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.method import Draws, Verdict
@@ -163,11 +164,36 @@ class Fitted:
         counted = middle != 0 and any(acts(e, high) and not acts(e, middle) for e in by)
         return middle if counted else None
 
+    @cached_property
+    def dated(self) -> tuple[str, ...]:
+        """Names of the effects that change with the date, whatever the time since a run's start."""
+        if not self.readings.has("time"):
+            return ()
+        rows = np.unique(np.linspace(0, len(self.readings) - 1, 8, dtype=int))
+        now = self.frame.reordered(rows, np.arange(len(rows)), self.frame.step[rows])
+        moved = 0.3 * float(self.reference["time_span"])  # pyright: ignore[reportArgumentType]
+        later = now.with_column("time", now["time"] + moved)
+        at_mode = self.problem.hyper(self.mode.v)
+
+        def changes(effect: Effect) -> bool:
+            shapes: Any = {s.name: at_mode[effect.shape_name(s)] for s in effect.column_shapes}
+            return not np.array_equal(effect.evaluate(now, shapes), effect.evaluate(later, shapes))
+
+        return tuple(e.name for e in self.model.effects if "time" in e.columns and changes(e))
+
+    def on_clock(self, readings: Measurements) -> Measurements:
+        """Return readings with times counted from this calibration's epoch.
+
+        Raises:
+            InputError: one has dates and the other has none, and an effect changes with the date.
+        """
+        return on_clock(readings, self.readings.since, lambda: ", ".join(self.dated))
+
     def frame_of(self, readings: Measurements) -> Frame:
-        """Other readings as this calibration sees them: its T0, its run starts, its groups."""
+        """Other readings as this calibration sees them: its clock, its T0, its runs, its groups."""
         if readings is self.readings:
             return self.frame
-        return build_frame(readings, self.reference, self.levels)
+        return build_frame(self.on_clock(readings), self.reference, self.levels, self.readings)
 
     def draws(self, limit: int | None = None) -> Vectors:
         """Joint draws (x, v) as flat arrays, x counted from its origin, evenly thinned to `limit`."""

@@ -64,7 +64,8 @@ def predict(
 
     Args:
         calibration: a fit, or an average over structures: over those that need no column which the readings lack.
-        readings: to predict; the fitted ones if not given. Without a column `run` they are one new run.
+        readings: to predict; the fitted ones if not given. Without a column `run` they are one new run. Dates are read
+            on the calibration's clock.
         new_groups: take every run, cell or device as one that the fit has not seen: its deviation is zero,
             give or take its spread. False uses the deviations of members that the fit knows by name. An axis
             is part of its instrument: one that the fit knows is itself either way.
@@ -74,6 +75,8 @@ def predict(
 
     Raises:
         ModelError: the readings lack a column that an effect needs.
+        InputError: they have dates and the calibration has none, or the other way round, and an effect changes with
+            the date.
     """
     known = readings is None
     readings = calibration.readings if readings is None else readings
@@ -82,6 +85,7 @@ def predict(
         readings = readings.with_column("run", np.full(len(readings), "new"))
     calibration = with_columns(calibration, readings.columns)
     calibration.model.require(readings)
+    readings = calibration.on_clock(readings)
     frame = calibration.frame_of(readings)
     if same_record:
         new_groups = False
@@ -100,6 +104,7 @@ def replicates(
     has them, with deviations of their own; readings that go on with a fitted run have its deviation, and correlated
     noise that is not told by its past."""
     calibration, random = with_columns(calibration, readings.columns), np.random.default_rng(seed)
+    readings = calibration.on_clock(readings)
 
     def made(some: Measurements, frame: Frame) -> np.ndarray:
         members = {per: some.groups(per)[1] for per in frame.codes}
@@ -124,19 +129,19 @@ class _GoingOn(NamedTuple):
     past: np.ndarray  # which of the fitted readings are of these runs
     rows: np.ndarray  # which of the readings go on,
     others: np.ndarray  # and which do not
-    later: Measurements  # those that do, on the fitted clock;
+    later: Measurements  # those that do;
     whole: Measurements  # and behind the past
 
 
 def _going_on(calibration: Calibration, readings: Measurements) -> _GoingOn | None:
     fitted = calibration.readings
-    runs, at = going_on(fitted, readings)
+    runs = going_on(fitted, readings)
     if not runs:
         return None
     rows = np.sort(np.concatenate([*runs.values()]))
     names, codes = run_codes(fitted)
     past = np.flatnonzero(np.isin(codes, [names.index(name) for name in runs]))
-    later = readings.with_column("time", at).select(rows)
+    later = readings.select(rows)
     whole = fitted.select(past).followed_by(later)
     return _GoingOn(past, rows, np.setdiff1d(np.arange(len(readings)), rows), later, whole)
 

@@ -56,7 +56,12 @@ def compensate(
     )
     gaps = f"; {done.missing} rows are empty, where a reading is missing" * bool(done.missing)
     data = {"file": str(out), "rows": done.rows, "columns": list(done.columns), "unit": chosen.unit}
-    data |= {"outside": done.outside, "unsolved": done.unsolved, "missing": done.missing}
+    data |= {
+        "epoch": chosen.epoch,
+        "outside": done.outside,
+        "unsolved": done.unsolved,
+        "missing": done.missing,
+    }
     judged = saved.reliable({"": chosen})
     if done.unsolved:
         why = f"{done.unsolved} readings have no solution and are written empty"

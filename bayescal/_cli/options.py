@@ -141,6 +141,10 @@ HELP = {
     "average": "1s, 0.5s or 2min: means over this time in place of single readings; spikes are set aside first.",
     "axis": "gyro_x=a.nc: calibration of an axis, where its readings do not name it.",
     "calibration": "A folder of results, or its calibration (.nc).",
+    "begin": (
+        "FILE=DATE, or the DATE alone of files without dates: when the first reading was taken; or a time on the clock "
+        "of the calibration, '9 days'; repeat for more."
+    ),
     "certificate": (
         "TOML file of what a certificate states: device, serial number, place, operator, conditions, "
         "standards, dates."
@@ -159,7 +163,7 @@ HELP = {
         "unit if not given."
     ),
     "criterion": "residual, ratio-variance or ratio-variance-raw.",
-    "date_order": "Of dates such as 05/06/2026, where no day above 12 shows it.",
+    "date_order": "Of dates such as 05/06/2026, where no day above 12 shows it; hms for times such as 10.11.12.",
     "decimal": "In numbers of text files, where they do not show it.",
     "demo.instrument": "Whose demonstration.",
     "demo.json_": "Print result.json on stdout, and the story on stderr.",
@@ -254,10 +258,11 @@ HELP = {
 # What typer is told beside the words; `names` where an option is not called after its parameter.
 MORE: dict[str, dict[str, Any]] = {
     "average": {"metavar": "TIME", "callback": _refuse_no_duration},
+    "begin": {"metavar": "'FILE=DATE'"},
     "channels": {"metavar": "NAME,NAME,…"},
     "check": {"metavar": "my.py:INSTRUMENT"},
     "covariates": {"metavar": "NAME,NAME,…"},
-    "date_order": {"metavar": "mdy|dmy|ymd"},
+    "date_order": {"metavar": "mdy|dmy|ymd|hms"},
     "decimal": {"metavar": ".|,"},
     "discover.ignore": {"metavar": "COLUMN"},
     "effects_file": {"names": ["--effects"]},
@@ -300,6 +305,7 @@ class ColumnOptions:
     nominal_scale: str | None = None
     nominal_zero: str | None = None
     ignore: list[str] | None = None
+    begin: list[str] | None = None
     mapping: Path | None = None
     save_mapping: Path | None = None
 
@@ -318,6 +324,7 @@ class ColumnOptions:
             "columns": {n: v[0] if len(v) == 1 else v for n, v in columns.items()},
             "units": named_values(given.pop("unit", None), "--unit"),
             "unwrap": named_values(given.pop("unwrap", None), "--unwrap"),
+            "begin": {f: t for f, _, t in (b.rpartition("=") for b in given.pop("begin", ()))},
         }
         saved |= {name: saved.get(name, {}) | values for name, values in own.items()}
         usual = {"local_gravity": STANDARD_GRAVITY, "missing": "refuse", "decimal": ""}

@@ -23,6 +23,7 @@ from bayescal._data.header_matching import (
     MatchedFile,
     ReadOptions,
     output_name,
+    parse_begin,
     period_of,
     unit_of,
 )
@@ -145,7 +146,7 @@ def _converted(
 
 def _day_position(table: Table, positions: Mapping[str, int]) -> int | None:
     """Where a column of days stands beside one of times of day."""
-    named = (i for i, h in enumerate(table.headers) if plain(h.name) in DAYS)
+    named = (i for i, h in enumerate(table.headers) if plain(h.name) in DAYS and not h.unit)
     found = [i for i in named if i != positions["time"]]
     return found[0] if len(found) == 1 else None
 
@@ -213,6 +214,7 @@ class ColumnReader:
             if self._is_time:
                 values, self.converted.origin = from_first(values)
                 self._note_epoch(cells)
+                values = self._from_begin(values)
             self.converted.values[self.column.name] = values
             self.converted.units[self.column.name] = self.column.unit
 
@@ -287,6 +289,19 @@ class ColumnReader:
             self._flag(
                 f"taken as since 1904 (LabVIEW): since 1970 it would begin {date_text(since)[:10]}"
             )
+
+    def _from_begin(self, values: np.ndarray) -> np.ndarray:
+        """Count times from when the first reading was taken, where the user says that."""
+        options, file = self.file.options, self.file.table.file
+        text = options.begin.get(file, options.begin.get("", ""))
+        if not text or not np.isfinite(values).any():
+            return values
+        begin, dated = parse_begin(text)
+        if dated and self.converted.origin is not None and file not in options.begin:
+            return values
+        self._flag(f"is counted from its first reading at {text} (--begin)")
+        self.converted.origin = begin if dated else options.epoch
+        return values - np.nanmin(values) + (0.0 if dated else begin)
 
     def _note_mass(self, raw: np.ndarray, unit: str | None) -> None:
         """Ask about a g that is hardly that of gravity, where the instrument takes whatever unit there is."""
@@ -369,12 +384,11 @@ class ColumnReader:
             return cells
         dates, fitting = cells.in_order(self.file.options.date_order), cells.fitting_orders
         if dates.orders:
-            came = "leave open which number is the day"
+            came = "leave open which number is the day, or whether they are times"
             came = came if fitting else "are not all dates in one order of month, day and year"
             orders = fitting or [n for n, v in cells.orders.items() if not np.isnan(v).all()]
-            begin = (
-                f"{n} if it begins {date_text(np.nanmin(cells.orders[n]))[:10]}" for n in orders
-            )
+            firsts = {n: date_text(float(np.nanmin(cells.orders[n]))).split() for n in orders}
+            begin = (f"{n} if it begins {first[n == 'hms']}" for n, first in firsts.items())
             self.file.problem(
                 self.header.raw,
                 f"its dates {came}",

@@ -53,7 +53,7 @@ from bayescal._data.unit_conversion import (
     spelled,
     unit_in,
 )
-from bayescal._tables.cells import LATEST, ORDERS
+from bayescal._tables.cells import EARLIEST, LATEST, ORDERS, unix_seconds
 from bayescal._tables.raw_table import (
     Header,
     Objection,
@@ -103,13 +103,16 @@ class ReadOptions:
         nominal_scale: in place of the instrument's.
         missing: "refuse" rows with a missing reading, or "drop" them.
         decimal: between the whole and its parts in text files; empty where the file shows it.
-        date_order: of month, day and year in dates such as 05/06/2026: "mdy", "dmy" or "ymd"; empty where the dates
-            show it.
+        date_order: of month, day and year in dates such as 05/06/2026: "mdy", "dmy" or "ymd", or "hms" of times such as
+            10.11.12; empty where the dates show it.
         ignore: columns of the file that are left out.
         only: whether all columns beside the instrument's are.
         others: columns of the file that are outputs of other channels, and left out.
         unwrap: the file's name, or ours → what a counter held when it began anew, as "2^32us".
         remembered: files of which it was said before how they are read: a header that stands there means the same.
+        begin: a file's name, or "" for files without dates → when its first reading was taken: a date, or a time on
+            the calibration's clock such as "9 days".
+        epoch: of the calibration, seconds since 1970; None where it has none.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -126,6 +129,8 @@ class ReadOptions:
     others: frozenset[str] = frozenset()
     unwrap: Mapping[str, str] = field(default_factory=dict)
     remembered: tuple[Source, ...] = ()
+    begin: Mapping[str, str] = field(default_factory=dict)
+    epoch: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is no option.
@@ -140,7 +145,7 @@ class ReadOptions:
         if self.date_order not in ("", *ORDERS):
             raise InputError(
                 f"date_order={self.date_order!r} (--date-order) is not one of {', '.join(ORDERS)}: the order of month, "
-                "day and year"
+                "day and year, or of hours, minutes and seconds"
             )
 
     @classmethod
@@ -152,6 +157,7 @@ class ReadOptions:
         nominal_zero: str | None = None,
         local_field: str | None = None,
         ignore: Sequence[str] = (),
+        begin: str | Mapping[str, str] = "",
         **given: Any,
     ) -> ReadOptions:
         """As a user gives them: nominal scale and zero and the local field as text, what is not said left out.
@@ -164,7 +170,9 @@ class ReadOptions:
         said = {n: [v] if isinstance(v, str) else [*v] for n, v in given.pop("columns", {}).items()}
         given |= {"columns": {name: names[0] for name, names in said.items()}}
         several = {name: tuple(names) for name, names in said.items() if len(names) > 1}
-        made = cls(**given, others_called=several, local_field=field, ignore=tuple(ignore))
+        begins = ({"": begin} if begin else {}) if isinstance(begin, str) else dict(begin)
+        more = {"local_field": field, "ignore": tuple(ignore), "begin": begins}
+        made = cls(**given, **more, others_called=several)
         scale = _scale_in_words(instrument, nominal_scale, nominal_zero, made.local_gravity)
         return replace(made, nominal_scale=scale)
 
@@ -594,7 +602,7 @@ class MatchedFile:
             header = self.table.headers[position]
             if name in self.expected or position in passed or self.options.leaves_out(header):
                 continue
-            if plain(header.name) in DAYS and "time" in self.positions:
+            if plain(header.name) in DAYS and not header.unit and "time" in self.positions:
                 continue  # taken with the time of day
             if name in TAKEN:
                 said = f"{file}: column {header.raw!r} ignored: the name {name!r} is taken"
@@ -719,6 +727,25 @@ def period_of(text: str) -> tuple[float, str]:
 _PERIOD = re.compile(r"(\d+\.?\d*)(?:\^(\d{1,2}))?\s*([^\d\s.^].*)?")
 
 
+def parse_begin(text: str) -> tuple[float, bool]:
+    """Parse when a first reading was taken: seconds, and whether they count from 1970 (else on a calibration's clock).
+
+    Raises:
+        InputError: it is neither a date nor a time.
+    """
+    with contextlib.suppress(ValueError):
+        (found,) = unix_seconds(text).values()
+        if found >= EARLIEST:
+            return found, True
+    with contextlib.suppress(InputError):
+        number, unit = quantity(text)
+        return float(convert(number, unit, "s")), False
+    raise InputError(
+        f"begin={text!r} (--begin) is neither a date such as '2026-05-13 10:14:20' nor a time on the clock of the "
+        "calibration such as '9 days'"
+    )
+
+
 def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Objections) -> None:
     """Note each unit for a column that no file has, and each column to ignore: it was meant for one."""
     known = {
@@ -727,6 +754,10 @@ def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Obje
         for h in t.headers
         for name in (h.raw, *(r.name for r in readings_of(h)))
     }
+    if "" in options.begin and len(tables) > 1:
+        came = f"one begin, {options.begin['']!r}, for {len(tables)} files"
+        asked = option("--begin", f"{tables[0].file}={options.begin['']}")
+        problems.append(Objection(tables[0].file, came, cure="Say of each", option=asked))
     known |= {*options.columns, *options.headers}
     known |= {"time"} & options.unwrap.keys()
     said = {name: option("--unit", f"{name}={unit}") for name, unit in options.units.items()}

@@ -65,7 +65,11 @@ BEGINNINGS = {
     "ug": ("acc", "ax", "ay", "az"),
     "rad": ("tilt", "angle", "incl", "roll", "pitch"),
 }
-DAYS = ("date", "datum", "day", "tag")  # a column of these beside one of times of day
+# A column of days beside one of times of day, in the languages of those who write both with points.
+DAYS = (
+    *("date", "datum", "day", "tag", "dato", "dag", "data", "giorno", "fecha", "dia", "jour"),
+    *("paiva", "paivamaara", "pvm"),
+)
 RAW = (
     "V",
     "Hz",

@@ -99,8 +99,8 @@ def _on_one_clock(parts: Sequence[ConvertedColumns]) -> float | None:
     with_it, without = _first_files(timed, [part.origin is not None for part in timed])
     if without:
         raise InputError(
-            f"{with_it!r} has dates in its column 'time', {without!r} has none: give all files the same clock, or "
-            "read them one by one"
+            f"{with_it!r} has dates in its column 'time', {without!r} has none: say when its first reading was taken, "
+            f"--begin '{without}=2026-05-13 10:14:20', or read them one by one"
         )
     for part in timed:
         assert part.origin is not None

@@ -132,6 +132,7 @@ class Measurements(Printed):
         nominal_zero: str | None = None,
         allow_one_temperature: bool = False,
         missing: str = "refuse",
+        begin: str = "",
         **columns: ArrayLike,
     ) -> Measurements:
         """Readings from arrays, checked as `read` checks a file.
@@ -145,6 +146,7 @@ class Measurements(Printed):
             nominal_scale, nominal_zero: in place of the instrument's, as of `read`.
             allow_one_temperature: accept one temperature, as for a prediction.
             missing: "refuse" readings that are NaN, or "drop" them.
+            begin: date of the first reading, where `time` counts from none.
             **columns: one entry per reading, or one for all; in the instrument's units unless
                 `units` says otherwise, or a name like a file's header, `humidity [%]`.
 
@@ -170,6 +172,7 @@ class Measurements(Printed):
             nominal_scale=nominal_scale,
             nominal_zero=nominal_zero,
             missing=missing,
+            begin=begin,
         )
         return measured([table], instrument, options, allow_one_temperature)
 
@@ -298,7 +301,7 @@ class Measurements(Printed):
         """These readings and then later ones, of the columns that both have; unchecked."""
         names = [n for n in self.columns if later.has(n) and self.unit(n) == later.unit(n)]
         joined = {n: np.concatenate([self[n], later[n]]) for n in names}
-        return replace(self, values=joined, no_causes=frozenset(), since=None)
+        return replace(self, values=joined, no_causes=frozenset())
 
     def groups(self, name: str) -> tuple[tuple[str, ...], np.ndarray]:
         """The members of a grouping, in order of appearance, and each reading's index among them.
@@ -386,12 +389,15 @@ class Measurements(Printed):
         return replace(self, values=values, units=units, flags=(*self.flags, flag))
 
     def write(self, path: str | Path) -> Path:
-        """Write the readings to .csv, .parquet or .nc, as `read` reads them.
+        """Write the readings to .csv, .parquet or .nc, as `read` reads them; dated times count from 1970.
 
         Raises:
             InputError: another suffix, or a place that cannot be written to.
         """
-        return write(self.values, self.units, path, self.to_xarray)
+        dated = self
+        if self.since is not None and self.has("time"):
+            dated = self.with_column("time", self["time"] + self.since)
+        return write(dated.values, dated.units, path, dated.to_xarray)
 
 
 def measured(
@@ -447,7 +453,9 @@ def assemble(
     names, output = file_names([source.file for source in sources]), output_name(instrument)
     since, units = converted.origin, converted.units
     if since is not None:
-        began = f"{names}: time is in s since {date_text(since)}, the first reading"
+        began = (
+            f"{names}: time is in s since {date_text(since)} (dates without a zone count as UTC)"
+        )
         converted.flags.append(began)
     repeated = repeated_rows(converted.values)
     flags = [*converted.flags, *flags_of(converted, output, names, repeated)]

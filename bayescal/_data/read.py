@@ -56,18 +56,19 @@ def read(  # pyright: ignore[reportInconsistentOverload]
     date_order: str = "",
     ignore: Sequence[str] = (),
     unwrap: Mapping[str, str] | None = None,
+    begin: str | Mapping[str, str] = "",
     like: Measurements | None = None,
     max_bytes: int = MAX_BYTES,
 ) -> Measurements | dict[str, Measurements]:
     """Read readings of an instrument from one file or several: CSV, Parquet, NetCDF, Excel, MATLAB, or logs.
 
     Headers read `name [unit]`, or as people write them ("Temp (°C)", "gyro_z_dps"), where that can be read in one
-    way only, which a flag says; lines that begin with # may stand above a CSV's header. Columns are
-    converted to the instrument's units, and rows keep their order. Dates, and counts since 1970, become seconds since
-    the first reading of all files. Where several files have no column `run`, each is a run named after its file. A
-    column that the instrument does not know is kept in base units if it has a unit, and otherwise left out with a
-    flag. Of a log (PX4 .ulg, ArduPilot .bin, ROS .bag, .mcap, .db3) only the channels are read that `columns` names,
-    or that the instrument knows by name.
+    way only, which a flag says; lines that begin with # may stand above a CSV's header. Columns are converted to the
+    instrument's units, and rows keep their order. Dates, and counts since 1970, become seconds since the first reading
+    of all files; a date without a zone counts as UTC. Where several files have no column `run`, each is a run named
+    after its file. A column that the instrument does not know is kept in base units if it has a unit, and otherwise
+    left out with a flag. Of a log (PX4 .ulg, ArduPilot .bin, ROS .bag, .mcap, .db3) only the channels are read that
+    `columns` names, or that the instrument knows by name.
 
     Args:
         path_or_paths: the files.
@@ -82,10 +83,12 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         allow_one_temperature: accept one temperature, as for a prediction.
         missing: "refuse" files with missing readings, or "drop" the rows in which one is missing; they are gaps.
         decimal: "." or "," in the numbers of text files; empty where the file shows it.
-        date_order: of month, day and year in dates such as 05/06/2026: "mdy", "dmy" or "ymd"; empty where a day above
-            12 shows it.
+        date_order: of month, day and year in dates such as 05/06/2026: "mdy", "dmy" or "ymd", or "hms" for times such
+            as 10.11.12; empty where a day above 12 shows it.
         ignore: columns of the file that are left out.
         unwrap: the file's name (or ours) → what a counter held when it began anew: {"time": "2^32us"}.
+        begin: when the first reading of a file without dates was taken: a date, or a time on the clock of `like` such
+            as "9 days"; of several files, or in place of a file's dates, by its name: {"b.csv": "2026-05-13 10:14"}.
         like: readings, as of a calibration, whose headers mean the same in these files, where nothing is said of them
             here; and their nominal scale holds.
         max_bytes: most that all files together may hold.
@@ -115,6 +118,8 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         date_order=date_order,
         ignore=ignore,
         unwrap=unwrap or {},
+        begin=begin,
+        epoch=like.since if like else None,
     )
 
     def one(options: ReadOptions) -> Measurements:

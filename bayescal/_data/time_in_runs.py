@@ -1,13 +1,18 @@
-"""Time within runs: which readings make a run, in what order, and the slope of a column over the last minute."""
+"""Time: its zero for readings beside a calibration, which readings make a run, and a column's slope over a minute."""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
+from bayescal._core.errors import InputError
 from bayescal._data.dataset_checks import PAUSE_STEPS
 from bayescal._data.measurements import Measurements
+from bayescal._tables.cells import date_text
+from bayescal._tables.raw_table import option
 
 # Changes from one record to the other, a reading, beyond which two lie in one time and neither goes on with the other.
 INTERLEAVED_SHARE = 0.2
@@ -38,52 +43,100 @@ def sequence(time: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return order, step
 
 
-def first_times(time: np.ndarray, codes: np.ndarray, count: int) -> np.ndarray:
-    """When each of the runs has its first reading, s."""
-    first = np.full(count, np.inf)
+def run_starts(readings: Measurements, record: Measurements | None = None) -> np.ndarray:
+    """Return when each run of the readings began, s: at its first reading, or with the run of a record that it is of.
+
+    A run is of the record where that has one of its name (and device and axis) whose readings, or the pause after
+    them, hold its first reading; a run of the same name on another day is another run.
+    """
+    (names, codes), time = run_codes(readings), readings["time"]
+    first = np.full(len(names), np.inf)
     np.minimum.at(first, codes, time)
+    if record is not None and record.has("time"):
+        for i, (_, known) in _known_runs(record, readings).items():
+            pause = PAUSE_STEPS * _usual_step(known)
+            if known[0] <= first[i] <= known[-1] + pause:
+                first[i] = known[0]
     return first
 
 
-def going_on(fitted: Measurements, later: Measurements) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Which readings of which runs go on with a record that is known, and all their times on its clock.
+def _known_runs(record: Measurements, readings: Measurements) -> dict[int, tuple[str, np.ndarray]]:
+    """Return name and sorted times of the record's runs, by the index of the run of that name in the readings."""
+    (names, codes), (asked, _) = run_codes(record), run_codes(readings)
+    return {
+        i: (name, np.sort(record["time"][codes == names.index(name)]))
+        for i, name in enumerate(asked)
+        if name in names
+    }
+
+
+def _usual_step(times: np.ndarray) -> float:
+    return float(np.median(np.diff(times))) * (1 + 1e-9) if times.size > 1 else 0.0
+
+
+def on_clock(
+    readings: Measurements, epoch: float | None, changing: Callable[[], str]
+) -> Measurements:
+    """Return readings with their times counted from a calibration's epoch.
+
+    Times without dates count from the calibration's zero where that has no date either: a column `time` has one origin
+    over all runs.
+
+    Args:
+        readings: for a calibration, or beside its own as hold-out data.
+        epoch: seconds since 1970 at the calibration's time zero; None where its times have no dates.
+        changing: gives what changes with the date, for the message; empty for nothing.
+
+    Raises:
+        InputError: one has dates and the other has none, and something changes with the date.
+    """
+    if not readings.has("time") or readings.since == epoch:
+        return readings
+    if readings.since is not None and epoch is not None:
+        time = np.round(readings["time"] + (readings.since - epoch), 6)
+        return replace(readings.with_column("time", time), since=epoch)
+    if not (names := changing()):
+        return readings
+    dated = f"counts time from {date_text(epoch)}" if epoch is not None else "has no dates"
+    own, example = ("no dates", "2026-05-13 10:14:20") if epoch is not None else ("dates", "9 days")
+    of = readings.sources[0].file if len(readings.sources) == 1 else "FILE"
+    raise InputError(
+        f"{readings.file}: its times have {own}, the calibration {dated}; with the date changes {names}. Say "
+        f"when its first reading was taken{' on the clock of the calibration' * (epoch is None)}: "
+        f"{option('--begin', f'{of}={example}')} (in Python, begin={example!r} where it is read)"
+    )
+
+
+def going_on(fitted: Measurements, later: Measurements) -> dict[str, np.ndarray]:
+    """Return which readings of which runs go on with a record that is known.
 
     They have the run's name (and device and axis), and follow its readings in blocks, the first of them at once. A file
     of another test, whose clock begins anew, has times that fall among all of the record's, or far from them.
 
     Args:
         fitted: the record.
-        later: readings that may continue it.
+        later: readings that may continue it, on its clock.
 
     Returns:
-        Rows of `later` by the run that they continue; its times on the record's clock, s.
+        Rows of `later` by the run that they continue.
     """
-    if not (fitted.has("time") and later.has("time")):
-        return {}, np.zeros(len(later))
-    time, at = fitted["time"], later["time"]
-    if (fitted.since is None) != (later.since is None):
-        return {}, at
-    at = at + ((later.since or 0.0) - (fitted.since or 0.0))
-    (names, codes), (asked, own) = run_codes(fitted), run_codes(later)
-    found = {}
-    for i, name in enumerate(asked):
-        if name not in names:
-            continue
+    if not (fitted.has("time") and later.has("time")) or fitted.since != later.since:
+        return {}
+    at, own, found = later["time"], run_codes(later)[1], {}
+    for i, (name, known) in _known_runs(fitted, later).items():
         rows = np.flatnonzero(own == i)
-        known = np.sort(time[codes == names.index(name)])
         first = float(at[rows].min())
         before = known[known < first]
-        steps = np.diff(known)
-        if not (before.size and steps.size) or np.isin(at[rows], known).any():
+        if not before.size or known.size < 2 or np.isin(at[rows], known).any():
             continue
         merged = np.concatenate([np.zeros(known.size, bool), np.ones(rows.size, bool)])
         merged = merged[np.argsort(np.concatenate([known, at[rows]]), kind="stable")]
         mixed = np.count_nonzero(np.diff(merged)) > max(
             2.0, INTERLEAVED_SHARE * min(known.size, rows.size)
         )
-        if not mixed and first - before[-1] <= PAUSE_STEPS * float(np.median(steps)) * (1 + 1e-9):
+        if not mixed and first - before[-1] <= PAUSE_STEPS * _usual_step(known):
             found[name] = rows
-    return found, at
+    return found
 
 
 def rate_window(step: np.ndarray) -> float:

@@ -1,7 +1,7 @@
 """Readings as JAX sees them: columns, group codes, and what is derived from time.
 
 A frame is built once from measurements and a reference. The reference holds the constants of the bases (T0,
-the mean time, the span, the start of every run): stored at the fit and never recomputed on new readings.
+the mean time, the span): stored at the fit and never recomputed on new readings.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS
 from bayescal._data.time_in_runs import (
     causal_slope,
-    first_times,
     run_codes,
+    run_starts,
     sequence,
     silence,
 )
@@ -238,7 +238,7 @@ def derived(readings: Measurements, every: bool = False) -> dict[str, np.ndarray
             if readings.unit(n) == "degC" and n not in own
         }
         if len(names) > 1:
-            found["elapsed"] = time - first_times(time, codes, len(names))[codes]
+            found["elapsed"] = time - run_starts(readings)[codes]
     return found
 
 
@@ -248,7 +248,7 @@ def reference_name(column: str) -> str:
 
 
 def reference_of(readings: Measurements) -> Reference:
-    """The constants of the bases for these readings: T0, L0, mean time and span, run starts, ranges."""
+    """The constants of the bases for these readings: T0, L0, mean time and span, ranges."""
     found: Reference = {}
     for name in readings.columns:
         if readings.unit(name) == "degC" and name != "temperature_point":
@@ -259,9 +259,6 @@ def reference_of(readings: Measurements) -> Reference:
         time = readings["time"]
         found["time_mean"] = float(np.mean(time))
         found["time_span"] = float(np.ptp(time)) or 1.0
-        levels, codes = run_codes(readings)
-        starts = first_times(time, codes, len(levels)).tolist()
-        found["run_starts"] = dict(zip(levels, starts, strict=True))
     return found
 
 
@@ -298,14 +295,16 @@ def build_frame(
     readings: Measurements,
     reference: Reference,
     levels: Mapping[str, tuple[str, ...]] | None = None,
+    record: Measurements | None = None,
 ) -> Frame:
     """A frame of readings under a stored reference.
 
     Args:
-        readings: the measurements.
+        readings: the measurements, on the clock of the fit.
         reference: constants stored at the fit.
         levels: group members known to the fit; members that are not among them get the code −1. None (at
             the fit itself) takes the readings' own.
+        record: the fitted readings, whose runs these may be of; None where they are their own.
     """
     unit = {name: readings.unit(name) for name in readings.columns if name != "temperature_point"}
     columns = {name: np.asarray(readings[name]) for name in unit if unit[name] is not None}
@@ -318,12 +317,8 @@ def build_frame(
     rates: dict[str, np.ndarray] = {}
     order, step = np.arange(len(readings)), -np.ones(len(readings))
     if readings.has("time"):
-        time, (names, codes) = readings["time"], run_codes(readings)
-        # A run began as stored at the fit, or at its own first reading where that came earlier.
-        stored, own = reference["run_starts"], first_times(time, codes, len(names))
-        assert isinstance(stored, dict)
-        began = np.minimum(own, [stored.get(name, np.inf) for name in names])
-        columns["elapsed"] = time - began[codes]
+        time, (_, codes) = readings["time"], run_codes(readings)
+        columns["elapsed"] = time - run_starts(readings, record)[codes]
         order, step = sequence(time, codes)
         warm = [name for name in unit if unit[name] == "degC"]
         rates = {name: causal_slope(time, readings[name], order, step) for name in warm}
@@ -346,7 +341,7 @@ def build_frame(
 def origins(reference: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     """What outputs are counted from, output unit: by the constant of the reference, and the coefficient that takes it
     back."""
-    return {n: v for n, v in reference.items() if isinstance(v, dict) and n != "run_starts"}
+    return {n: v for n, v in reference.items() if isinstance(v, dict)}
 
 
 def _from_origin(

@@ -29,7 +29,7 @@ from bayescal._core.progress import stage
 from bayescal._core.settings import settings
 from bayescal._data.measurements import Measurements
 from bayescal._data.set_aside import said_of, set_aside
-from bayescal._data.time_in_runs import going_on
+from bayescal._data.time_in_runs import going_on, on_clock
 from bayescal._inference.laplace import NOTHING_KNOWN
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._inference.marginal import NOT_SAMPLED
@@ -112,10 +112,13 @@ def calibrate(
 
     Raises:
         ModelError: the readings lack what the model needs.
-        InputError: there is no such column to ignore or to allow.
+        InputError: there is no such column to ignore or to allow; of readings and hold-out data one has dates and the
+            other none.
     """
     if holdout is not None:
         model.require(holdout)
+        found = "what may be found, such as a drift" * readings.has("time")
+        holdout = on_clock(holdout, readings.since, lambda: found)
     with deadline.until(time_limit):
         causes = with_causes(readings, model.instrument, ignore, covariates)
         used = set_aside(causes, keep_spikes, model.columns)
@@ -455,7 +458,7 @@ def _said_of_holdout(readings: Measurements, holdout: Measurements | None) -> Me
     if holdout is None:
         return readings
     said = said_of(readings, holdout)
-    if not said and (going := going_on(readings, holdout)[0]):
+    if not said and (going := going_on(readings, holdout)):
         said = (
             f"{readings.file}: {sum(map(len, going.values()))} readings of the hold-out data continue its run "
             f"{', '.join(going)}: they are predicted with the record's past, so lags, hysteresis and correlated noise "

@@ -119,7 +119,7 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
 
     def linear(rows: Measurements) -> LinearModel:
         """About the means of the priors."""
-        frame = build_frame(rows, reference, levels)
+        frame = build_frame(rows, reference, levels, readings)
         problem = Problem(layout, Record(model.instrument, frame, np.asarray(rows["output"])))
         v, x = np.zeros(len(layout.hypers)), problem.start
         flat = flat_scales(problem, x, v)

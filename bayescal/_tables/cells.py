@@ -15,7 +15,8 @@ import numpy as np
 from bayescal._core.errors import InputError
 
 EXAMPLE = "2026-11-22 10:00:00.123"
-ORDERS = ("mdy", "dmy", "ymd")  # month first, day first, year first
+# Month first, day first, year first; or hours first, of times of day.
+ORDERS = ("mdy", "dmy", "ymd", "hms")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _DAY = 86_400.0  # s
 # How dates are written, and where year, month and day stand in each by the order in which it may be meant.
@@ -26,10 +27,11 @@ _FORMS = {
     re.compile(r"(\d{1,2})[ -]([^\W\d_]{3,9})\.?[ -](\d{4})(?!\d)"): {"": (3, 2, 1)},  # 23-Nov-2026
     re.compile(r"([^\W\d_]{3,9})\.? (\d{1,2}),? (\d{4})(?!\d)"): {"": (3, 1, 2)},  # Nov 23, 2026
 }  # fmt: skip
-_BETWEEN = re.compile(r"\s*[T,_-]?\s*")  # a date and its time of day
+_BETWEEN = re.compile(r"\s*(?:[T,_-]|klo)?\s*")  # a date and its time of day
 _CLOCK = re.compile(
-    r"(\d{1,4}):(\d\d)(?::(\d\d)(?:[.,:](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?"
+    r"(\d{1,4})([:.])(\d\d)(?:\2(\d\d)(?:[.,:](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?"
 )
+_POINTS = re.compile(r"\d{1,2}\.\d\d\.\d\d(?!\d)")  # 10.14.20: a time of day, or a date
 _MONTHS = {
     "jan": 1, "feb": 2, "mar": 3, "apr": 4, "may": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9, "oct": 10, "nov": 11,
     "dec": 12, "mrz": 3, "mai": 5, "okt": 10, "dez": 12,
@@ -40,9 +42,9 @@ def unix_seconds(text: str) -> dict[str, float]:
     """A date, or a time of day, in seconds since 1970, by the order of day, month and year in which it may be written.
 
     Known are ISO 8601, with or without a zone; 11/23/2026, 23/11/2026, 23.11.2026, 2026/11/23, 23-Nov-2026, Nov 23,
-    2026 with times such as 14:05:33.250, 14:05:33,250, 14:05:33:250 and 2:05:33 PM behind them; and times alone. A
-    date without a zone is taken as UTC: only differences count. What float64 holds of it, a quarter of a microsecond,
-    is finer than what the text can say.
+    2026 with times such as 14:05:33.250, 14:05:33,250, 14:05:33:250, 14.05.33 and 2:05:33 PM behind them; and times
+    alone, of which 10.11.12 may be a date. A date without a zone is taken as UTC. What float64 holds of it, a quarter
+    of a microsecond, is finer than what the text can say.
 
     Returns:
         Seconds by each of `ORDERS` in which it is a date; under "" where there is no choice.
@@ -54,7 +56,15 @@ def unix_seconds(text: str) -> dict[str, float]:
     if text[4:5] == "-":
         with suppress(ValueError):
             return {"": _seconds(datetime.fromisoformat(text))}
-    if _CLOCK.fullmatch(text):
+    if _POINTS.match(text):
+        found = dict[str, float]()
+        with suppress(ValueError):
+            found["hms"] = _time_of_day(text, longest=23)
+        with suppress(ValueError):
+            found["dmy"] = _days(text)[""] * _DAY
+        if found:
+            return found
+    elif _CLOCK.fullmatch(text) and ":" in text:
         return {"": _time_of_day(text, longest=9999)}
     begin = next((found for form in _FORMS if (found := form.match(text))), None)
     if not begin:
@@ -91,7 +101,7 @@ def _time_of_day(text: str, longest: int) -> float:
     found = _CLOCK.fullmatch(text.strip())
     if not found:
         raise ValueError(f"{text!r} is no time of day")
-    hours, minutes, seconds, parts, half, zone = found.groups()
+    hours, _, minutes, seconds, parts, half, zone = found.groups()
     hour = int(hours)
     if half:
         if not 1 <= hour <= 12:
@@ -123,7 +133,7 @@ def date_text(seconds: float) -> str:
     return when.replace(tzinfo=None).isoformat(sep=" ")
 
 
-_EARLIEST, LATEST = 946_684_800.0, 4_102_444_800.0  # s; the years 2000 and 2100
+EARLIEST, LATEST = 946_684_800.0, 4_102_444_800.0  # s; the years 2000 and 2100
 _LONGEST = 1e7  # s, nearly four months: as milliseconds, a clock's microseconds since its start would last longer
 
 
@@ -141,7 +151,7 @@ def from_first(seconds: np.ndarray) -> tuple[np.ndarray, float | None]:
 
 def _is_unix(low: float, high: float) -> bool:
     """Whether seconds between these are seconds since 1970."""
-    return low >= _EARLIEST and high <= LATEST
+    return low >= EARLIEST and high <= LATEST
 
 
 def unit_of_counts(values: np.ndarray) -> str | None:
@@ -208,15 +218,17 @@ class Cells:
 
     def on_days(self, days: Cells, order: str = "") -> Cells:
         """Times of day on the days of another column, where these cells are the one and those the other."""
-        days = days.in_order(order)
-        clock = self.values[~np.isnan(self.values)]
+        days, own = days.in_order(order), self
+        if "hms" in self.fitting_orders:
+            own = Cells(self.orders["hms"], self.bad, dates=True)
+        clock = own.values[~np.isnan(own.values)]
         whole = days.values[~np.isnan(days.values)] % 86_400.0
-        if not (self.dates and days.dates and clock.size and whole.size):
+        if not (own.dates and days.dates and clock.size and whole.size):
             return self
         if clock.max() >= 86_400.0 or whole.any():
             return self
-        orders = {name: values + self.values for name, values in days.orders.items()}
-        return Cells(days.values + self.values, {**days.bad, **self.bad}, dates=True, orders=orders)
+        orders = {name: values + own.values for name, values in days.orders.items()}
+        return Cells(days.values + own.values, {**days.bad, **own.bad}, dates=True, orders=orders)
 
     @classmethod
     def joined(cls, parts: Sequence[Cells]) -> Cells:
@@ -276,9 +288,11 @@ def _dates_of(texts: Sequence[str], values: np.ndarray, odd: Sequence[int]) -> C
     first, *others = orders.values()
     if all(np.array_equal(first, other, equal_nan=True) for other in others):
         return Cells(first, bad, dates=True)
-    shown = first.copy()
-    for other in others:
-        shown = np.where(np.isnan(shown), other, shown)
+    values = np.array([*orders.values()])
+    known = ~np.isnan(values)
+    fitting = known[:, known.any(axis=0)].all(axis=1)
+    ranked = values[np.argsort(~fitting, kind="stable")]
+    shown = ranked[np.argmax(~np.isnan(ranked), axis=0), np.arange(len(texts))]
     return Cells(shown, bad, dates=True, orders=orders)
 
 

@@ -15,7 +15,8 @@ import math
 import re
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -26,7 +27,7 @@ import numpy as np
 from bayescal._core.atomic_file import sha256_of
 from bayescal._core.quoting import csv_cell_read
 from bayescal._tables.cells import MOST_BAD, Cells, number_of, numbers_of
-from bayescal._tables.header_rows import LOOKED_AT, header_rows, with_units
+from bayescal._tables.header_rows import LOOKED_AT, HeaderRows, header_rows, with_units
 from bayescal._tables.raw_table import Header, Objection, Table, after, refuse_many, unusable
 
 _BLOCK = 1 << 24  # bytes looked at together, and the longest line allowed
@@ -35,18 +36,24 @@ _ASCII = bytes(range(128))
 _LEGACY = "windows-1252"  # what Excel writes as CSV in the west of Europe and in America
 _NO_LEGACY = {0x81, 0x8D, 0x8F, 0x90, 0x9D}  # bytes that it does not use
 _BEYOND = re.compile(rb"[\xc2-\xdf][\x80-\xbf]|[\xe0-\xef][\x80-\xbf]{2}|[\xf0-\xf4][\x80-\xbf]{3}")
-_MOST_UTF16 = 500_000_000  # bytes: it is held whole
+_MOST_HELD = 500_000_000  # bytes: it is held whole
 _SAVE = "Save it as 'CSV UTF-8'"
 _LABVIEW = "***End_of_Header***"
 # A comma that parts no thousands, behind a separator that is none: 20,5 or 0,125 or 1234,567, but not 1,234.
 _DECIMAL_COMMA = re.compile(
     rb"(?:^|[;\t\n])[ +-]*(?:0?,\d+|\d{4,},\d+|\d{1,3},(?:\d\d?|\d{4,}))(?:[eE][+-]?\d+)?[ \r]*(?=[;\t\n]|$)"
 )
+# Blanks that part fields: any but before a unit in brackets and in it; or two and more, where names or dates hold one.
+_BLANKS = (
+    re.compile(rb"[ \t]+(?![ \t\[(<{]|[^\[(<{\n]*[\])>}])"),
+    re.compile(rb"(?: {2,}|[ ]*\t)[ \t]*(?![ \t\[(<{])"),
+)
+_BEFORE_UNIT = re.compile(rb"[ \t]+(?=[\[(<{])")  # in a row of units
 _ROWS = 100_000  # rows whose text is held at a time
 
 
 def open_csv(path: Path, file: str, decimal: str = "") -> Table:
-    """Look through a CSV file: comma, semicolon or tab between fields.
+    """Look through a CSV file: comma, semicolon, tab or blanks between fields.
 
     Args:
         path: where it is.
@@ -64,12 +71,13 @@ def open_csv(path: Path, file: str, decimal: str = "") -> Table:
     scan = scan_csv(path, file, decimal)
 
     def load(wanted: Mapping[int, bool]) -> dict[int, Cells]:
-        with opened(path, scan.encoding) as handle:
+        with opened(path, scan.encoding, scan.blank_runs) as handle:
             handle.seek(scan.offset)
             return scan.cells(handle, wanted)
 
     notes = {
         f"read as {scan.encoding}": scan.encoding != "utf-8",
+        "its fields are parted by blanks": scan.blank_runs is not None,
         "its numbers have decimal commas": scan.decimal == ",",
         f"its columns are named in row {scan.named}; what stands above it is left out": scan.above,
         f"its units are taken from row {scan.named + 1}": scan.first - scan.named > 1,
@@ -92,7 +100,7 @@ class CsvLines:
     """Some lines of a file as they stand.
 
     Attributes:
-        lines: with their ends; blank ones among them.
+        lines: with their ends, a tab for blanks between fields; blank ones among them.
         table: their readings; None for the header.
         separator: between fields.
         decimal: between the whole and its parts.
@@ -121,7 +129,7 @@ def csv_parts(path: Path, file: str, rows: int, decimal: str = "") -> Iterator[C
     """
     scan = scan_csv(path, file, decimal)
     done = 0
-    with opened(path, scan.encoding) as handle:
+    with opened(path, scan.encoding, scan.blank_runs) as handle:
         above: list[bytes] = []
         while handle.tell() < scan.offset:
             above.append(handle.readline())
@@ -148,6 +156,8 @@ class CsvScan:
     header: list[str] = field(default_factory=list)
     separator: str = ","
     encoding: str = "utf-8"
+    commented: bool = False  # whether a comment names its columns
+    blank_runs: re.Pattern[bytes] | None = None  # that part its fields
     decimal: str = ""  # a point or a comma; empty until a number shows it
     named: int = 0  # row of the header
     above: bool = False  # whether lines that tell of the test stand above it
@@ -210,7 +220,12 @@ class CsvScan:
         try:
             return next(csv.reader([line], delimiter=self.separator, strict=True))
         except csv.Error as error:
-            came = f"has a quotation mark without its pair{called}: {line[:80]!r}"
+            what = (
+                "a field that is too long"
+                if "limit" in str(error)
+                else "a quotation mark without its pair"
+            )
+            came = f"has {what}{called}: {line[:80]!r}"
             raise unusable(self.file, came, f"Close or remove it{cure}", f"row {row}") from error
 
     def place(self, index: int) -> str:
@@ -226,7 +241,8 @@ class CsvScan:
 def scan_csv(path: Path, file: str, decimal: str) -> CsvScan:
     """The first pass."""
     scan = CsvScan(file, encoding=encoding_of(path), decimal=decimal)
-    with opened(path, scan.encoding) as handle:
+    _find_layout(path, scan)
+    with opened(path, scan.encoding, scan.blank_runs) as handle:
         digest, rest = hashlib.sha256(_read_header(handle, scan)), b""
         while block := handle.read(_BLOCK):
             digest.update(block)
@@ -240,8 +256,9 @@ def scan_csv(path: Path, file: str, decimal: str) -> CsvScan:
             _scan_lines(scan, block[:end])
         if rest:
             _scan_lines(scan, rest + b"\n")
-    # of UTF-16, what was looked through are not the bytes of the file
-    scan.sha256 = sha256_of(path) if scan.encoding == "utf-16" else digest.hexdigest()
+    # of UTF-16 and of blanks, what was looked through are not the bytes of the file
+    changed = scan.blank_runs or scan.encoding == "utf-16"
+    scan.sha256 = sha256_of(path) if changed else digest.hexdigest()
     odd = [row for row, _, _ in scan.ragged]
     if len(odd) < min(MOST_BAD, scan.lines - len(scan.blanks)):
         scan.passed_over = frozenset(odd)
@@ -252,32 +269,21 @@ def scan_csv(path: Path, file: str, decimal: str) -> CsvScan:
 def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
     """Find the header, and leave the file where the readings begin; the bytes above them.
 
-    It is the first line that is neither blank nor a '#' comment, unless that tells of the test, and names of columns
-    stand further down.
+    It is the first line that is neither blank nor a '#' comment, unless that tells of the test and names of columns
+    stand further down, or no line but a comment names them.
     """
-    there, row = list[tuple[int, str, int]](), 0  # a line's row, its text, and the byte behind it
-    while len(there) < LOOKED_AT and (line := handle.readline(_BLOCK)):
-        row += 1
-        text = line.removeprefix(_MARK if row == 1 else b"").decode(scan.written_in, "replace")
-        if text.strip() and not text.startswith("#"):
-            there.append((row, text.rstrip("\r\n"), handle.tell()))
+    there = _first_lines(handle, scan)
     if not there:
         handle.seek(0)
         _decode(handle.read(), scan, 1)
         expected = "a header 'name [unit], …' and rows of readings were expected"
         raise unusable(scan.file, "is empty", expected)
-    found, units = None, list[str]()
     texts = [text for _, text, _ in there]
-    after = [i for i, text in enumerate(texts) if text.startswith(_LABVIEW)]
-    begin = after[-1] + 1 if after else 0
-    tried = [(i, one) for i, text in enumerate(texts) if i >= begin for one in _separators_of(text)]
-    for i, separator in tried:
-        rows = [_fields_of(text, separator) for text in texts]
-        if found := header_rows(rows, i):
-            units, scan.separator = _labview_units(rows[:i]), separator
-            break
-    else:
-        scan.separator = max(_separators_of(texts[0]), key=texts[0].count)
+    found, separator = _header_among(texts)
+    scan.separator = separator or max(_separators_of(texts[0]), key=texts[0].count)
+    units = (
+        _labview_units([_fields_of(t, separator) for t in texts[: found.first]]) if found else []
+    )
     row, text, end = there[found.first if found else 0]
     last, _, end = there[found.last] if found else (row, text, end)
     handle.seek(0)
@@ -292,10 +298,57 @@ def _read_header(handle: BinaryIO, scan: CsvScan) -> bytes:
     return above
 
 
+def _find_layout(path: Path, scan: CsvScan) -> None:
+    """Find whether blanks part the fields, or a comment names the columns, where nothing else makes a header."""
+    with opened(path, scan.encoding) as handle:
+        texts = [text for _, text, _ in _first_lines(handle, replace(scan, commented=True))]
+        handle.seek(0)
+        plain = [text for _, text, _ in _first_lines(handle, scan)]
+    for commented, lines in ((False, plain), (True, texts)):
+        for runs in (None, *_BLANKS):
+            if _header_among([_with_tabs(t.encode(), runs).decode() for t in lines])[0]:
+                scan.commented, scan.blank_runs = commented, runs
+                return
+
+
+def _first_lines(handle: BinaryIO, scan: CsvScan) -> list[tuple[int, str, int]]:
+    """Return row, text and the byte behind it of the first lines that are neither blank nor comments."""
+    there, row = [], 0
+    while len(there) < LOOKED_AT and (line := handle.readline(_BLOCK)):
+        row += 1
+        text = line.removeprefix(_MARK if row == 1 else b"").decode(scan.written_in, "replace")
+        text = text.removeprefix("#").lstrip() if scan.commented else text
+        if text.strip() and not text.startswith("#"):
+            there.append((row, text.rstrip("\r\n"), handle.tell()))
+    return there
+
+
+def _header_among(texts: Sequence[str]) -> tuple[HeaderRows | None, str]:
+    """Return the header among the first lines of a file, and what parts its fields; None and nothing for no header."""
+    after = [i for i, text in enumerate(texts) if text.startswith(_LABVIEW)]
+    begin = after[-1] + 1 if after else 0
+    for i in range(begin, len(texts)):
+        for separator in _separators_of(texts[i]):
+            if found := header_rows([_fields_of(text, separator) for text in texts], i):
+                return found, separator
+    return None, ""
+
+
+def _with_tabs(data: bytes, runs: re.Pattern[bytes] | None) -> bytes:
+    """Return lines with a tab in place of the blanks that part fields, and none about them."""
+    if runs is None:
+        return data
+    lines = (line.strip(b" \t") for line in data.replace(b"\r\n", b"\n").split(b"\n"))
+    return b"\n".join((_BEFORE_UNIT if x[:1] in b"[(<{" else runs).sub(b"\t", x) for x in lines)
+
+
 def _fields_of(line: str, separator: str) -> list[str]:
+    """Return the fields of a line; none where its quotation marks are not in pairs."""
     if '"' not in line:
         return line.split(separator)
-    return next(csv.reader([line], delimiter=separator), [])
+    with suppress(csv.Error):
+        return next(csv.reader([line], delimiter=separator), [])
+    return []
 
 
 def _labview_units(above: Sequence[Sequence[str]]) -> list[str]:
@@ -314,7 +367,8 @@ def _separators_of(line: str) -> list[str]:
 
 def _split_header(scan: CsvScan, row: int, line: str) -> None:
     refuse_many(scan.file, 1 + line.count(scan.separator))
-    if not any(map(math.isnan, map(number_of, line.split(scan.separator)))):
+    rows = line.split(scan.separator), line.split()
+    if any(not any(map(math.isnan, map(number_of, row))) for row in rows):
         raise unusable(
             scan.file,
             f"has no header: its first row, row {row}, is numbers",
@@ -406,18 +460,21 @@ def encoding_of(path: Path) -> str:
     return _LEGACY if beyond else "utf-8"
 
 
-def opened(path: Path, encoding: str) -> BinaryIO:
-    """A file's bytes; those of UTF-16 as UTF-8.
+def opened(path: Path, encoding: str, runs: re.Pattern[bytes] | None = None) -> BinaryIO:
+    """A file's bytes; those of UTF-16 as UTF-8, with tabs where runs of blanks part the fields.
 
     Raises:
-        InputError: UTF-16 that is too large to be held, or broken.
+        InputError: text that has to be held and is too large, or UTF-16 that is broken.
     """
-    if encoding != "utf-16":
+    if runs is None and encoding != "utf-16":
         return path.open("rb")
-    if path.stat().st_size > _MOST_UTF16:
-        raise unusable(path.name, "is UTF-16 text of more than 500 MB", "save it as 'CSV UTF-8'")
+    what = "UTF-16 text" if runs is None else "text whose fields are parted by blanks"
+    if path.stat().st_size > _MOST_HELD:
+        cure = f"{_SAVE}, with commas between fields"
+        raise unusable(path.name, f"is {what} of more than 500 MB", cure)
+    data = path.read_bytes()
     try:
-        return io.BytesIO(path.read_bytes().decode("utf-16").encode())
+        data = data.decode("utf-16").encode() if encoding == "utf-16" else data
     except UnicodeError as error:
-        came = "is UTF-16 text that breaks off"
-        raise unusable(path.name, came, "save it as 'CSV UTF-8'") from error
+        raise unusable(path.name, f"is {what} that breaks off", "save it as 'CSV UTF-8'") from error
+    return io.BytesIO(_with_tabs(data, runs))

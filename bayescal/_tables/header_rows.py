@@ -79,7 +79,7 @@ def _readings_width(rows: Sequence[Sequence[str]]) -> tuple[int, bool]:
 def _names_units(row: Sequence[str], width: int) -> bool:
     """Whether a row between names and readings may be one of units: short texts, none of them a reading."""
     texts = [text.strip() for text in row if text.strip()]
-    short = all(len(text) <= _LONGEST_UNIT for text in texts)
+    short = all(len(t) <= _LONGEST_UNIT and (t[0] in "[(" or not t.endswith("]")) for t in texts)
     there = abs(len(row) - width) <= 1 and len(texts) >= 2
     return there and short and not any(is_reading(t) or (is_missing(t) and t != "-") for t in texts)
 

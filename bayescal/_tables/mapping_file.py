@@ -18,6 +18,7 @@ MAPPING = {  # its shape: how `read` is asked, as keywords
     "columns?": {str: OneOf(str, [str])},
     "units?": {str: str},
     "unwrap?": {str: str},
+    "begin?": {str: str},
     "ignore?": [str],
     "local_gravity?": float,
     **{

@@ -36,7 +36,7 @@ from bayescal._data.unit_conversion import (
     same_dimension,
     unit_label,
 )
-from bayescal._use.compensation_program import PAST, bias_only
+from bayescal._use.compensation_program import PAST, bias_only, clock_note
 from bayescal._use.compensator import Compensator, compensator
 from bayescal._use.operating_equation import (
     ALL_DRAWS,
@@ -412,4 +412,5 @@ def notes_on(chosen: Compensator) -> tuple[str, ...]:
                 )
     if not chosen._equation.slope_calibrated(chosen._calibration):
         notes.append(bias_only(chosen.stimulus))
-    return (*dict.fromkeys(notes), SHARED)
+    clock = clock_note(chosen._calibration, chosen._equation.inputs)
+    return (*clock, *dict.fromkeys(notes), SHARED)

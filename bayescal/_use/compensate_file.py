@@ -101,8 +101,32 @@ class _FileCompensation:
         self.done.flags = assemble(converted, self.expected, (source,)).flags
         self.all = self._compensated(table, converted)
 
+    def _refuse_another_clock(self, readings: Measurements) -> None:
+        """Refuse times without dates that fall among those of the calibration: a device is not read twice at one time.
+
+        Raises:
+            InputError: they do, the file is none of those that were fitted, and the correction changes with the date.
+        """
+        used = self.compensator
+        undated = readings.since is None and used.epoch is None and not self.options.begin
+        if not (used.dated and undated) or {s.sha256 for s in readings.sources} & used.fitted:
+            return
+        (clock,) = (i for i in used.inputs if i.name == "time")
+        low, high = float(readings["time"].min()), float(readings["time"].max())
+        if low <= clock.high and high >= clock.low:
+            raise InputError(
+                f"{readings.file}: its times, {low:.6g} to {high:.6g} s, are among those of the calibration, "
+                f"{clock.low:.6g} to {clock.high:.6g} s, at which it was not read: its clock began anew, and with "
+                f"the date changes {used.dated}. Say when its first reading was taken on the clock of the "
+                "calibration: --begin '9 days'; or --begin '0 s' where time counts from the start of each run"
+            )
+
     def _compensated(self, table: Table, converted: ConvertedColumns) -> Compensated:
-        readings = Measurements(converted.values, converted.units)
+        readings = Measurements(
+            converted.values, converted.units, (Source(table.file, table.sha256, table.rows),)
+        )
+        readings = replace(readings, since=converted.origin)
+        self._refuse_another_clock(readings)
         found = self.compensator(readings, noise=self.noise, method=self.method, warn=False)
         self.done.rows += table.rows
         self.done.unsolved += int(np.isnan(found.value).sum())
@@ -165,6 +189,7 @@ def compensate_file(
     given = {name: value for name, value in how.items() if value is not None}
     if compensator.calibration is not None:
         given["remembered"] = compensator.calibration.readings.sources
+    given["epoch"] = compensator.epoch
     options = ReadOptions.of(
         expected, local_gravity=local_gravity, missing=missing, only=True, **given
     )

@@ -12,7 +12,7 @@ The stimulus solves expected(s) = reading: one Newton step from 0 where the equa
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -36,6 +36,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame
+from bayescal._tables.cells import date_text
 from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse, kept_why
 from bayescal._use.expression_graph import Graph, NotExportable, trace
 from bayescal._use.operating_equation import (
@@ -132,7 +133,7 @@ def input_of(
         meaning = "time since the start (of the run, of power)"
         return described(unit="s", meaning=meaning, kind="elapsed", column="time")
     own = {c.name: c.meaning for c in calibration.model.instrument.columns}
-    meaning = "of the same origin as in the calibration" if name == "time" else own.get(name, "")
+    meaning = clock_words(calibration) if name == "time" else own.get(name, "")
     unit = calibration.readings.unit(name) or "1"
     return described(unit=unit, meaning=meaning, kind="column", column=name)
 
@@ -157,15 +158,25 @@ def _lag_and_slope(frame: Frame, tau: float, column: str) -> tuple[np.ndarray, n
 
 
 def gathered(
-    inputs: Sequence[Input], readings: Measurements | None, columns: Mapping[str, ArrayLike]
+    inputs: Sequence[Input],
+    readings: Measurements | None,
+    columns: Mapping[str, ArrayLike],
+    epoch: float | None,
 ) -> tuple[dict[str, np.ndarray], Frame | None]:
     """Output, inputs and known uncertainties, (n,) each; and the record, where its past is needed.
 
+    Args:
+        inputs: that are needed.
+        readings: on the calibration's clock, or `columns`.
+        columns: numbers, and dates that count from the epoch, seconds since 1970.
+
     Raises:
-        InputError: a column that is needed is missing, or columns are of different lengths.
+        InputError: a column that is needed is missing, columns are of different lengths, or there are dates and no
+            epoch.
     """
+    columns = {n: _since(v, epoch) for n, v in columns.items()}
     if readings is not None:
-        columns = {n: readings[n] for n in readings.columns if readings.unit(n)} | dict(columns)
+        columns = {n: readings[n] for n in readings.columns if readings.unit(n)} | columns
     if "output" not in columns:
         raise InputError("the column 'output' is missing: give the readings to compensate")
     given = _of_one_length(columns)
@@ -183,6 +194,16 @@ def gathered(
                 f"{', '.join(sorted(columns))}). Record it, or fit a model without the effects that need it"
             )
     return given, record
+
+
+def _since(values: ArrayLike, epoch: float | None) -> ArrayLike:
+    """Convert dates to seconds since the epoch; numbers stay."""
+    array = np.asarray(values)
+    if array.dtype.kind != "M":
+        return values
+    if epoch is None:
+        raise InputError("dates are given, and the calibration's times have none: give seconds")
+    return array.astype("datetime64[us]").astype(np.int64) * 1e-6 - epoch
 
 
 def _of_one_length(columns: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
@@ -208,7 +229,7 @@ def _record(
     if readings is None:
         units = {i.column: "degC" for i in needed if i.kind in PAST} | {"time": "s"}
         readings = Measurements({n: np.array(given[n]) for n in units}, units)
-    return build_frame(readings, {"run_starts": {}})
+    return build_frame(readings, {})
 
 
 def _from_record(record: Frame, wanted: Input) -> np.ndarray:
@@ -279,6 +300,7 @@ class Provenance:
         notes: what to know, each a sentence.
         made_by: program and version.
         calibration: its identity; empty in exports that do not state one.
+        epoch: seconds since 1970 at time zero; None where the calibration's times have no dates.
         why_not: why the result is not to be used, which is among the notes too; empty where it may be.
     """
 
@@ -295,6 +317,7 @@ class Provenance:
     made_by: str
     calibration: str = ""
     why_not: str = ""
+    epoch: float | None = None
 
 
 def provenance_of(
@@ -327,7 +350,28 @@ def provenance_of(
         made_by=f"bayescal {__version__}",
         calibration=identity(calibration),
         why_not=said,
+        epoch=calibration.readings.since,
     )
+
+
+def clock_words(calibration: Calibration) -> str:
+    """Say what the calibration's time counts from."""
+    if calibration.readings.since is None:
+        return "from the zero of the calibration's column 'time', which has no date"
+    began = date_text(calibration.readings.since)
+    return f"from {began} UTC, as which dates without a zone count"
+
+
+def clock_note(calibration: Calibration, inputs: Collection[str]) -> list[str]:
+    """Say what changes with the date and what time counts from; nothing where no input is the time."""
+    if "time" not in inputs:
+        return []
+    last, since = float(calibration.readings["time"].max()), calibration.readings.since
+    end = f"{number(last, 6)} s" if since is None else date_text(since + last)
+    return [
+        f"With the date changes {', '.join(calibration.dated) or 'the noise'}. Time counts {clock_words(calibration)}; "
+        f"the last reading was taken at {end}, and what is stated later is an extrapolation."
+    ]
 
 
 def averaged_over(calibration: Calibration) -> list[str]:
@@ -356,7 +400,7 @@ def notes_on_use(
     stimulus_range: tuple[float, float] | None,
 ) -> tuple[str, ...]:
     """What to know before a reading is compensated, each a sentence."""
-    notes = averaged_over(calibration)
+    notes = [*averaged_over(calibration), *clock_note(calibration, equation.inputs)]
     new = [u.name for u in equation.unknowns() if u.kind == "new"]
     if new:
         notes.append(
@@ -411,6 +455,7 @@ SHAPE = {
         "made_by": str,
         "calibration?": str,
         "why_not?": str,
+        "epoch?": OneOf(None, float),
     },
     "inputs": [
         {

@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.description import sources_of
 from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import usual_columns
 from bayescal._core.atomic_file import write_text
 from bayescal._core.errors import InputError
 from bayescal._data.column import UNCERTAINTY, Column
 from bayescal._data.measurements import Measurements
+from bayescal._data.time_in_runs import on_clock
 from bayescal._use import operating_equation
 from bayescal._use.compensation_program import (
     PAST,
@@ -104,25 +106,30 @@ class Compensator:
         """Compensate readings.
 
         Args:
-            readings: with the output and the covariates needed; or give these as `columns`.
+            readings: with the output and the covariates needed, dates read on the calibration's clock; or give these as
+                `columns`.
             noise: count the noise of each reading in its uncertainty, by the noise law (its correlated part too)
                 and by the column `output_uncertainty` where there is one; False leaves what the calibration itself
                 is uncertain by.
             method: "draws" solves the equation for every posterior draw; "first order" propagates mean and
                 covariance, as exports do. Default: draws where there are any.
             warn: give an `OutsideCalibration` warning for what is outside its calibrated range.
-            **columns: one value per reading or one for all, in fixed units. The past of a record can be given too
+            **columns: one value per reading or one for all, in fixed units; `time` in s since the epoch, or dates
+                (`datetime64`). The past of a record can be given too
                 (`temperature_rate`, `temperature_lag`, `elapsed`), in place of `time`.
 
         Raises:
-            InputError: a column that is needed is missing, or the method needs draws and there are none.
+            InputError: a column that is needed is missing, the method needs draws and there are none, or the readings
+                have dates and the calibration has none (or the other way round) and the correction changes with them.
         """
         method = method or ("draws" if self.calibration is not None else "first order")
         if method == "draws" and self.calibration is None:
             raise InputError(
                 "a loaded compensator has no draws: use method='first order', or the calibration itself"
             )
-        given, record = gathered(self.inputs, readings, columns)
+        if readings is not None:
+            readings = on_clock(readings, self.epoch, lambda: self.dated)
+        given, record = gathered(self.inputs, readings, columns, self.epoch)
         if self.calibration is None:
             value, own, inclination = self.program.run(given["output"], given)
             variance, inclination = own**2, inclination**2
@@ -159,6 +166,25 @@ class Compensator:
     def why_not(self) -> str:
         """Why the result is not to be used, in words; empty where it may be. A fit that nobody checked is checked."""
         return self.loaded.why_not if self.loaded else why_not(self._calibration)
+
+    @property
+    def epoch(self) -> float | None:
+        """Seconds since 1970 at time zero; None where the times of the calibration have no dates."""
+        return self.loaded.about.epoch if self.loaded else self._calibration.readings.since
+
+    @property
+    def fitted(self) -> set[str]:
+        """SHA-256 of the files of the calibration."""
+        if self.loaded:
+            return {sha for _, sha in self.loaded.about.sources}
+        return {source.sha256 for source in sources_of(self._calibration.readings)}
+
+    @property
+    def dated(self) -> str:
+        """Names of what changes with the date, for messages; empty for nothing."""
+        if all(i.name != "time" for i in self.inputs):
+            return ""
+        return "the correction" if self.loaded else ", ".join(self._calibration.dated) or "it"
 
     @property
     def output_unit(self) -> str:

@@ -460,7 +460,7 @@ class PosteriorMoments(NamedTuple):
 def posterior_moments(
     equation: OperatingEquation, calibration: Calibration, draws: int, seed: int = 0
 ) -> PosteriorMoments:
-    """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all, which the draws have too.
+    """Draws of θ, at most `draws` of them evenly thinned; mean and covariance from all, which coefficients' draws have.
 
     A deviation that is new in use is independent of everything measured, and so are its draws: they move no mean and no
     covariance, so that what is computed from draws and from moments agrees.
@@ -485,7 +485,12 @@ def posterior_moments(
         spread = _spread(calibration, block) * has_effect(calibration, block.effect.name)
         mean[i], covariance[i, i] = block.coefficient.mean, float(np.mean(spread**2))
         thin[:, i] = mean[i] + _independent(thin - mean, spread[::step], covariance[i, i], random)
-    thin = _with_moments(thin, mean, covariance) if step > 1 else thin
+    linear = [
+        i for i, u in enumerate(unknowns) if u.kind != "shape"
+    ]  # a shape moved so may leave its range
+    if step > 1:
+        own = mean[linear], covariance[np.ix_(linear, linear)]
+        thin[:, linear] = _with_moments(thin[:, linear], *own)
     return PosteriorMoments(thin, mean, covariance)
 
 

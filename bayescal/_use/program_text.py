@@ -74,6 +74,7 @@ def _record(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str
     window = max((i.tau or RATE_WINDOW for i in rates), default=0.0)
     return {
         "past": bool(past),
+        "dated": "time" in columns,
         "columns": [(columns[name], units[name]) for name in columns],
         "same": [(columns[i.column], fields[i.name]) for i in program.inputs if i.kind == "column"],
         "lags": [

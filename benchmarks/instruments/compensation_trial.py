@@ -75,7 +75,7 @@ class Trial:
         later, new_levels = bind(self.model, self.verification)
         reference = reference_of(self.plan)
         frame = build_frame(self.plan, reference)
-        there = build_frame(self.verification, {"run_starts": {}, **reference})
+        there = build_frame(self.verification, reference)
         keep, come, act = _shared(layout, later, levels, new_levels)
         extra = jnp.asarray(self.stimulus if self.added else np.zeros_like(self.stimulus))
 

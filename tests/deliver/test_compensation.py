@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models import mems_gyro, still_sensor
+from bayescal_models import accelerometer_dividing_head, mems_gyro, still_sensor
 from benchmarks.accuracy.chunks import collect
 from benchmarks.instruments import compensation as campaigns
 from tests.support.made_up import bent_sensor
 from tests.support.shown_output import load_module
 
+HEAD = accelerometer_dividing_head.INSTRUMENT
 pytestmark = pytest.mark.filterwarnings("ignore:outside the calibrated range")
 
 
@@ -109,6 +110,31 @@ def test_a_time_has_no_upper_end_where_what_follows_it_has_died_out(bent, tmp_pa
         assert list(module.compensate(bent_sensor.BIAS, **now)[-1]) == flagged
         for one in (made, loaded):
             assert list(one(output=bent_sensor.BIAS, warn=False, **late).outside) == flagged
+
+
+@pytest.mark.parametrize("seed", [3, 4, 8])
+def test_a_time_constant_that_is_hardly_known_stays_in_its_range(seed: int) -> None:
+    """Warm-up of 1.5 standard deviations of the noise: a draw of τ below zero made 1e85 µg of a reading."""
+    random, count = np.random.default_rng(seed), 48
+    elapsed, angle = (
+        np.tile(140.0 * np.arange(count), 2),
+        np.tile(np.arange(count) % 12 * np.pi / 6, 2),
+    )
+    temperature = 25 + 30 * np.sin(elapsed / 1500)
+    acts = 1e6 * np.sin(angle)
+    bias = 100 + 10 * (temperature - 25) + 12 * np.exp(-elapsed / 1000)
+    readings = bc.Measurements.from_arrays(
+        HEAD,
+        run=np.repeat(["a", "b"], count),
+        time=elapsed + np.repeat([0.0, 9e4], count),
+        temperature=temperature,
+        position_angle=angle,
+        output=acts + bias + 8 * random.standard_normal(2 * count),
+    )
+    calibration = bc.fit(HEAD.baseline() + "bias.warm_up", readings, strict=False)
+    found = bc.compensator(calibration)(readings, warn=False)
+    assert np.max(abs(found.value - acts) / found.uncertainty) < 4.5
+    assert np.max(found.uncertainty) < 16
 
 
 @pytest.mark.slow

@@ -24,6 +24,7 @@ from tests.support.lab_files import (
     iso,
     spaced,
     text,
+    when,
     with_cell,
 )
 
@@ -73,6 +74,30 @@ READ = {
     "ISO with an offset": Good(dated(iso, "time", "+03:00")),
     "date and time": Good(dated(spaced)),
     "day first, with points": Good(dated(lambda m: f"{m:%d.%m.%Y %H:%M:%S}.{m.microsecond // 1000:03}", "Date")),
+    "points in times": Good(dated(lambda m: f"{m:%d/%m/%Y %H.%M.%S}.{m.microsecond // 1000:03}")),
+    "points in dates and times": Good(
+        dated(lambda m: f"{m.day}.{m.month}.{m.year} klo {m:%H.%M.%S}.{m.microsecond // 1000:03}", "Aika")
+    ),
+    "points in times beside a day": Good(
+        text(
+            ("Dato", "Time", *HEAD[1:]),
+            (when(lambda m: f"{m:%d-%m-%Y}"), when(lambda m: f"{m:%H.%M.%S}"), TEMPERATURE, RATE),
+        )
+    ),
+    "blanks": Good(text(separator="   ")),
+    "blanks and tabs": Good(text(separator=" \t ").replace("\n", "  \r\n")),
+    "blanks, units that touch": Good(text(("time[s]", "temperature[°C]", "output[deg / s]"), separator=" ")),
+    "blanks, no units": Good(
+        text(("time", "temperature", "output"), separator="  "),
+        {"units": {"time": "s", "temperature": "degC", "output": "deg/s"}},
+    ),
+    "blanks, a row of units": Good(
+        "Unit 7, lab 3, on a table\n"
+        + text(("time", "temperature", "output"), separator="  ").replace("output\n", "output\n [s]  [degC]  [deg/s]\n")
+    ),
+    "blanks, decimal commas": Good(text(separator="  ", decimal=",")),
+    "blanks, dates with one": Good(dated(spaced).replace(",", "   ")),
+    "names in a comment": Good("# made by a script\n# " + text(separator=" ")),
     "Unix seconds": Good(counted(1, "timestamp")),
     "Unix milliseconds": Good(counted(1_000, "timestamp")),
     "Unix microseconds": Good(counted(1_000_000, "timestamp")),
@@ -150,6 +175,9 @@ REFUSED = {
     ),
     "zones in some rows": Bad(
         with_cell(5, 0, iso(BEGAN) + "+01:00", dated(iso, "time")), 1, ("with a zone everywhere",)
+    ),
+    "times or dates": Bad(
+        dated(lambda m: f"{m + timedelta(seconds=3967):%H.%M.%S}", "time"), 1, ("--date-order dmy",)
     ),
     "dates and numbers": Bad(with_cell(5, 0, "40.0", dated(iso, "time")), 1, ("reads '40.0'", "a date such as")),
     "no header": Bad("0,20,1\n1,20,2\n", 1, ("has no header",)),

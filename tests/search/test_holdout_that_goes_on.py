@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._data.time_in_runs import going_on
 from bayescal._inference.noise_on_record import Whitening
 from bayescal_models import still_sensor
 from tests.support.tiers import slow_but
@@ -58,16 +57,15 @@ def test_a_lag_goes_on_in_hold_out_data_cut_from_the_record(cut: str) -> None:
 
 
 def test_another_test_on_a_clock_of_its_own_does_not_go_on() -> None:
-    record = readings(WHOLE, EARLY)
-    assert list(going_on(record, readings(WHOLE, LATE))[0]) == ["1"]
-    again = readings(lagging(seed=2), np.arange(900))
-    assert going_on(record, again)[0] == {}  # the very same times
-    shifted = again.with_column("time", again["time"] + 0.4 * STEP)
-    assert going_on(record, shifted)[0] == {}  # among the record's
+    calibration = fitted(readings(WHOLE, EARLY))
+    again = readings(lagging(seed=2), np.arange(900))  # the very same times
+    shifted = again.with_column("time", again["time"] + 0.4 * STEP)  # among the record's
+    for alone in (again, shifted):  # its body begins at its own first temperature
+        assert bc.predict(calibration, alone).rmse < 1.2 * NOISE
     named = bc.Measurements.from_arrays(
         SENSOR, units={"output": "ug"}, run="2", **{n: v[LATE] for n, v in WHOLE.items()}
     )
-    assert going_on(record, named)[0] == {}
+    assert bc.predict(calibration, named).rmse > 10 * NOISE
 
 
 def test_a_clock_of_dates_goes_on_in_a_second_file(tmp_path: Path) -> None:

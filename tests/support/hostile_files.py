@@ -182,6 +182,7 @@ REFUSED: dict[str, Callable[[Path], None]] = {
     "zeros.mat": matlab_of_zeros,
     "cells.mat": matlab_of_cells,
     "torn.mat": lambda path: matlab_of_cells(path, torn=True),
+    "promised.mat": lambda path: path.write_bytes(matlab(matrix(1, b"", (1 << 28, 1), b"a"))),
     "never_written.mat": hdf5(never_written),
     "full_of_itself.mat": hdf5(full_of_itself),
     "external_link.mat": hdf5(leads_to_a_file),
