@@ -12,7 +12,8 @@ shows it where profiles repeat.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import combinations, permutations
 from typing import Any, NamedTuple
 
@@ -21,6 +22,7 @@ import numpy as np
 from bayescal._core.errors import InputError
 from bayescal._core.settings import settings
 from bayescal._data.column import ARRAYS, MAY_BE_EMPTY, ConvertedColumns, file_names
+from bayescal._data.counter_wrap import SIGN, lost_its_sign, unwrap_option, wrap_period
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.unit_conversion import base_unit, convert, unit_label
 from bayescal._tables.raw_table import Objection, Objections, Table, option
@@ -48,14 +50,11 @@ STUCK_SHARE = 0.5  # of a record, from which a stretch is no plateau of a rounde
 # Share of the other readings that repeat the one before, above which all are rounded, or set.
 REPEATED_SHARE = 0.1
 FEW_CHANGES = 20  # changes of a column, below which nothing is usual in it
-LEAP_RANGE = 0.02  # of a thermometer's range: less is no leap
-# Robust standard deviations of a thermometer's own leaps there and back, beyond which one is no noise: of normal noise
-# not one in 10¹⁴ readings.
+# Standard deviations of a column's noise, beyond which a change is none.
 LEAP_NOISE_SD = 8.0
-# Times the change that nine tenths of a thermometer's changes stay below: a body does not go five times as fast for
-# one reading.
-LEAP_RATIO = 5.0
-LEAP_SHARE = 0.05  # of all readings; more leaps are a thermometer's noise, or its way
+LEAP_SHARE = (
+    0.05  # of all readings; more leaps there and back are a thermometer's noise, or its way
+)
 # Times every other change of a stretch, above which its first or last reading stands apart.
 END_RATIO = 3.0
 # Steps of a rounded column, above which a change is a leap: noise toggles by one or two.
@@ -87,8 +86,6 @@ OFF_GRID_STEPS = 0.01
 # most changes are lost.
 SAME_TICK_SHARE = 0.5
 COUNTED_RUNS = 8  # runs of one reading each, below which that may be the plan of a test
-# Different values of a thermometer, of fewer of which each change is as large as its range.
-FEWEST_LEVELS = 3
 # Share of a thermometer's changes that are usual ones: a rounded corner of a profile is among the rest.
 USUAL_CHANGES_SHARE = 0.9
 # Of readings at even distances in the file that lie apart: robust standard deviations beyond which one does, fewest of
@@ -189,32 +186,33 @@ def rounding_step(values: np.ndarray) -> float:
     return step if np.all(np.abs(places - np.round(places)) < off) else 0.0
 
 
-BESIDE = 3  # changes on either side of one, of which the median is the rate there: one of them may be odd
+BESIDE = 3  # readings on either side of a change, by which its pace is known
+SHOWN = 3  # values that a message names
 MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 of thermometers
 
 
 class Oddity(NamedTuple):
-    """What is odd in a thermometer's column.
+    """An anomaly in a thermometer's column.
 
     Attributes:
+        code: its kind: "held", "saturated", "leap", "level" or "run".
         column: the thermometer's.
         said: what is odd, in words.
-        rows: in which it is.
+        rows: at which it is.
         wrong: of these, where the temperature was surely another than the column says; none where that is not known.
-        jumped: whether the column goes on from another level at these rows, which the output may confirm.
     """
 
+    code: str
     column: str
     said: str
     rows: np.ndarray
     wrong: np.ndarray
-    jumped: bool = False
 
 
 def oddities(
     columns: Columns, thermometers: Collection[str], output: str = "output"
 ) -> list[Oddity]:
-    """What is odd in the columns of thermometers.
+    """Return what is odd in the columns of thermometers.
 
     Args:
         columns: readings by name; without `time` nothing can be said.
@@ -227,56 +225,184 @@ def oddities(
     with np.errstate(all="ignore"):  # of numbers that no temperature is
         own = pieces(columns)
         for name in names:
-            if len(rows := held_rows(columns[name], own)):
+            odd = _off_pace(name, columns, {*thermometers, output} - {name}, own)
+            gone = np.concatenate([np.zeros(0, int), *(one.wrong for one in odd)])
+            rest = [piece[~np.isin(piece, gone)] for piece in own]
+            if len(rows := held_rows(columns[name], rest)):
                 said = "repeats a value until the next leap: it was held, or asked seldom"
-                found.append(Oddity(name, said, rows, repeats(columns[name], own, rows)))
-            if len(rows := leaps(columns[name], own)):
-                said = f"leaps faster than a body can follow at {len(rows)} reading(s)"
-                found.append(Oddity(name, said, rows, rows))
-            found += _at_an_end(name, columns[name], own)
-            found += _jumps(name, columns, {*thermometers, output}, own)
+                wrong = repeats(columns[name], rest, rows)
+                found.append(Oddity("held", name, said, rows, wrong))
+            found += [*_at_an_end(name, columns[name], rest), *odd]
         return [*found, *_unlike(columns, names)]
 
 
-def leaps(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
-    """Rows at which a column leaps there and back, or begins or ends a run elsewhere: faster than a body can follow.
+def _off_pace(
+    name: str, columns: Columns, witnesses: Collection[str], own: Sequence[np.ndarray]
+) -> list[Oddity]:
+    """Find readings that are no temperature of the body that the others are of: it goes at a pace, and does not leap.
+
+    Leaps cut a stretch into parts, and so does a standstill that ends in one. The longest chain of parts that join at
+    the record's pace is the temperature. Another part is not, if it is one number throughout (a power-on value, a bus
+    error, a stuck value, a spike), or short. A longer one may have been right: another level, and the file does not say
+    which. A leap that the output or another thermometer takes part in was the body's, seen by a slow logger.
+    """
+    values, time = columns[name], columns["time"]
+    every = np.concatenate([np.zeros(0), *(np.abs(np.diff(values[piece])) for piece in own)])
+    if np.count_nonzero(every) < FEW_CHANGES:
+        return []
+    usual = float(np.quantile(every, USUAL_CHANGES_SHARE))
+    least = max(UNLIKE_DEGREES, HELD_STEPS * float(np.diff(np.unique(values)).min()), usual)
+    noise = np.array([scatter(values[piece]) for piece in own])
+    noise[[len(piece) <= 2 * BESIDE for piece in own]] = np.median(noise)
+    allowed = np.maximum(least, LEAP_NOISE_SD * noise)
+    leaps = [_beyond_pace(values[p], time[p]) > most for p, most in zip(own, allowed, strict=True)]
+    count, moves = sum(map(np.count_nonzero, leaps)), np.count_nonzero(every)
+    if not 0 < count <= 2 * LEAP_SHARE * moves:  # there and back
+        return []
+    seen = _taken_part_in(columns, name, witnesses, own)
+    parts = [
+        (is_code, piece[begin:end])
+        for piece, leap, real, most in zip(own, leaps, seen, allowed, strict=True)
+        for is_code, begin, end in _unjoined(values[piece], leap, real[:-1], most)
+    ]
+    codes, others = ([rows for code, rows in parts if code == is_code] for is_code in (True, False))
+    if sum(map(len, others)) <= LEAP_SHARE * len(values):
+        codes, others = [*codes, *others], []
+    found, none = list[Oddity](), np.zeros(0, int)
+    if codes:
+        rows = np.sort(np.concatenate(codes))
+        read = ", ".join(f"{v:g}" for v in dict.fromkeys(values[rows][:SHOWN].tolist()))
+        said = f"reads {read} °C where its own pace does not lead, in {len(rows)} reading(s): an error value, or stuck?"
+        found.append(Oddity("leap", name, said, rows, rows))
+    if others:
+        said = (
+            f"goes on from another level in {sum(map(len, others))} readings, and nothing else does: re-seated, "
+            "exchanged, or a counter that wrapped?"
+        )
+        found.append(Oddity("level", name, said, np.sort(np.concatenate(others)), none))
+    return found
+
+
+def _unjoined(
+    values: np.ndarray, leap: np.ndarray, real: np.ndarray, most: float
+) -> list[tuple[bool, int, int]]:
+    """Find the parts of a stretch outside the longest chain of parts that join: whether one number, begin, end.
+
+    Two parts join where the later begins within what the column goes over as many readings, at the end of the earlier
+    or the beginning of the later. A part between them that moves does so as the body does, from a level of its own.
 
     Args:
-        values: of the column (n,).
-        own: rows of each stretch without a pause, by `pieces`.
+        values: of the stretch, °C (n,).
+        leap: whether a change is one (n − 1,).
+        real: whether something else took part in it (n − 1,); then a part of several readings is the body's.
+        most: what noise and rounding make, °C.
     """
-    jumps = [np.diff(values[piece]) for piece in own]
-    if sum(map(len, jumps)) < FEW_CHANGES or len(np.unique(values)) < FEWEST_LEVELS:
-        return np.zeros(0, int)
-    back = [_there_and_back(jump) for jump in jumps]
-    size = np.abs(np.concatenate(jumps))
-    usual = max(
-        LEAP_RANGE * float(np.ptp(values)),
-        LEAP_NOISE_SD * 1.4826 * float(np.median(np.concatenate(back))),
-        LEAP_RATIO * float(np.quantile(size, USUAL_CHANGES_SHARE)),
-        HELD_STEPS * rounding_step(values),
+    cuts = 1 + np.flatnonzero(leap)
+    changed = np.concatenate([[True], values[1:] != values[:-1]])
+    still = np.maximum.accumulate(np.where(changed, np.arange(len(values)), 0))[cuts - 1]
+    begins = np.unique([0, *still[cuts - still > BESIDE], *cuts])
+    ends = np.append(begins[1:], len(values))
+    since = np.append(0, cuts)[
+        np.searchsorted(cuts, begins, side="right")
+    ]  # the leaps around each part
+    until = np.append(cuts, len(values))[np.searchsorted(cuts, begins, side="right")]
+    span = np.maximum.reduceat(values, begins) - np.minimum.reduceat(values, begins)
+    moving, lengths = span > most, ends - begins
+    lasting = lengths > BESIDE
+    moved = np.cumsum(np.where(moving, values[ends - 1] - values[begins], 0.0))
+    spent = np.cumsum(np.where(moving, 1, lengths))
+    best = np.where(span > 0, lengths, 0.5 * lengths)  # one number may be no temperature
+    before = np.full(len(begins), -1)
+    for j in range(1, len(begins)):
+        i = np.arange(j)
+        over = 1 + spent[j - 1] - spent[i]  # readings from one to the other
+        last, first = ends[:j] - 1, begins[j]
+        back = np.maximum(last - over, since[:j])
+        on = np.minimum(first + over, until[j] - 1)
+        change = values[first] - values[last] - (moved[j - 1] - moved[i])
+        goes = [
+            (values[last] - values[back]) * over / np.maximum(last - back, 1),
+            (values[on] - values[first]) * over / np.maximum(on - first, 1),
+        ]
+        low, high = np.minimum(0.0, np.min(goes, axis=0)), np.maximum(0.0, np.max(goes, axis=0))
+        joined = (change >= low - most) & (change <= high + most)
+        joined[-1] = not leap[first - 1] or (real[first - 1] and lasting[j - 1] and lasting[j])
+        if joined.any():
+            before[j] = int(np.argmax(np.where(joined, best[:j], -1.0)))
+            best[j] += best[before[j]]
+    chain, at = set[int](), int(np.argmax(best))
+    while at >= 0:
+        chain.add(at)
+        at = int(before[at])
+    edges = np.concatenate([[True], real | ~leap, [True]])  # of each reading's two sides
+    return [
+        (bool(span[k] == 0), int(begins[k]), int(ends[k]))
+        for k in sorted(set(range(len(begins))) - chain)
+        if not (lasting[k] and edges[begins[k]] and edges[ends[k]])
+    ]
+
+
+def _beyond_pace(values: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return what neither the rate before a change nor that after it explains of it (n − 1,).
+
+    These rates are medians of three changes, so that a corner of a profile, from one rate to another, is explained; and
+    a third of it in a change next to it, so that a chamber's step that takes few readings is; at an end, with a rate on
+    one side alone, three times the fastest.
+    """
+    step, (rate, around, fastest) = np.diff(time), _rates(values, time)
+    change = np.diff(values)
+    next_to = END_RATIO * np.pad(rate, 1, mode="reflect")
+    rates = [around[: len(rate)], around[BESIDE + 1 :], next_to[:-2], next_to[2:]]
+    at = np.arange(len(rate))
+    at_end = np.where((at < BESIDE) | (at >= len(rate) - BESIDE), END_RATIO * fastest, 0.0)
+    rates += [at_end, -at_end]
+    low, high = np.min(rates, axis=0) * step, np.max(rates, axis=0) * step
+    return np.maximum(np.maximum(change - high, low - change), 0.0)
+
+
+def _rates(values: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the rate of each change (n − 1,), medians of three from three before the first on, and the fastest."""
+    step = np.diff(time)
+    rate = np.where(step > 0, np.diff(values) / np.where(step > 0, step, 1.0), 0.0)
+    wide = np.pad(rate, BESIDE, mode="symmetric")
+    around = np.median(np.lib.stride_tricks.sliding_window_view(wide, BESIDE), axis=1)
+    return rate, around, float(np.max(np.abs(around[BESIDE : len(rate) + 1]), initial=0.0))
+
+
+def scatter(values: np.ndarray) -> float:
+    """Return the standard deviation of white noise in values, by the median of their second differences."""
+    return 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / math.sqrt(6.0)
+
+
+def _taken_part_in(
+    columns: Columns, name: str, witnesses: Collection[str], own: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """Find changes of each stretch at which a witness has a step or a corner, where no input was set."""
+    others = [n for n, v in columns.items() if n not in (name, "time") and v.dtype.kind == "f"]
+    seen, set_anew = (
+        np.any([np.zeros(sum(map(len, own)), bool), *found], axis=0)
+        for found in (
+            [_bends(columns[n], own) for n in others if (n in witnesses) == asked]
+            for asked in (True, False)
+        )
     )
-    rows = []
-    for piece, jump, both in zip(own, jumps, back, strict=True):
-        spike = np.pad(_highest(both, usual), 1)
-        rows.append(piece[spike])
-        inner = np.abs(jump[1:-1])[~(spike[1:-2] | spike[2:-1])]
-        apart = np.abs(jump[[0, -1]]) > max(usual, END_RATIO * float(inner.max(initial=0.0)))
-        rows.append(piece[[0, -1]][apart & ~spike[[1, -2]]])
-    found = np.unique(np.concatenate(rows))
-    return found if len(found) <= LEAP_SHARE * len(values) else found[:0]
+    return np.split(seen & ~set_anew, np.cumsum([len(piece) for piece in own])[:-1])
 
 
-def _there_and_back(jump: np.ndarray) -> np.ndarray:
-    """The smaller of a reading's two changes, where they are of opposite sign."""
-    there, back = jump[:-1], jump[1:]
-    return np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
-
-
-def _highest(both: np.ndarray, usual: float) -> np.ndarray:
-    """Where leaps stand above what is usual, the higher of neighbours: beside a spike its neighbours leap too."""
-    padded = np.pad(both, 1)
-    return (both > usual) & (both >= padded[:-2]) & (both >= padded[2:])
+def _bends(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
+    """Find where a column has a step or a corner within a reading, beyond its noise and what is usual in it (n,)."""
+    at = np.arange(2 * BESIDE) - BESIDE + 0.5
+    basis = np.linalg.qr(np.stack([np.ones_like(at), at, np.sign(at), np.abs(at)]).T)[0][:, 2:]
+    found, noise = [np.zeros(len(piece)) for piece in own], [0.0]
+    for piece, sizes in zip(own, found, strict=True):
+        if len(piece) >= 2 * BESIDE:
+            windows = np.lib.stride_tricks.sliding_window_view(values[piece], 2 * BESIDE)
+            sizes[BESIDE - 1 : -BESIDE] = np.linalg.norm(windows @ basis, axis=1)
+            noise.append(scatter(values[piece]))
+    every = np.concatenate(found)
+    usual = max(LEAP_NOISE_SD * max(noise), END_RATIO * float(np.median(every)))
+    bend = np.pad(every > max(usual, 1e-9 * float(np.ptp(values))), 1)
+    return bend[:-2] | bend[1:-1] | bend[2:]
 
 
 def pieces(columns: Columns) -> list[np.ndarray]:
@@ -303,7 +429,8 @@ def held_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
         own: rows of each stretch without a pause, by `pieces`.
     """
     held, pairs = [np.zeros(0, int)], 0
-    leap = HELD_STEPS * float(np.diff(np.unique(values)).min())
+    some = np.unique(values[np.concatenate([held[0], *own])])
+    leap = HELD_STEPS * float(np.diff(some).min(initial=np.inf))
     for piece in own:
         cells = values[piece]
         ends = np.append(np.flatnonzero(cells[1:] != cells[:-1]), len(cells) - 1)
@@ -321,80 +448,6 @@ def repeats(values: np.ndarray, own: Sequence[np.ndarray], rows: np.ndarray) -> 
     return np.intersect1d(rows, np.concatenate([np.zeros(0, int), *again]))
 
 
-def _jumps(
-    name: str, columns: Columns, follow: Collection[str], own: Sequence[np.ndarray]
-) -> list[Oddity]:
-    """Where a column goes on from another level at once: no body does, but a thermometer that was set there.
-
-    Where the output, or another thermometer, goes on from another level too, it was the body, and readings are far
-    apart; unless an input was set anew there. Values that stand still before and after are set-points, written down as
-    they were set. `follow` are the columns that follow a body, this one among them.
-    """
-    values = columns[name]
-    own = [piece for piece in own if len(piece) > 2 * BESIDE + 1]
-    changes = [np.diff(values[piece]) for piece in own]
-    if sum(map(len, changes)) < FEW_CHANGES or len(np.unique(values)) < FEWEST_LEVELS:
-        return []
-    time, at = columns["time"], np.concatenate([piece[1:] for piece in own])
-    flat = [np.pad(change == 0, 1, constant_values=True) for change in changes]
-    still = np.concatenate([one[:-2] & one[2:] for one in flat])
-    jump = _unexplained(values, time, own)
-    # a rounded corner leaves less
-    usual = float(np.quantile(np.abs(np.concatenate(changes)), USUAL_CHANGES_SHARE))
-    parts = np.split(jump, np.cumsum([len(change) for change in changes])[:-1])
-    noise = np.concatenate([np.full(len(part), _usual(part)) for part in parts])  # of each stretch
-    least = max(UNLIKE_DEGREES, HELD_STEPS * rounding_step(values), _usual(jump), usual)
-    chosen = (jump > np.maximum(least, noise)) & ~still
-    if chosen.any():
-        others = {
-            n: v for n, v in columns.items() if n not in (name, "time") and v.dtype.kind == "f"
-        }
-        sizes = {n: _unexplained(v, time, own) for n, v in others.items()}
-        leapt = {n: size > _usual(size) for n, size in sizes.items()}
-        followed, set_anew = (
-            np.any(
-                [v for n, v in leapt.items() if (n in follow) == asked]
-                or [np.zeros(len(at), bool)],
-                axis=0,
-            )
-            for asked in (True, False)
-        )
-        chosen &= ~followed | set_anew
-    rows = np.setdiff1d(at[chosen], leaps(values, own))
-    if not len(rows) or len(rows) > LEAP_SHARE * len(values):
-        return []
-    said = (
-        f"goes on from another level, {jump[np.isin(at, rows)].max():.2g} °C away, from one reading to the next, and "
-        "nothing else does: re-seated, exchanged, or a counter that wrapped?"
-    )
-    return [Oddity(name, said, np.sort(rows), rows[:0], True)]  # on which side of it, is not known
-
-
-def _unexplained(values: np.ndarray, time: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
-    """Of each change from one reading to the next, what neither the rate before it nor the rate after it explains.
-
-    These rates are medians of three changes, so that a corner of a profile, from one rate to another, is explained; and
-    a third of it in a change next to it, so that a chamber's step that takes few readings is.
-    """
-    found = []
-    for piece in own:
-        change, step = np.diff(values[piece]), np.diff(time[piece])
-        rate = np.where(step > 0, change / np.where(step > 0, step, 1.0), 0.0)
-        wide = np.pad(rate, BESIDE, mode="edge")
-        around = np.median(np.lib.stride_tricks.sliding_window_view(wide, BESIDE), axis=1)
-        next_to = END_RATIO * np.pad(rate, 1, mode="edge")
-        rates = [around[: len(rate)], around[BESIDE + 1 :], next_to[:-2], next_to[2:]]
-        low, high = np.min(rates, axis=0) * step, np.max(rates, axis=0) * step
-        found.append(np.maximum(np.maximum(change - high, low - change), 0.0))
-    return np.concatenate(found)
-
-
-def _usual(sizes: np.ndarray) -> float:
-    """What noise makes of sizes, at the most."""
-    noise = LEAP_NOISE_SD * 1.4826 * float(np.median(sizes))
-    return max(noise, END_RATIO * float(np.quantile(sizes, USUAL_CHANGES_SHARE)))
-
-
 def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
     """Readings in a row exactly at an extreme, of a column that hardly repeats elsewhere: a converter at its end."""
     found = []
@@ -410,7 +463,7 @@ def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list
             continue
         rows = np.flatnonzero(at)
         said = f"stands exactly at its {end} {level:g} in {len(rows)} readings, and hardly still elsewhere: saturated?"
-        found.append(Oddity(name, said, rows, rows))
+        found.append(Oddity("saturated", name, said, rows, rows))
     return found
 
 
@@ -461,7 +514,7 @@ def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
             )
             rows = np.concatenate([runs[run] for run in alone])
             known = len(alone) == 1 and _of_that_run_alone(columns, one, alone[0], pairs, odd, runs)
-            found.append(Oddity(one, said, rows, rows if known else rows[:0]))
+            found.append(Oddity("run", one, said, rows, rows if known else rows[:0]))
     return found
 
 
@@ -567,7 +620,47 @@ def problems_of_whole(
             refuse_one_temperature(converted.values, file_names([f for f in files if f != ARRAYS]))
     with problems.collecting(files[0]):
         refuse_backward_time(converted.values, row_namer(converted.tables))
+    problems += _wrapped(converted, getattr(instrument, "output", "output"))
     return problems
+
+
+def _wrapped(converted: ConvertedColumns, output: str) -> Iterator[Objection]:
+    """Find thermometers whose counter began anew, or whose sign was lost, each with the option that undoes it."""
+    columns, units, where = converted.values, converted.units, row_namer(converted.tables)
+    warm = [n for n in columns if units[n] == "degC" and n != MAY_BE_EMPTY]
+    others = [v for n, v in columns.items() if units[n] and n not in (*warm, "time", output)]
+    for name in warm if "time" in columns else ():
+        values, codes = columns[name], record_codes(columns)
+        allowed = allowed_changes(columns, values)
+        row = 1 + int(np.argmax(np.abs(np.diff(values, append=values[-1]))))
+        place, _, file = where(min(row, len(values) - 1)).partition(" of ")
+        if period := wrap_period(values, codes, allowed):
+            came = f"leaps by {period:g} °C, as a counter that began anew"
+            undo = unwrap_option(name, period)
+        elif output in columns and lost_its_sign(values, codes, allowed, columns[output], others):
+            came = "turns round at 0 °C where the output goes on: its sign was lost"
+            undo = option("--unwrap", f"{name}={SIGN}")
+        else:
+            continue
+        cure = "Undo it, if that is so"
+        yield Objection(file.strip("'"), came, cure=cure, option=undo, column=name, places=(place,))
+
+
+def allowed_changes(columns: Columns, values: np.ndarray) -> np.ndarray:
+    """Return what a thermometer's column may change by from each reading of a file to the next (n − 1,), °C.
+
+    Args:
+        columns: labels of records, and the time, if they are known.
+        values: of the thermometer, °C (n,).
+    """
+    change = np.abs(np.diff(values))
+    usual = END_RATIO * float(np.quantile(change, USUAL_CHANGES_SHARE)) if change.size else 0.0
+    least = UNLIKE_DEGREES + np.full(len(change), usual)
+    if "time" not in columns:
+        return least
+    time = columns["time"]
+    pace = max((_rates(values[p], time[p])[2] for p in pieces(columns)), default=0.0)
+    return np.maximum(least, UNLIKE_DEGREES + pace * np.abs(np.diff(time)))
 
 
 def row_namer(tables: Sequence[Table]) -> Where:

@@ -64,7 +64,6 @@ def set_aside(
         readings = _without(readings, find(readings))
     if keep_spikes or not readings.has("time"):  # both are known by their neighbours in time
         return readings
-    readings = _without(readings, _leaping(readings))
     begun = len(readings)
     while len((fault := _wrong(readings, needed, begun)).rows):
         readings = _without(readings, fault)
@@ -126,31 +125,19 @@ def _stuck(readings: Measurements) -> Fault:
     return Fault(rows, f"{len(rows)} reading(s) set aside: the output {said}")
 
 
-def _leaping(readings: Measurements) -> Fault:
-    """Those at which a thermometer leaps there and back: nothing is known of the temperature there."""
-    own, each, gone = checks.pieces(readings.values), [], [np.zeros(0, int)]
-    for name, values in readings.values.items():
-        if readings.unit(name) == "degC" and np.ptp(values) > 0:
-            rows = checks.leaps(values, own)
-            gone.append(rows)
-            each += [f"{name}: {_listed(rows, values, ' °C')}"] if len(rows) else []
-    rows = np.unique(np.concatenate(gone))
-    return Fault(
-        rows,
-        f"{len(rows)} reading(s) set aside, at which a thermometer leaps faster than a body can "
-        f"follow, {'; '.join(each)}; keep_spikes keeps them",
-    )
-
-
 def _wrong(readings: Measurements, needed: Collection[str], begun: int) -> Fault:
-    """Readings at which a thermometer that is needed was surely wrong, by one kind of fault.
+    """Readings at which a thermometer was surely wrong, by one kind of fault.
 
-    Where too much would go, or a device's readings or all temperatures but one, they stay, and the fault is a reason
-    not to believe the result.
+    Of a thermometer that the model does not need, where they are few. Where too much would go, or a device's readings
+    or all temperatures but one, they stay, and the fault is a reason not to believe the result.
     """
     for odd in readings.oddities:
-        if odd.column in needed and _can_go(readings.values, odd, begun):
-            said = f"{len(odd.wrong)} reading(s) set aside, column {odd.column!r} {odd.said}"
+        few = odd.code == "leap" and len(odd.wrong) <= checks.LEAP_SHARE * begun
+        if (few or odd.column in needed) and _can_go(readings.values, odd, begun):
+            rows = _listed(odd.wrong, readings[odd.column], " °C")
+            said = (
+                f"{len(odd.wrong)} reading(s) set aside, column {odd.column!r} {odd.said}: {rows}"
+            )
             return Fault(odd.wrong, f"{said}; keep_spikes keeps them")
     return Fault()
 
