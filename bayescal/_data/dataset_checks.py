@@ -176,14 +176,31 @@ def stretches(time: np.ndarray, codes: np.ndarray, fewest: int) -> list[np.ndarr
 
 
 def rounding_step(values: np.ndarray) -> float:
-    """The step that an output is rounded to, in its unit; 0 where most values occur once, or lie on no grid."""
+    """Return the step that a column is rounded to where rounding makes values occur again, in its unit; else 0."""
+    return resolution(values) if len(np.unique(values)) <= ROUNDED_SHARE * len(values) else 0.0
+
+
+def resolution(values: np.ndarray, fewest: int = 3) -> float:
+    """Return the step of the grid on which all values of a column lie, in its unit; 0 where there is none.
+
+    Found by Euclid's algorithm: what a step leaves of the gaps between values is the next one.
+
+    Args:
+        values: of the column (n,).
+        fewest: different values, of fewer of which nothing is said.
+    """
     levels = np.unique(values)
-    if not 3 <= len(levels) <= ROUNDED_SHARE * len(values):
+    if len(levels) < max(fewest, 2):
         return 0.0
-    gaps, off = np.diff(levels), OFF_GRID_STEPS
-    step = float(gaps[gaps > off * np.median(gaps)].min())
-    places = (levels - levels[0]) / step
-    return step if np.all(np.abs(places - np.round(places)) < off) else 0.0
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > OFF_GRID_STEPS * np.median(gaps)]
+    step, digits = float(gaps.min()), 1e3 * np.spacing(np.max(np.abs(levels)))
+    while step > digits:
+        off = np.abs((levels - levels[0]) / step - np.round((levels - levels[0]) / step))
+        if np.all(off < OFF_GRID_STEPS):
+            return step
+        step = float(step * off[off >= OFF_GRID_STEPS].min())
+    return 0.0
 
 
 BESIDE = 3  # readings on either side of a change, by which its pace is known

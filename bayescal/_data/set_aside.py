@@ -34,8 +34,8 @@ USUAL_TAIL = (2.0, 5.0)
 TAIL_P = 0.01  # probability that a tail without spikes has a gap like that before one
 # Share of the hold-out data that occur among the readings; more is no chance where each is one of its kind.
 NOT_NEW_SHARE = 0.1
-# Share of the readings that differ in their numbers from all others, from which that can be said.
-ONE_OF_ITS_KIND_SHARE = 0.5
+# Standard deviations of a number of chance agreements, beyond which there are others.
+BY_CHANCE_SD = 5.0
 
 
 class Fault(NamedTuple):
@@ -251,8 +251,9 @@ def _beyond_the_tail(high: np.ndarray, rest: np.ndarray, count: int) -> np.ndarr
 def not_new(readings: Measurements, holdout: Measurements) -> int:
     """How many of the hold-out data are readings that are fitted, whatever their time and labels say.
 
-    A reading is known by its numbers but for the time: output, temperatures, inputs. Where these repeat among the
-    readings themselves, as rounded ones do, equal numbers say nothing, and 0 is returned.
+    A reading is known by its numbers but for the time: output, temperatures, inputs. Of a rounded output a number
+    occurs again by chance, where the others agree: two readings with noise of σ agree to a step in step/(2√π·σ) of
+    cases. As many as that gives say nothing, and 0 is returned.
 
     Args:
         readings: to fit.
@@ -265,14 +266,16 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
         for n in readings.columns
         if n != "time" and readings.unit(n) is not None and holdout.has(n)
     ]
-    mine, theirs = (
-        pd.DataFrame({n: r[n] for n in shared}).round(12).drop_duplicates()
-        for r in (readings, holdout)
-    )
-    if len(mine) < ONE_OF_ITS_KIND_SHARE * len(readings):
-        return 0
-    both = len(theirs.merge(mine, how="inner", on=shared))
-    return both if both > NOT_NEW_SHARE * len(theirs) else 0
+    mine, theirs = (pd.DataFrame({n: r[n] for n in shared}).round(12) for r in (readings, holdout))
+    both = len(theirs.merge(mine.drop_duplicates(), how="inner", on=shared))
+    output = readings["output"]
+    noise = max(checks.scatter(output), float(np.spacing(np.max(np.abs(output)))))
+    alike = min(1.0, checks.resolution(output) / (2.0 * np.sqrt(np.pi) * noise))
+    others = [n for n in shared if n != "output"] or ["output"]
+    chances = theirs.merge(mine.groupby(others).size().rename("count"), how="left", on=others)
+    by_chance = float(np.sum(1.0 - (1.0 - alike) ** chances["count"].fillna(0.0)))
+    least = max(NOT_NEW_SHARE * len(theirs), by_chance + BY_CHANCE_SD * np.sqrt(by_chance))
+    return both if both > least else 0
 
 
 def said_of(readings: Measurements, holdout: Measurements) -> str:
