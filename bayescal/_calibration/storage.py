@@ -43,7 +43,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
 from bayescal._model.effect import READING, Effect
-from bayescal._model.frame import origins, reference_of
+from bayescal._model.frame import held_name, origins, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, bind
@@ -171,8 +171,10 @@ def _fields(
     bound, levels = bind(model, readings, reference=described["reference"])
     _same("group sizes", described["counts"], {**dict(bound.counts), READING: len(readings)})
     _same("group members", described["levels"], {k: list(v) for k, v in levels.items()})
-    constants = sorted(described["reference"].keys() - origins(described["reference"]))
-    _same("constants", constants, sorted(reference_of(readings)))
+    written = described["reference"].keys() - origins(described["reference"])
+    known = reference_of(readings)
+    added = {held_name(name) for name in readings.columns} & known.keys()  # since 0.21
+    _same("constants", sorted(written | added), sorted(known))
     layout = replace(bound, promoted=tuple(described["promoted"]))
     if unknown := set(layout.promoted) - {b.name for b in layout.blocks}:
         raise ValueError(f"{', '.join(sorted(unknown))} is no coefficient of its model")
