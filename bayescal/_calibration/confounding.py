@@ -58,7 +58,7 @@ class Confounder(NamedTuple):
     @property
     def claim(self) -> Claim:
         """What ran with what."""
-        told = {"column": self.column, "told": self.told, "step": self.step}
+        told = {"column": self.column, "told": self.told, "grid": self.step}
         told |= {"vary": self.column.removesuffix(" rate")}
         combination = f"{' and '.join(self.coefficients)} and {self.of_column}"
         code = "column.rounded" if self.step else "direction.confounded"

@@ -14,8 +14,9 @@ import xarray as xr
 from bayescal._calibration.confounding import Confounder, confounders, unexplained, widened
 from bayescal._calibration.on_readings import Vectors, pointwise
 from bayescal._core.errors import InputError
-from bayescal._data.dataset_checks import FEW_CHANGES, resolution
+from bayescal._data.dataset_checks import resolution
 from bayescal._data.measurements import Measurements
+from bayescal._data.thermometer_checks import FEW_CHANGES
 from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.method import Draws, Verdict

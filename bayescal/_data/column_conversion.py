@@ -27,7 +27,6 @@ from bayescal._data.counter_wrap import (
     unwrap_option,
     wrap_period,
 )
-from bayescal._data.dataset_checks import RECORD, allowed_changes, record_codes
 from bayescal._data.header_matching import (
     InstrumentLike,
     MatchedFile,
@@ -38,6 +37,8 @@ from bayescal._data.header_matching import (
 )
 from bayescal._data.header_rules import DAYS, channels_beside, plain
 from bayescal._data.pose_rows import MAGNITUDE
+from bayescal._data.records import RECORD, record_codes
+from bayescal._data.thermometer_checks import allowed_changes
 from bayescal._data.unit_conversion import (
     ANY,
     convert,

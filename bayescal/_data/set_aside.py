@@ -13,11 +13,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from bayescal._core.settings import settings
 from bayescal._data import dataset_checks as checks
-from bayescal._data.dataset_checks import FEW_CHANGES
+from bayescal._data import thermometer_checks as thermometers
 from bayescal._data.measurements import Measurements
+from bayescal._data.records import RECORD, Columns, pieces, record_codes, stretches
+from bayescal._data.thermometer_checks import FEW_CHANGES, Oddity
 
 # Robust standard deviations of a reading's distance from the line through its neighbours; of a million normal readings
 # none.
@@ -26,6 +29,7 @@ SPIKE_SD = 8.0
 SPIKE_FEWEST = 50
 # Share of all readings; where more stand out, the noise may be heavy-tailed, and its tail is asked.
 SPIKE_SHARE = 0.005
+SPIKE_NEIGHBOURS = 3  # readings on either side, whose distances a spike's own exceeds
 SPIKE_MOST_SHARE = 0.05  # share of all readings; more are no spikes, whatever the tail
 TAIL_SD = 4.0  # robust standard deviations, from which a distance is in the tail
 # Exponent of a tail before it is seen, and how many distances that counts as: Student's t with two degrees of freedom,
@@ -114,8 +118,8 @@ def _stuck(readings: Measurements) -> Fault:
         rows = np.arange(first + 1, last + 1)
         said = f"stands still at {output[first]:.6g} (rows {first + 2} to {last + 1})"
     elif readings.has("time"):
-        own = checks.pieces(readings.values)
-        rows = checks.repeats(output, own, checks.held_rows(output, own))
+        own = pieces(readings.values)
+        rows = thermometers.repeats(output, own, thermometers.held_rows(output, own))
         first = rows[0] + 1 if len(rows) else 0
         said = (
             f"repeats a value until the next leap, first in row {first}: a logger asked it seldom"
@@ -132,7 +136,7 @@ def _wrong(readings: Measurements, needed: Collection[str], begun: int) -> Fault
     or all temperatures but one, they stay, and the fault is a reason not to believe the result.
     """
     for odd in readings.oddities:
-        few = odd.code == "leap" and len(odd.wrong) <= checks.LEAP_SHARE * begun
+        few = odd.code == "leap" and len(odd.wrong) <= thermometers.LEAP_SHARE * begun
         if (few or odd.column in needed) and _can_go(readings.values, odd, begun):
             rows = _listed(odd.wrong, readings[odd.column], " °C")
             said = (
@@ -142,14 +146,14 @@ def _wrong(readings: Measurements, needed: Collection[str], begun: int) -> Fault
     return Fault()
 
 
-def _can_go(columns: checks.Columns, odd: checks.Oddity, begun: int) -> bool:
+def _can_go(columns: Columns, odd: Oddity, begun: int) -> bool:
     """Whether enough is left without what is wrong: half of the readings; of a held column, each value once."""
     count = len(columns[odd.column])
     kept, held = np.setdiff1d(np.arange(count), odd.wrong), len(odd.wrong) < len(odd.rows)
     least = FEW_CHANGES if held and count == begun else 0.5 * begun
     if not len(odd.wrong) or len(kept) < least:
         return False
-    labels = [n for n in checks.RECORD if n != "run" and n in columns]
+    labels = [n for n in RECORD if n != "run" and n in columns]
     whole = all(set(columns[n][kept]) == set(columns[n]) for n in labels)
     return whole and bool(np.ptp(columns[odd.column][kept]) > settings().temperature_span)
 
@@ -172,8 +176,8 @@ def find_spikes(readings: Measurements) -> np.ndarray:
     if not readings.has("time"):
         return none
     found, heights, rest = [none], [np.zeros(0)], [np.zeros(0)]
-    codes = checks.record_codes(readings.values)
-    for piece in checks.stretches(readings["time"], codes, SPIKE_FEWEST):
+    codes = record_codes(readings.values)
+    for piece in stretches(readings["time"], codes, SPIKE_FEWEST):
         at, high, others = _standing_out(readings["output"][piece])
         found.append(piece[at])
         heights.append(high)
@@ -187,45 +191,26 @@ def find_spikes(readings: Measurements) -> np.ndarray:
 def _standing_out(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Readings that stand out, their heights, and heights of all others, in robust standard deviations.
 
-    The worst is taken out and its neighbours are judged anew, until none is left.
+    Those that stand out the most among their neighbours are taken out and the others are judged anew, until none does.
+    A spike at an end and its neighbour stand out alike: then it is the end.
     """
-    count = len(y)
-    before, after = np.arange(count) - 1, np.arange(count) + 1
-
-    def height(i: int) -> float:
-        # an end as its neighbour
-        i = after[i] if before[i] < 0 else before[i] if after[i] >= count else i
-        return float(abs(y[i] - 0.5 * (y[before[i]] + y[after[i]])))
-
-    inner = np.abs(y[1:-1] - 0.5 * (y[:-2] + y[2:]))
-    heights = np.concatenate([inner[:1], inner, inner[-1:]])
-    scale, first, last = 1.4826 * float(np.median(heights)), 0, count - 1
-    found, high = [], []
-    while scale > 0 and len(found) <= SPIKE_MOST_SHARE * count + 1:
-        # A spike at an end and its neighbour stand out alike: then it is the end.
-        worst = int(np.argmax(heights))
-        worst = next((end for end in (first, last) if heights[end] == heights[worst]), worst)
-        if heights[worst] < SPIKE_SD * scale:
-            break
-        found.append(worst)
+    left, found, high, scale = np.arange(len(y)), [np.zeros(0, int)], [np.zeros(0)], 0.0
+    while True:
+        rest = y[left]
+        inner = np.abs(rest[1:-1] - 0.5 * (rest[:-2] + rest[2:]))
+        heights = np.concatenate([inner[:1], inner, inner[-1:] * (1.0 + 1e-12)])
+        scale = scale or 1.4826 * float(np.median(heights))
+        worst = (heights > 0) & (heights >= SPIKE_SD * scale)
+        enough = sum(map(len, found)) > SPIKE_MOST_SHARE * len(y) + 1
+        if scale == 0 or enough or not worst.any() or len(left) < SPIKE_NEIGHBOURS:
+            size = scale or 1.0
+            return np.concatenate(found), np.concatenate(high) / size, heights / size
+        around = sliding_window_view(np.pad(heights, SPIKE_NEIGHBOURS), 2 * SPIKE_NEIGHBOURS + 1)
+        before, after = around[:, :SPIKE_NEIGHBOURS], around[:, SPIKE_NEIGHBOURS + 1 :]
+        worst &= (heights > before.max(axis=1)) & (heights >= after.max(axis=1))
+        found.append(left[worst])
         high.append(heights[worst])
-        heights[worst] = -1.0
-        left, right = before[worst], after[worst]
-        first, last = (right if left < 0 else first), (left if right >= count else last)
-        if left >= 0:
-            after[left] = right
-        if right < count:
-            before[right] = left
-        near = [
-            left,
-            right,
-            before[left] if left >= 0 else -1,
-            after[right] if right < count else -1,
-        ]
-        for i in (i for i in near if 0 <= i < count):
-            heights[i] = height(int(i))
-    size = scale or 1.0
-    return np.array(found, dtype=int), np.array(high) / size, heights[heights >= 0] / size
+        left = left[~worst]
 
 
 def _beyond_the_tail(high: np.ndarray, rest: np.ndarray, count: int) -> np.ndarray:
@@ -269,10 +254,10 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
     mine, theirs = (pd.DataFrame({n: r[n] for n in shared}).round(12) for r in (readings, holdout))
     both = len(theirs.merge(mine.drop_duplicates(), how="inner", on=shared))
     output = readings["output"]
-    noise = max(checks.scatter(output), float(np.spacing(np.max(np.abs(output)))))
+    noise = max(thermometers.scatter(output), float(np.spacing(np.max(np.abs(output)))))
     alike = min(1.0, checks.resolution(output) / (2.0 * np.sqrt(np.pi) * noise))
     others = [n for n in shared if n != "output"] or ["output"]
-    chances = theirs.merge(mine.groupby(others).size().rename("count"), how="left", on=others)
+    chances = theirs.merge(mine.groupby(others).size().to_frame("count"), how="left", on=others)
     by_chance = float(np.sum(1.0 - (1.0 - alike) ** chances["count"].fillna(0.0)))
     least = max(NOT_NEW_SHARE * len(theirs), by_chance + BY_CHANCE_SD * np.sqrt(by_chance))
     return both if both > least else 0

@@ -6,8 +6,8 @@ import itertools
 
 import numpy as np
 
-from bayescal._data.dataset_checks import PAUSE_STEPS
 from bayescal._data.measurements import Measurements
+from bayescal._data.records import PAUSE_STEPS
 
 # Changes from one record to the other, a reading, beyond which two lie in one time and neither goes on with the other.
 INTERLEAVED_SHARE = 0.2
