@@ -164,6 +164,9 @@ direction.confounded (note)
     {of} apart from {column}: these readings tell {told:.1g} of its squares from the model. Standard uncertainties
     hold what it may have done in their place; the sum of both is measured.
   → Vary {vary} otherwise in another run, or leave it out if it is no cause (--ignore {vary})
+column.rounded (note)
+    {of} apart from half a step of {column!r}, {grid:.3g}: whether its readings were rounded or cut off is not told
+    by the file, and all of them may be off alike. Standard uncertainties hold that (step/√12).
 term.confounded (note)
     {of[0]} and {by} are confounded in these readings, which tell {left:.1%} of it apart: their standard
     uncertainties hold both.

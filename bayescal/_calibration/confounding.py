@@ -1,4 +1,4 @@
-"""Recorded columns that ran with what a model holds: how much of a coefficient may belong to one of them.
+"""What a model does not hold and coefficients may hide: columns that ran with it, and half a step of a rounded one.
 
 A column that is no known cause acts or does not, and nothing is known of it: even odds, and if it acts a line in it,
 plausibly half as large as all that the model's own terms change the output by. Beside the model, linear about its mode,
@@ -7,6 +7,9 @@ Of a column that the readings tell apart little is left, and that improbable; of
 know the sum alone, and how it is split is the prior's. What coefficients give up, squared and averaged over the column
 acting and not, is a term of their variance. Their values stay those of the model: the sum is what is measured, and what
 compensates a sensor that is used as it was tested.
+
+Whether a column was rounded or cut off no file tells: all its readings may be half a step off, alike. That is such a
+column too, which acts in any case and whose size is known: the step over √12, times the output's slope by it.
 Source: J. Hoeting, D. Madigan, A. Raftery and C. Volinsky, Stat. Sci. 14 (1999) 382 (averaging over models).
 """
 
@@ -35,7 +38,7 @@ SIZE = 0.5  # of a column's effect, in parts of what the model's own terms chang
 
 
 class Confounder(NamedTuple):
-    """A column that may have acted in the place of coefficients.
+    """A column that may have acted in the place of coefficients, or is off by a part of its step.
 
     Attributes:
         column: which.
@@ -43,25 +46,42 @@ class Confounder(NamedTuple):
         told: part of its squares that the model's own columns leave.
         shares: the standard uncertainty that it adds to each coefficient, by name and member, reported unit; signed, as
             they move together.
+        step: to which it is rounded or cut off, its unit; 0 of one that ran with the model.
     """
 
     column: str
     coefficients: list[str]
     told: float
     shares: dict[str, list[float]]
+    step: float = 0.0
 
     @property
     def claim(self) -> Claim:
         """What ran with what."""
-        told = {"column": self.column, "vary": self.column.removesuffix(" rate"), "told": self.told}
-        combination = f"{' and '.join(self.coefficients)} and {self.column}"
-        return Claim("direction.confounded", *self.coefficients, **told, combination=combination)
+        told = {"column": self.column, "told": self.told, "grid": self.step}
+        told |= {"vary": self.column.removesuffix(" rate")}
+        combination = f"{' and '.join(self.coefficients)} and {self.of_column}"
+        code = "column.rounded" if self.step else "direction.confounded"
+        return Claim(code, *self.coefficients, **told, combination=combination)
+
+    @property
+    def of_column(self) -> str:
+        """What of the column it is, in words."""
+        return f"half a step of {self.column}" if self.step else self.column
 
 
 def confounders(
-    linear: LinearModel, columns: Mapping[str, Float[np.ndarray, "n"]]
+    linear: LinearModel,
+    columns: Mapping[str, Float[np.ndarray, "n"]],
+    steps: Mapping[str, tuple[float, Float[np.ndarray, "n"]]],
 ) -> tuple[Confounder, ...]:
-    """Of some columns those that add a fifth or more to the standard uncertainty of a coefficient of a model."""
+    """Of some columns those that add a fifth or more to the standard uncertainty of a coefficient of a model.
+
+    Args:
+        linear: the model about its mode.
+        columns: of no known cause (n,).
+        steps: of rounded columns the step, and the slope of the output by the column (n,).
+    """
     layout, line = linear.problem.layout, linear.line
     blocks, p = layout.x_blocks, layout.size
     main = np.repeat([_stands_alone(b, layout) for b in blocks], [b.size for b in blocks])
@@ -71,25 +91,29 @@ def confounders(
     size = SIZE * float(np.std(line.jacobian[:, main] @ x[main]))
     root, found = linear.root[:p] * linear.sd[:p, None], list[Confounder]()
     known = np.linalg.norm(root, axis=1)
-    for name, values in columns.items():
-        standard = (values - values.mean()) / values.std()
-        for slot in _slots(layout.model.instrument):
-            # Its column at the plausible size, whitened; what the model's columns take of it, P, and leave, K.
-            column = linear.whiten((size * standard * linear.slopes[slot])[:, None])[:, 0]
-            taken = linear.projected(column[:, None])[:, 0]
-            whole = float(column @ column)
-            left = max(whole - float(taken @ taken), 0.0)
-            # Of a standard normal coefficient: log Bayes factor ½·u²/(1 + K) − ½·log(1 + K).
-            pull, inner = float(column @ linear.white_settled), 1 + left
-            acts = float(expit(0.5 * (pull**2 / inner - math.log(inner))))
-            second_moment = acts * (1 / inner + (pull / inner) ** 2)
-            added = -math.sqrt(second_moment) * (root @ taken)
-            wider = main & (np.hypot(added, known) > (1 + A_FIFTH) * known)
-            if np.any(wider):
-                parts = {b.name: slice(b.start, b.start + b.size) for b in blocks}
-                shares = {n: added[at].tolist() for n, at in parts.items() if added[at].any()}
-                concerned = [n for n, at in parts.items() if wider[at].any()]
-                found.append(Confounder(name, concerned, left / whole, shares))
+    acting = [
+        (name, size * (values - values.mean()) / values.std() * linear.slopes[slot], 0.0)
+        for name, values in columns.items()
+        for slot in _slots(layout.model.instrument)
+    ]
+    acting += [(name, step / math.sqrt(12.0) * by, step) for name, (step, by) in steps.items()]
+    for name, values, step in acting:
+        # The column at its size, whitened; what the model's columns take of it, P, and leave, K.
+        column = linear.whiten(values[:, None])[:, 0]
+        taken = linear.projected(column[:, None])[:, 0]
+        whole = float(column @ column)
+        left = max(whole - float(taken @ taken), 0.0)
+        # Of a standard normal coefficient: log Bayes factor ½·u²/(1 + K) − ½·log(1 + K).
+        pull, inner = float(column @ linear.white_settled), 1 + left
+        acts = 1.0 if step else float(expit(0.5 * (pull**2 / inner - math.log(inner))))
+        second_moment = acts * (1 / inner + (pull / inner) ** 2)
+        added = -math.sqrt(second_moment) * (root @ taken)
+        wider = main & (np.hypot(added, known) > (1 + A_FIFTH) * known)
+        if np.any(wider):
+            parts = {b.name: slice(b.start, b.start + b.size) for b in blocks}
+            shares = {n: added[at].tolist() for n, at in parts.items() if added[at].any()}
+            concerned = [n for n, at in parts.items() if wider[at].any()]
+            found.append(Confounder(name, concerned, left / whole, shares, step))
     return tuple(found)
 
 

@@ -14,7 +14,9 @@ import xarray as xr
 from bayescal._calibration.confounding import Confounder, confounders, unexplained, widened
 from bayescal._calibration.on_readings import Vectors, pointwise
 from bayescal._core.errors import InputError
+from bayescal._data.dataset_checks import resolution
 from bayescal._data.measurements import Measurements
+from bayescal._data.thermometer_checks import FEW_CHANGES
 from bayescal._data.time_in_runs import on_clock
 from bayescal._inference.laplace import Mode
 from bayescal._inference.linear_model import LinearModel, linear_model
@@ -27,6 +29,7 @@ from bayescal._model.frame import Frame, Reference, build_frame, reference_name
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, Levels
 
+COARSEST_DEGREES = 1.0  # °C, of a thermometer's steps; larger ones are set points
 PREDICTIVE_CELLS = 2_000_000  # draws × readings kept in posterior_predictive and log_likelihood
 
 
@@ -83,8 +86,27 @@ class Fitted:
         """Recorded columns that may have acted in the place of coefficients."""
         if self.confounded is not None:
             return self.confounded
-        columns = unexplained(self.model, self.readings) if self.verdict.ok else {}
-        return confounders(self.linear, columns) if columns else ()
+        if not self.verdict.ok:
+            return ()
+        columns, steps = unexplained(self.model, self.readings), self._steps()
+        return confounders(self.linear, columns, steps) if columns or steps else ()
+
+    def _steps(self) -> dict[str, tuple[float, np.ndarray]]:
+        """The steps of rounded thermometers and of the output, and the slopes of the output by them (n,)."""
+        readings, found = self.readings, dict[str, tuple[float, np.ndarray]]()
+        if step := resolution(readings["output"]):
+            found["output"] = step, np.ones(len(readings))
+        for name in (n for n in readings.columns if n in self.model.columns):
+            values = readings[name]
+            if (
+                readings.unit(name) != "degC"
+                or not 0 < (step := resolution(values, FEW_CHANGES)) <= COARSEST_DEGREES
+            ):
+                continue
+            frame = self.frame_of(readings.with_column(name, values + step))
+            line = self.problem_on(frame).linearise(self.mode.x, self.problem.hyper(self.mode.v))
+            found[name] = step, (line.mean - self.linear.line.mean) / step
+        return found
 
     @property
     def frame(self) -> Frame:

@@ -26,10 +26,9 @@ from bayescal._calibration.guards import (
 )
 from bayescal._calibration.leave_group_out import LeaveOneGroupOut, leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
-from bayescal._calibration.predict import predict
 from bayescal._core.formatting import number
 from bayescal._core.settings import settings
-from bayescal._data.dataset_checks import Oddity, pieces, rounding_step
+from bayescal._data.dataset_checks import rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.model import Model
 from bayescal._model.unknown_effect import FREED, IN_TIME, covariate_in
@@ -48,10 +47,6 @@ STILL_DEPENDS_NATS = 10.0
 # Steps, from which noise makes rounding as good as noise: noise of 0.3 steps leaves a staircase of 0.05 (B. Widrow and
 # I. Kollár, Quantization Noise, 2008), with the rounding's own 1/√12.
 AS_GOOD_AS_NOISE_STEPS = 0.42
-
-SLOPE_DRAWS = 100  # draws, of an expected output's slope
-SMALL_SHIFT_SHARE = 0.5  # part of a leap, up to which a shift of the thermometer is none
-SHIFT_SD = 3.0  # standard uncertainties of a shift that is told from none
 
 LOOK = {"cure": "search"}  # what is to be done where residuals still depend on something
 
@@ -145,38 +140,10 @@ def of_thermometers(calibration: Calibration, model: Model) -> list[Claim]:
     readings = calibration.readings
     warm = [n for n in readings.columns if n in model.columns and readings.unit(n) == "degC"]
     return [
-        Claim("column.odd", one.column, said=one.said)
+        Claim("column.odd", one.column, one.code, said=one.said)
         for one in readings.oddities
-        if one.column in warm and not (one.jumped and _followed(calibration, one))
+        if one.column in warm
     ]
-
-
-def _followed(calibration: Calibration, one: Oddity) -> bool:
-    """Whether the output went where a thermometer did that goes on from another level: it was the temperature.
-
-    Beside all else in the model, a shift of the thermometer from there to the end of the stretch is estimated. It was
-    wrong where a shift of half the leap or more is told from none; where none is told, no number hangs on it.
-    """
-    readings = calibration.readings
-    values, line = readings[one.column], calibration.linear
-    own = pieces({name: readings[name] for name in readings.columns})
-    expected = predict(calibration, readings, new_groups=False, draws=SLOPE_DRAWS).mean
-    for row in one.rows:
-        piece = next((p for p in own if row in p[1:]), None)
-        if piece is None:
-            return False
-        at = int(np.flatnonzero(piece == row)[0])
-        shifted = values.copy()
-        shifted[piece[at:]] += 1.0  # °C
-        moved = readings.with_column(one.column, shifted, readings.unit(one.column))
-        slope = predict(calibration, moved, new_groups=False, draws=SLOPE_DRAWS).mean - expected
-        (pull,), ((weight,),) = line.score(slope[:, None])
-        leap = abs(values[row] - values[piece[at - 1]])
-        if weight > 0 and abs(pull) / weight > max(
-            SHIFT_SD / math.sqrt(weight), SMALL_SHIFT_SHARE * leap
-        ):
-            return False
-    return True
 
 
 def of_noise(

@@ -43,7 +43,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
 from bayescal._inference.method import Draws, Verdict
 from bayescal._model.effect import READING, Effect
-from bayescal._model.frame import constants_of, origins, reference_of
+from bayescal._model.frame import constants_of, held_name, origins, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, bind
@@ -175,7 +175,8 @@ def _fields(
     _same(
         "constants", sorted(constants - constants_of(readings)), sorted({"run_starts"} & constants)
     )
-    _same("constants", sorted(reference_of(readings).keys() - constants), [])
+    added = {held_name(name) for name in readings.columns}  # since 0.2.1
+    _same("constants", sorted(reference_of(readings).keys() - constants - added), [])
     layout = replace(bound, promoted=tuple(described["promoted"]))
     if unknown := set(layout.promoted) - {b.name for b in layout.blocks}:
         raise ValueError(f"{', '.join(sorted(unknown))} is no coefficient of its model")

@@ -18,7 +18,7 @@ from bayescal._core.formatting import WIDTH, interval, number, probability, with
 from bayescal._core.result_table import ResultTable, plain_table
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.linear_model import LinearModel
-from bayescal._model.frame import derived
+from bayescal._model.frame import derived, held_name
 from bayescal._model.parameters import CoefficientBlock, Layout
 from bayescal._model.prior import deviation
 
@@ -63,6 +63,16 @@ def unknowns_parts(
         )
     if at := [f"{k} = {v:g} {unit_label(u)}" for k, (v, u) in calibration.held_at.items()]:
         lines.append("constants hold at " + ", ".join(at))
+    shaped = {
+        c
+        for e in calibration.model.effects
+        if any(s.unit == "s" for s in e.column_shapes)
+        for c in e.columns
+    }
+    if held := [n for n in sorted(shaped) if calibration.reference.get(held_name(n))]:
+        lines.append(
+            f"set in steps and held between readings: {', '.join(held)} (--reference {held_name(held[0])}=0 joins them)"
+        )
     given = (if_there(s) for s in summary(calibration)[0] if s["name"] in rows)
     if said := ", ".join(filter(None, given)):
         lines.append(f"if it is there: {said}")

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._data.column import MAY_BE_EMPTY, UNCERTAINTY
-from bayescal._data.dataset_checks import label_codes, record_codes
+from bayescal._data.records import label_codes, record_codes
 from bayescal._data.unit_conversion import convert, quantity, unit_label
 
 # Usual changes of a column, beyond which a change is a step between two settings, over which no mean is taken.

@@ -18,6 +18,15 @@ from bayescal._data.column import (
     overloads,
     placeholders,
 )
+from bayescal._data.counter_wrap import (
+    PERIODS,
+    ROOM,
+    SIGN,
+    restore_sign,
+    unwrap,
+    unwrap_option,
+    wrap_period,
+)
 from bayescal._data.header_matching import (
     InstrumentLike,
     MatchedFile,
@@ -29,6 +38,8 @@ from bayescal._data.header_matching import (
 )
 from bayescal._data.header_rules import DAYS, channels_beside, plain
 from bayescal._data.pose_rows import MAGNITUDE
+from bayescal._data.records import RECORD, record_codes
+from bayescal._data.thermometer_checks import allowed_changes
 from bayescal._data.unit_conversion import (
     ANY,
     convert,
@@ -261,25 +272,36 @@ class ColumnReader:
         return raw
 
     def _unwrapped(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
-        """Numbers of a counter that began anew, as of one that went on; where the user says when it does."""
+        """Undo a counter's wraps, or a sign that was lost, where the user says so."""
         names = (self.header.raw, self.header.name, self.column.name)
         said = next(
             (self.file.options.unwrap[n] for n in names if n in self.file.options.unwrap), None
         )
         if said is None or unit is None:
             return raw
+        warm = same_dimension(unit, "degC")
+        if said == SIGN and warm:
+            values = restore_sign(raw, self._records(raw))
+            self._flag(f"given back its sign at {np.count_nonzero(values != raw)} readings")
+            return values
         period, own = period_of(said)
         if own != "1":
             period = float(convert(period, own, unit, difference=True))
-        values, known = raw.copy(), np.flatnonzero(np.isfinite(raw))
+        known = np.isfinite(raw)
         begun = int(np.count_nonzero(abs(np.diff(raw[known])) > 0.5 * period))
-        values[known] = np.unwrap(raw[known], period=period)
-        if (
-            known.size and not self._is_time
-        ):  # a converter's counts have a sign; a clock's have none
-            values[known] -= period * np.round(values[known[0]] / period)
+        if self._is_time:  # a converter's counts have a sign; a clock's have none
+            values = raw.copy()
+            values[known] = np.unwrap(raw[known], period=period)
+        else:
+            start = float(convert([ROOM], "degC", unit)[0]) if warm else 0.0
+            values = unwrap(raw, self._records(raw), period, start)
         self._flag(f"began anew {begun} time{'s' * (begun != 1)}, which was undone (unwrap={said})")
         return values
+
+    def _records(self, raw: np.ndarray) -> np.ndarray:
+        """The record in time of each row, by the labels that are known."""
+        known = {n: v for n, v in self.converted.values.items() if n in RECORD}
+        return record_codes(known) if known else np.zeros(len(raw), np.int64)
 
     def _note_epoch(self, cells: Cells) -> None:
         """Count from 1904, as LabVIEW does, where seconds since 1970 would lie so far ahead that nobody measured."""
@@ -537,8 +559,24 @@ class ColumnReader:
         if better:
             cure = f"Are the numbers in {better[0]}? Then write '{self.header.name} [{better[0]}]'"
             given = option("--unit", f"{self.header.raw}={better[0]}")
+        elif self.column.unit == "degC" and (period := self._period(values, low, high)):
+            came = f"{came}; a counter of {period:g} °C that began anew"
+            cure, given = "Undo it, if that is so", unwrap_option(self.header.raw, period)
         rows = np.flatnonzero(wrong)
         self.file.problem(self.header.raw, came, "", cure, given, rows=rows)
+
+    def _period(self, values: np.ndarray, low: float, high: float) -> float | None:
+        """The period, °C, of a counter without whose wraps all temperatures are plausible; None where there is none."""
+        known, labels = np.isfinite(values), ("time", *RECORD)
+        columns = {n: v[known] for n, v in self.converted.values.items() if n in labels}
+        values, codes = values[known], self._records(values)[known]
+        found = wrap_period(values, codes, allowed_changes(columns, values))
+        whole = () if (values <= high).any() else PERIODS  # all readings are beyond
+        for period in (p for p in (found, *whole) if p and values.max() < p):
+            undone = unwrap(values, codes, period, ROOM)
+            if low < undone.min() and undone.max() < high:
+                return period
+        return None
 
     def _plausible_in(self, unit: str, raw: np.ndarray, low: float, high: float) -> bool:
         target = self.column.unit or "1"

@@ -12,25 +12,31 @@ shows it where profiles repeat.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from itertools import combinations, permutations
-from typing import Any, NamedTuple
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._core.settings import settings
 from bayescal._data.column import ARRAYS, MAY_BE_EMPTY, ConvertedColumns, file_names
+from bayescal._data.counter_wrap import SIGN, lost_its_sign, unwrap_option, wrap_period
 from bayescal._data.pose_rows import MAGNITUDE
+from bayescal._data.records import (
+    PAUSE_STEPS,
+    Columns,
+    distinct,
+    label_codes,
+    record_codes,
+    runs_of,
+)
+from bayescal._data.thermometer_checks import REPEATED_SHARE, STUCK_RATIO, allowed_changes, oddities
 from bayescal._data.unit_conversion import base_unit, convert, unit_label
 from bayescal._tables.raw_table import Objection, Objections, Table, option
 
 # What a record may not be, and what of it is no reading of the sensor. "Good records" are the campaigns that the six
 # instruments simulate, as they are, rounded as displays do, and noisy (tests/readings/test_thermometers.py).
 
-# Usual steps between readings, beyond which the next one is no neighbour; a logger that loses four readings in a row
-# has not paused.
-PAUSE_STEPS = 5.0
 # Standard deviations within runs, that the temperatures of runs are apart at the least where each has one of its own:
 # a slope within runs then has a hundredth of the information.
 PLATEAU_SD = 10.0
@@ -43,40 +49,7 @@ CLIPPED_GAP = 0.1
 # Times the readings at the next level, below which an end is that of a rounded output.
 CLIPPED_RATIO = 3.0
 STUCK_READINGS = 8  # readings in a row without a change, below which that may be chance
-STUCK_RATIO = 4.0  # times the next longest stretch without a change, below which it is like others
 STUCK_SHARE = 0.5  # of a record, from which a stretch is no plateau of a rounded thermometer
-# Share of the other readings that repeat the one before, above which all are rounded, or set.
-REPEATED_SHARE = 0.1
-FEW_CHANGES = 20  # changes of a column, below which nothing is usual in it
-LEAP_RANGE = 0.02  # of a thermometer's range: less is no leap
-# Robust standard deviations of a thermometer's own leaps there and back, beyond which one is no noise: of normal noise
-# not one in 10¹⁴ readings.
-LEAP_NOISE_SD = 8.0
-# Times the change that nine tenths of a thermometer's changes stay below: a body does not go five times as fast for
-# one reading.
-LEAP_RATIO = 5.0
-LEAP_SHARE = 0.05  # of all readings; more leaps are a thermometer's noise, or its way
-# Times every other change of a stretch, above which its first or last reading stands apart.
-END_RATIO = 3.0
-# Steps of a rounded column, above which a change is a leap: noise toggles by one or two.
-HELD_STEPS = 3.0
-HELD_LEAPS = 6  # leaps there and back, below which that may be chance; good records have none
-HELD_SHARE = 0.05  # the same as a share of a stretch's changes
-# Readings in a row at a thermometer's extreme, below which that may be chance.
-SATURATED_READINGS = 5
-# Share of two runs' readings that have the same times, from which the runs can be compared.
-SAME_TIMES_SHARE = 0.5
-# Share of a thermometer's range to which it repeats from run to run where a profile does.
-REPEATS_RANGE = 0.02
-# Correlation of two thermometers in a run, from which they are on one body: that of a lag of an eighth of a wave (cos
-# 45°).
-TOGETHER_CORRELATION = 0.7
-# Times the range of the other, beyond which one is in the laboratory and one in the chamber.
-AS_WIDE_RATIO = 3.0
-# Times what its sibling repeats to, beyond which a thermometer was different in a run.
-UNLIKE_RATIO = 5.0
-# °C: what a thermometer good to 0.5 °C (uniform) differs by from one time to another.
-UNLIKE_DEGREES = 0.3
 # Share of all readings that distinct values are at most where values occur again by rounding.
 ROUNDED_SHARE = 0.5
 # Share of a record's outputs that are those of another, number for number: far beyond chance, and half of it is a copy.
@@ -87,10 +60,6 @@ OFF_GRID_STEPS = 0.01
 # most changes are lost.
 SAME_TICK_SHARE = 0.5
 COUNTED_RUNS = 8  # runs of one reading each, below which that may be the plan of a test
-# Different values of a thermometer, of fewer of which each change is as large as its range.
-FEWEST_LEVELS = 3
-# Share of a thermometer's changes that are usual ones: a rounded corner of a profile is among the rest.
-USUAL_CHANGES_SHARE = 0.9
 # Of readings at even distances in the file that lie apart: robust standard deviations beyond which one does, fewest of
 # them, the distances, and the share of the places at such a distance that they hold. Of so many rows, at most.
 PERIODIC_SD, PERIODIC_READINGS, PERIODIC_ROWS, PERIODIC_SHARE, PERIODIC_LOOKED = (
@@ -124,424 +93,33 @@ CLOCK_SET = 3.2e8
 # Usual steps that such a pause is at the least: yearly readings have not paused.
 CLOCK_SET_STEPS = 1e4
 
-RECORD = ("device", "axis", "run")  # columns of labels that tell one record in time from another
-
-Columns = Mapping[str, np.ndarray]
-
-
-def distinct(columns: Sequence[np.ndarray]) -> tuple[list[tuple[Any, ...]], np.ndarray]:
-    """The different rows of some columns, in the order in which they first appear, and which of them each row is.
-
-    By a dictionary of the first rows of stretches, since labels stay the same for long, and pandas takes half a second
-    to load.
-    """
-    begins = np.ones(len(columns[0]), bool)
-    begins[1:] = np.any([values[1:] != values[:-1] for values in columns], axis=0)
-    first, codes = np.flatnonzero(begins), dict[tuple[Any, ...], int]()
-    rows = zip(*(values[first].tolist() for values in columns), strict=True)
-    found = np.fromiter((codes.setdefault(row, len(codes)) for row in rows), np.int64, len(first))
-    return list(codes), np.repeat(found, np.diff(first, append=len(begins)))
-
-
-def label_codes(columns: Columns, names: Collection[str]) -> np.ndarray:
-    """A number for each combination of labels, in the order in which they first appear; NaN is one of them."""
-    every = [columns[n] for n in names]
-    every = [np.where(v == v, v.astype(object), "") if v.dtype.kind == "f" else v for v in every]
-    return distinct(every)[1] if every else np.zeros(len(next(iter(columns.values()))), np.int64)
-
-
-def record_codes(columns: Columns) -> np.ndarray:
-    """A number for each run of each device and axis."""
-    return label_codes(columns, [n for n in RECORD if n in columns])
-
-
-def members(codes: np.ndarray) -> list[np.ndarray]:
-    """Rows of each code, in the order of the file."""
-    order = np.argsort(codes, kind="stable")
-    return np.split(order, 1 + np.flatnonzero(np.diff(codes[order]))) if codes.size else []
-
-
-def stretches(time: np.ndarray, codes: np.ndarray, fewest: int) -> list[np.ndarray]:
-    """Rows of each stretch of a record without a pause, in the order of time.
-
-    Args:
-        time: of the readings, s (n,).
-        codes: of their records (n,).
-        fewest: readings that a stretch has.
-    """
-    found = []
-    for own in members(codes):
-        rows = own[np.argsort(time[own], kind="stable")]
-        steps = np.diff(time[rows])
-        usual = np.median(steps) if steps.size else 0.0
-        found += np.split(rows, 1 + np.flatnonzero(steps > PAUSE_STEPS * usual))
-    return [rows for rows in found if len(rows) >= fewest]
-
 
 def rounding_step(values: np.ndarray) -> float:
-    """The step that an output is rounded to, in its unit; 0 where most values occur once, or lie on no grid."""
-    levels = np.unique(values)
-    if not 3 <= len(levels) <= ROUNDED_SHARE * len(values):
-        return 0.0
-    gaps, off = np.diff(levels), OFF_GRID_STEPS
-    step = float(gaps[gaps > off * np.median(gaps)].min())
-    places = (levels - levels[0]) / step
-    return step if np.all(np.abs(places - np.round(places)) < off) else 0.0
+    """Return the step that a column is rounded to where rounding makes values occur again, in its unit; else 0."""
+    return resolution(values) if len(np.unique(values)) <= ROUNDED_SHARE * len(values) else 0.0
 
 
-BESIDE = 3  # changes on either side of one, of which the median is the rate there: one of them may be odd
-MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 of thermometers
+def resolution(values: np.ndarray, fewest: int = 3) -> float:
+    """Return the step of the grid on which all values of a column lie, in its unit; 0 where there is none.
 
-
-class Oddity(NamedTuple):
-    """What is odd in a thermometer's column.
-
-    Attributes:
-        column: the thermometer's.
-        said: what is odd, in words.
-        rows: in which it is.
-        wrong: of these, where the temperature was surely another than the column says; none where that is not known.
-        jumped: whether the column goes on from another level at these rows, which the output may confirm.
-    """
-
-    column: str
-    said: str
-    rows: np.ndarray
-    wrong: np.ndarray
-    jumped: bool = False
-
-
-def oddities(
-    columns: Columns, thermometers: Collection[str], output: str = "output"
-) -> list[Oddity]:
-    """What is odd in the columns of thermometers.
-
-    Args:
-        columns: readings by name; without `time` nothing can be said.
-        thermometers: columns of measured temperatures, °C.
-        output: name of the output column, if it is there.
-    """
-    if "time" not in columns:
-        return []
-    found, names = list[Oddity](), sorted(n for n in thermometers if np.ptp(columns[n]) > 0)
-    with np.errstate(all="ignore"):  # of numbers that no temperature is
-        own = pieces(columns)
-        for name in names:
-            if len(rows := held_rows(columns[name], own)):
-                said = "repeats a value until the next leap: it was held, or asked seldom"
-                found.append(Oddity(name, said, rows, repeats(columns[name], own, rows)))
-            if len(rows := leaps(columns[name], own)):
-                said = f"leaps faster than a body can follow at {len(rows)} reading(s)"
-                found.append(Oddity(name, said, rows, rows))
-            found += _at_an_end(name, columns[name], own)
-            found += _jumps(name, columns, {*thermometers, output}, own)
-        return [*found, *_unlike(columns, names)]
-
-
-def leaps(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
-    """Rows at which a column leaps there and back, or begins or ends a run elsewhere: faster than a body can follow.
+    Found by Euclid's algorithm: what a step leaves of the gaps between values is the next one.
 
     Args:
         values: of the column (n,).
-        own: rows of each stretch without a pause, by `pieces`.
+        fewest: different values, of fewer of which nothing is said.
     """
-    jumps = [np.diff(values[piece]) for piece in own]
-    if sum(map(len, jumps)) < FEW_CHANGES or len(np.unique(values)) < FEWEST_LEVELS:
-        return np.zeros(0, int)
-    back = [_there_and_back(jump) for jump in jumps]
-    size = np.abs(np.concatenate(jumps))
-    usual = max(
-        LEAP_RANGE * float(np.ptp(values)),
-        LEAP_NOISE_SD * 1.4826 * float(np.median(np.concatenate(back))),
-        LEAP_RATIO * float(np.quantile(size, USUAL_CHANGES_SHARE)),
-        HELD_STEPS * rounding_step(values),
-    )
-    rows = []
-    for piece, jump, both in zip(own, jumps, back, strict=True):
-        spike = np.pad(_highest(both, usual), 1)
-        rows.append(piece[spike])
-        inner = np.abs(jump[1:-1])[~(spike[1:-2] | spike[2:-1])]
-        apart = np.abs(jump[[0, -1]]) > max(usual, END_RATIO * float(inner.max(initial=0.0)))
-        rows.append(piece[[0, -1]][apart & ~spike[[1, -2]]])
-    found = np.unique(np.concatenate(rows))
-    return found if len(found) <= LEAP_SHARE * len(values) else found[:0]
-
-
-def _there_and_back(jump: np.ndarray) -> np.ndarray:
-    """The smaller of a reading's two changes, where they are of opposite sign."""
-    there, back = jump[:-1], jump[1:]
-    return np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
-
-
-def _highest(both: np.ndarray, usual: float) -> np.ndarray:
-    """Where leaps stand above what is usual, the higher of neighbours: beside a spike its neighbours leap too."""
-    padded = np.pad(both, 1)
-    return (both > usual) & (both >= padded[:-2]) & (both >= padded[2:])
-
-
-def pieces(columns: Columns) -> list[np.ndarray]:
-    """Rows of each stretch of a run without a pause, in time; three readings at least."""
-    return stretches(columns["time"], record_codes(columns), 3)
-
-
-def _runs(columns: Columns) -> dict[str, np.ndarray]:
-    """Rows of each run of each device and axis, by its labels, in the order of the file."""
-    names = [n for n in RECORD if n in columns]
-    return {
-        " ".join(str(columns[n][rows[0]]) for n in names): rows
-        for rows in members(record_codes(columns))
-    }
-
-
-def held_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
-    """Rows of stretches in which values are repeated until the next leap, again and again: they were asked seldom.
-
-    Rounded values repeat too, and then change by a step of their rounding, the smallest gap between any two of them.
-
-    Args:
-        values: of a column that is not constant (n,).
-        own: rows of each stretch without a pause, by `pieces`.
-    """
-    held, pairs = [np.zeros(0, int)], 0
-    leap = HELD_STEPS * float(np.diff(np.unique(values)).min())
-    for piece in own:
-        cells = values[piece]
-        ends = np.append(np.flatnonzero(cells[1:] != cells[:-1]), len(cells) - 1)
-        repeated = np.diff(ends, prepend=-1) > 1
-        pair = repeated[:-1] & repeated[1:] & (np.abs(np.diff(cells[ends])) > leap)
-        if pair.any() and pair.mean() > HELD_SHARE:
-            held.append(piece)
-            pairs += int(np.count_nonzero(pair))
-    return np.concatenate(held) if pairs >= HELD_LEAPS else held[0]
-
-
-def repeats(values: np.ndarray, own: Sequence[np.ndarray], rows: np.ndarray) -> np.ndarray:
-    """Those of some rows that repeat the value before them in their stretch."""
-    again = [piece[1:][values[piece[1:]] == values[piece[:-1]]] for piece in own]
-    return np.intersect1d(rows, np.concatenate([np.zeros(0, int), *again]))
-
-
-def _jumps(
-    name: str, columns: Columns, follow: Collection[str], own: Sequence[np.ndarray]
-) -> list[Oddity]:
-    """Where a column goes on from another level at once: no body does, but a thermometer that was set there.
-
-    Where the output, or another thermometer, goes on from another level too, it was the body, and readings are far
-    apart; unless an input was set anew there. Values that stand still before and after are set-points, written down as
-    they were set. `follow` are the columns that follow a body, this one among them.
-    """
-    values = columns[name]
-    own = [piece for piece in own if len(piece) > 2 * BESIDE + 1]
-    changes = [np.diff(values[piece]) for piece in own]
-    if sum(map(len, changes)) < FEW_CHANGES or len(np.unique(values)) < FEWEST_LEVELS:
-        return []
-    time, at = columns["time"], np.concatenate([piece[1:] for piece in own])
-    flat = [np.pad(change == 0, 1, constant_values=True) for change in changes]
-    still = np.concatenate([one[:-2] & one[2:] for one in flat])
-    jump = _unexplained(values, time, own)
-    # a rounded corner leaves less
-    usual = float(np.quantile(np.abs(np.concatenate(changes)), USUAL_CHANGES_SHARE))
-    parts = np.split(jump, np.cumsum([len(change) for change in changes])[:-1])
-    noise = np.concatenate([np.full(len(part), _usual(part)) for part in parts])  # of each stretch
-    least = max(UNLIKE_DEGREES, HELD_STEPS * rounding_step(values), _usual(jump), usual)
-    chosen = (jump > np.maximum(least, noise)) & ~still
-    if chosen.any():
-        others = {
-            n: v for n, v in columns.items() if n not in (name, "time") and v.dtype.kind == "f"
-        }
-        sizes = {n: _unexplained(v, time, own) for n, v in others.items()}
-        leapt = {n: size > _usual(size) for n, size in sizes.items()}
-        followed, set_anew = (
-            np.any(
-                [v for n, v in leapt.items() if (n in follow) == asked]
-                or [np.zeros(len(at), bool)],
-                axis=0,
-            )
-            for asked in (True, False)
-        )
-        chosen &= ~followed | set_anew
-    rows = np.setdiff1d(at[chosen], leaps(values, own))
-    if not len(rows) or len(rows) > LEAP_SHARE * len(values):
-        return []
-    said = (
-        f"goes on from another level, {jump[np.isin(at, rows)].max():.2g} °C away, from one reading to the next, and "
-        "nothing else does: re-seated, exchanged, or a counter that wrapped?"
-    )
-    return [Oddity(name, said, np.sort(rows), rows[:0], True)]  # on which side of it, is not known
-
-
-def _unexplained(values: np.ndarray, time: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
-    """Of each change from one reading to the next, what neither the rate before it nor the rate after it explains.
-
-    These rates are medians of three changes, so that a corner of a profile, from one rate to another, is explained; and
-    a third of it in a change next to it, so that a chamber's step that takes few readings is.
-    """
-    found = []
-    for piece in own:
-        change, step = np.diff(values[piece]), np.diff(time[piece])
-        rate = np.where(step > 0, change / np.where(step > 0, step, 1.0), 0.0)
-        wide = np.pad(rate, BESIDE, mode="edge")
-        around = np.median(np.lib.stride_tricks.sliding_window_view(wide, BESIDE), axis=1)
-        next_to = END_RATIO * np.pad(rate, 1, mode="edge")
-        rates = [around[: len(rate)], around[BESIDE + 1 :], next_to[:-2], next_to[2:]]
-        low, high = np.min(rates, axis=0) * step, np.max(rates, axis=0) * step
-        found.append(np.maximum(np.maximum(change - high, low - change), 0.0))
-    return np.concatenate(found)
-
-
-def _usual(sizes: np.ndarray) -> float:
-    """What noise makes of sizes, at the most."""
-    noise = LEAP_NOISE_SD * 1.4826 * float(np.median(sizes))
-    return max(noise, END_RATIO * float(np.quantile(sizes, USUAL_CHANGES_SHARE)))
-
-
-def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
-    """Readings in a row exactly at an extreme, of a column that hardly repeats elsewhere: a converter at its end."""
-    found = []
-    same = np.zeros(len(values), bool)
-    for piece in own:
-        same[piece[1:]] = values[piece[1:]] == values[piece[:-1]]
-    for end, level in (("maximum", values.max()), ("minimum", values.min())):
-        at = values == level
-        there, elsewhere = (_longest(same & chosen, own) for chosen in (at, ~at))
-        if there < max(SATURATED_READINGS, STUCK_RATIO * elsewhere):
-            continue
-        if np.mean(same[~at]) > REPEATED_SHARE:
-            continue
-        rows = np.flatnonzero(at)
-        said = f"stands exactly at its {end} {level:g} in {len(rows)} readings, and hardly still elsewhere: saturated?"
-        found.append(Oddity(name, said, rows, rows))
-    return found
-
-
-def _longest(same: np.ndarray, own: Sequence[np.ndarray]) -> int:
-    """The most readings in a row that repeat the one before."""
-    lengths = [np.diff(np.flatnonzero(np.r_[True, ~same[piece], True])) - 1 for piece in own]
-    return int(max((one.max() for one in lengths), default=0))
-
-
-def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
-    """Runs in which one thermometer does not repeat what it did in another run, although its sibling does.
-
-    Or each does what the other did: they are exchanged there. Siblings are thermometers that go together: on one body,
-    or in one chamber, with whatever lag.
-    """
-    runs, found = _runs(columns), []
-    if not 2 <= len(names) <= MOST_SIBLINGS or len(runs) > MOST_RUNS:
-        return []
-    pairs = [
-        (a, b, _same_moments(columns["time"], runs[a], runs[b])) for a, b in combinations(runs, 2)
-    ]
-    for one, other in permutations(names, 2):
-        odd, exchanged = {}, False
-        for a, b, (here, there) in pairs:
-            if len(here) < max(FEW_CHANGES, SAME_TIMES_SHARE * min(len(runs[a]), len(runs[b]))):
-                continue
-            apart, its = (_rms(columns[n][here] - columns[n][there]) for n in (one, other))
-            pair = (one, other), (other, one)
-            crossed = max(_rms(columns[m][here] - columns[n][there]) for m, n in pair)
-            repeats_to = min(its, crossed)
-            if repeats_to < REPEATS_RANGE * float(np.ptp(columns[other])):
-                far = apart > max(UNLIKE_RATIO * repeats_to, UNLIKE_DEGREES)
-                odd[a, b] = apart if far else 0.0
-                exchanged |= far and crossed < its
-        if not any(odd.values()) or not _siblings(columns, one, other, runs.values()):
-            continue
-        alone = [
-            r for r in runs if (own := [v for pair, v in odd.items() if r in pair]) and all(own)
-        ]
-        if alone := _told_apart(columns, one, other, runs, alone):
-            named = " or ".join(alone)
-            how = "does: one of the two was different there"
-            if exchanged:
-                how = "does it there: they are exchanged"
-            said = (
-                f"does not repeat in run {named} what it did in the others, {max(odd.values()):.2g} °C rms apart, "
-                f"where {other!r} {how}"
-            )
-            rows = np.concatenate([runs[run] for run in alone])
-            known = len(alone) == 1 and _of_that_run_alone(columns, one, alone[0], pairs, odd, runs)
-            found.append(Oddity(one, said, rows, rows if known else rows[:0]))
-    return found
-
-
-def _of_that_run_alone(
-    columns: Columns,
-    name: str,
-    run: str,
-    pairs: Iterable[tuple[str, str, tuple[np.ndarray, np.ndarray]]],
-    odd: Collection[tuple[str, str]],
-    runs: Mapping[str, np.ndarray],
-) -> bool:
-    """Whether a column that does not repeat in a run may be trusted in the others.
-
-    If it does after a while what it does in a later run, it was changed in the midst of this one, and before it it may
-    never have been right; likewise after it, if it did so at first. Runs that were compared are known to be alike.
-    """
-    compared = [(a, b, rows) for a, b, rows in pairs if (a, b) in odd and run in (a, b)]
-    known = {r for a, b, _ in compared for r in (a, b)}
-    begins = {r: float(columns["time"][rows].min()) for r, rows in runs.items()}
-    before = any(begins[r] < begins[run] for r in runs if r not in known)
-    after = any(begins[r] > begins[run] for r in runs if r not in known)
-    for _, _, (here, there) in compared:
-        apart, part = columns[name][here] - columns[name][there], max(1, len(here) // 4)
-        quiet = [_rms(end) * UNLIKE_RATIO < _rms(apart) for end in (apart[:part], apart[-part:])]
-        if quiet[0] != quiet[1] and (after if quiet[0] else before):
-            return False
-    return True
-
-
-def _told_apart(
-    columns: Columns, one: str, other: str, runs: Mapping[str, np.ndarray], suspects: list[str]
-) -> list[str]:
-    """That one of some runs without which a thermometer follows its sibling in all others alike; else all of them.
-
-    Of two runs of one profile that differ, a third run of another profile tells which is right: of the sibling and its
-    rate the thermometer is the same function in all that are.
-    """
-    if len(suspects) < 2 or len(runs) < 3:
-        return suspects
-    bases, values = {}, columns[one]
-    for run, rows in runs.items():
-        beside, since = columns[other][rows], columns["time"][rows]
-        if len(rows) < 3 or np.any(np.diff(since) <= 0):
-            return suspects
-        bases[run] = np.column_stack([np.ones(len(rows)), beside, np.gradient(beside, since)])
-    left = {}
-    for run in suspects:
-        rest = [r for r in runs if r != run]
-        basis = np.concatenate([bases[r] for r in rest])
-        scale = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
-        found = np.concatenate([values[runs[r]] for r in rest])
-        left[run] = _rms(found - basis / scale @ np.linalg.lstsq(basis / scale, found)[0])
-    best, second, *_ = sorted(left, key=left.__getitem__)
-    return [best] if left[second] > UNLIKE_RATIO * left[best] else suspects
-
-
-def _siblings(columns: Columns, one: str, other: str, runs: Iterable[np.ndarray]) -> bool:
-    """Whether two thermometers go together, over ranges alike, in half of the runs at least."""
-    moving = [
-        r for r in runs if len(r) > 2 and np.ptp(columns[one][r]) and np.ptp(columns[other][r])
-    ]
-    found = [float(np.corrcoef(columns[one][r], columns[other][r])[0, 1]) for r in moving]
-    wide = [float(np.ptp(columns[one][r]) / np.ptp(columns[other][r])) for r in moving]
-    most = AS_WIDE_RATIO
-    together = bool(found) and float(np.median(found)) > TOGETHER_CORRELATION
-    return together and 1 / most < float(np.median(wide)) < most
-
-
-def _same_moments(time: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of two runs at the same time since their first readings, within half a usual step."""
-    a, b = (rows[np.argsort(time[rows], kind="stable")] for rows in (a, b))
-    of_a, of_b = time[a] - time[a[0]], time[b] - time[b[0]]
-    nearest = np.searchsorted(0.5 * (of_b[1:] + of_b[:-1]), of_a)
-    step = float(np.median(np.diff(of_a))) if len(a) > 1 else 0.0
-    near = np.abs(of_b[nearest] - of_a) <= 0.5 * step
-    return a[near], b[nearest[near]]
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    levels = np.unique(values)
+    if len(levels) < max(fewest, 2):
+        return 0.0
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > OFF_GRID_STEPS * np.median(gaps)]
+    step, digits = float(gaps.min()), 1e3 * np.spacing(np.max(np.abs(levels)))
+    while step > digits:
+        off = np.abs((levels - levels[0]) / step - np.round((levels - levels[0]) / step))
+        if np.all(off < OFF_GRID_STEPS):
+            return step
+        step = float(step * off[off >= OFF_GRID_STEPS].min())
+    return 0.0
 
 
 Where = Callable[[int], str]  # index of a reading → "row 12 of 'tilt.csv'"
@@ -567,7 +145,30 @@ def problems_of_whole(
             refuse_one_temperature(converted.values, file_names([f for f in files if f != ARRAYS]))
     with problems.collecting(files[0]):
         refuse_backward_time(converted.values, row_namer(converted.tables))
+    problems += _wrapped(converted, getattr(instrument, "output", "output"))
     return problems
+
+
+def _wrapped(converted: ConvertedColumns, output: str) -> Iterator[Objection]:
+    """Find thermometers whose counter began anew, or whose sign was lost, each with the option that undoes it."""
+    columns, units, where = converted.values, converted.units, row_namer(converted.tables)
+    warm = [n for n in columns if units[n] == "degC" and n != MAY_BE_EMPTY]
+    others = [v for n, v in columns.items() if units[n] and n not in (*warm, "time", output)]
+    for name in warm if "time" in columns else ():
+        values, codes = columns[name], record_codes(columns)
+        allowed = allowed_changes(columns, values)
+        row = 1 + int(np.argmax(np.abs(np.diff(values, append=values[-1]))))
+        place, _, file = where(min(row, len(values) - 1)).partition(" of ")
+        if period := wrap_period(values, codes, allowed):
+            came = f"leaps by {period:g} °C, as a counter that began anew"
+            undo = unwrap_option(name, period)
+        elif output in columns and lost_its_sign(values, codes, allowed, columns[output], others):
+            came = "turns round at 0 °C where the output goes on: its sign was lost"
+            undo = option("--unwrap", f"{name}={SIGN}")
+        else:
+            continue
+        cure = "Undo it, if that is so"
+        yield Objection(file.strip("'"), came, cure=cure, option=undo, column=name, places=(place,))
 
 
 def row_namer(tables: Sequence[Table]) -> Where:
@@ -749,7 +350,7 @@ def copied_records(columns: Columns, output: str) -> list[tuple[str, str, float]
 
     Noise does not repeat. Of an output so rounded that most numbers occur again, nothing can be said.
     """
-    runs, values = _runs(columns), columns.get(output)
+    runs, values = runs_of(columns), columns.get(output)
     if values is None or len(runs) < 2 or rounding_step(values):
         return []
     names, of = list(runs), record_codes(columns)
@@ -919,7 +520,7 @@ def _of_time(columns: Columns) -> list[str]:
 def _of_pauses(columns: Columns) -> list[str]:
     """A pause in one record that no other of as many readings, hence of one plan, makes there: the clock was set."""
     time, found = columns["time"], list[str]()
-    records = {n: r[np.argsort(time[r], kind="stable")] for n, r in _runs(columns).items()}
+    records = {n: r[np.argsort(time[r], kind="stable")] for n, r in runs_of(columns).items()}
     pauses = {}
     for name, rows in records.items():
         steps = np.diff(time[rows])

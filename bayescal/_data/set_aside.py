@@ -13,11 +13,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from bayescal._core.settings import settings
 from bayescal._data import dataset_checks as checks
-from bayescal._data.dataset_checks import FEW_CHANGES
+from bayescal._data import thermometer_checks as thermometers
 from bayescal._data.measurements import Measurements
+from bayescal._data.records import RECORD, Columns, pieces, record_codes, stretches
+from bayescal._data.thermometer_checks import FEW_CHANGES, Oddity
 
 # Robust standard deviations of a reading's distance from the line through its neighbours; of a million normal readings
 # none.
@@ -26,6 +29,7 @@ SPIKE_SD = 8.0
 SPIKE_FEWEST = 50
 # Share of all readings; where more stand out, the noise may be heavy-tailed, and its tail is asked.
 SPIKE_SHARE = 0.005
+SPIKE_NEIGHBOURS = 3  # readings on either side, whose distances a spike's own exceeds
 SPIKE_MOST_SHARE = 0.05  # share of all readings; more are no spikes, whatever the tail
 TAIL_SD = 4.0  # robust standard deviations, from which a distance is in the tail
 # Exponent of a tail before it is seen, and how many distances that counts as: Student's t with two degrees of freedom,
@@ -34,8 +38,8 @@ USUAL_TAIL = (2.0, 5.0)
 TAIL_P = 0.01  # probability that a tail without spikes has a gap like that before one
 # Share of the hold-out data that occur among the readings; more is no chance where each is one of its kind.
 NOT_NEW_SHARE = 0.1
-# Share of the readings that differ in their numbers from all others, from which that can be said.
-ONE_OF_ITS_KIND_SHARE = 0.5
+# Standard deviations of a number of chance agreements, beyond which there are others.
+BY_CHANCE_SD = 5.0
 
 
 class Fault(NamedTuple):
@@ -64,7 +68,6 @@ def set_aside(
         readings = _without(readings, find(readings))
     if keep_spikes or not readings.has("time"):  # both are known by their neighbours in time
         return readings
-    readings = _without(readings, _leaping(readings))
     begun = len(readings)
     while len((fault := _wrong(readings, needed, begun)).rows):
         readings = _without(readings, fault)
@@ -115,8 +118,8 @@ def _stuck(readings: Measurements) -> Fault:
         rows = np.arange(first + 1, last + 1)
         said = f"stands still at {output[first]:.6g} (rows {first + 2} to {last + 1})"
     elif readings.has("time"):
-        own = checks.pieces(readings.values)
-        rows = checks.repeats(output, own, checks.held_rows(output, own))
+        own = pieces(readings.values)
+        rows = thermometers.repeats(output, own, thermometers.held_rows(output, own))
         first = rows[0] + 1 if len(rows) else 0
         said = (
             f"repeats a value until the next leap, first in row {first}: a logger asked it seldom"
@@ -126,43 +129,31 @@ def _stuck(readings: Measurements) -> Fault:
     return Fault(rows, f"{len(rows)} reading(s) set aside: the output {said}")
 
 
-def _leaping(readings: Measurements) -> Fault:
-    """Those at which a thermometer leaps there and back: nothing is known of the temperature there."""
-    own, each, gone = checks.pieces(readings.values), [], [np.zeros(0, int)]
-    for name, values in readings.values.items():
-        if readings.unit(name) == "degC" and np.ptp(values) > 0:
-            rows = checks.leaps(values, own)
-            gone.append(rows)
-            each += [f"{name}: {_listed(rows, values, ' °C')}"] if len(rows) else []
-    rows = np.unique(np.concatenate(gone))
-    return Fault(
-        rows,
-        f"{len(rows)} reading(s) set aside, at which a thermometer leaps faster than a body can "
-        f"follow, {'; '.join(each)}; keep_spikes keeps them",
-    )
-
-
 def _wrong(readings: Measurements, needed: Collection[str], begun: int) -> Fault:
-    """Readings at which a thermometer that is needed was surely wrong, by one kind of fault.
+    """Readings at which a thermometer was surely wrong, by one kind of fault.
 
-    Where too much would go, or a device's readings or all temperatures but one, they stay, and the fault is a reason
-    not to believe the result.
+    Of a thermometer that the model does not need, where they are few. Where too much would go, or a device's readings
+    or all temperatures but one, they stay, and the fault is a reason not to believe the result.
     """
     for odd in readings.oddities:
-        if odd.column in needed and _can_go(readings.values, odd, begun):
-            said = f"{len(odd.wrong)} reading(s) set aside, column {odd.column!r} {odd.said}"
+        few = odd.code == "leap" and len(odd.wrong) <= thermometers.LEAP_SHARE * begun
+        if (few or odd.column in needed) and _can_go(readings.values, odd, begun):
+            rows = _listed(odd.wrong, readings[odd.column], " °C")
+            said = (
+                f"{len(odd.wrong)} reading(s) set aside, column {odd.column!r} {odd.said}: {rows}"
+            )
             return Fault(odd.wrong, f"{said}; keep_spikes keeps them")
     return Fault()
 
 
-def _can_go(columns: checks.Columns, odd: checks.Oddity, begun: int) -> bool:
+def _can_go(columns: Columns, odd: Oddity, begun: int) -> bool:
     """Whether enough is left without what is wrong: half of the readings; of a held column, each value once."""
     count = len(columns[odd.column])
     kept, held = np.setdiff1d(np.arange(count), odd.wrong), len(odd.wrong) < len(odd.rows)
     least = FEW_CHANGES if held and count == begun else 0.5 * begun
     if not len(odd.wrong) or len(kept) < least:
         return False
-    labels = [n for n in checks.RECORD if n != "run" and n in columns]
+    labels = [n for n in RECORD if n != "run" and n in columns]
     whole = all(set(columns[n][kept]) == set(columns[n]) for n in labels)
     return whole and bool(np.ptp(columns[odd.column][kept]) > settings().temperature_span)
 
@@ -185,8 +176,8 @@ def find_spikes(readings: Measurements) -> np.ndarray:
     if not readings.has("time"):
         return none
     found, heights, rest = [none], [np.zeros(0)], [np.zeros(0)]
-    codes = checks.record_codes(readings.values)
-    for piece in checks.stretches(readings["time"], codes, SPIKE_FEWEST):
+    codes = record_codes(readings.values)
+    for piece in stretches(readings["time"], codes, SPIKE_FEWEST):
         at, high, others = _standing_out(readings["output"][piece])
         found.append(piece[at])
         heights.append(high)
@@ -200,45 +191,26 @@ def find_spikes(readings: Measurements) -> np.ndarray:
 def _standing_out(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Readings that stand out, their heights, and heights of all others, in robust standard deviations.
 
-    The worst is taken out and its neighbours are judged anew, until none is left.
+    Those that stand out the most among their neighbours are taken out and the others are judged anew, until none does.
+    A spike at an end and its neighbour stand out alike: then it is the end.
     """
-    count = len(y)
-    before, after = np.arange(count) - 1, np.arange(count) + 1
-
-    def height(i: int) -> float:
-        # an end as its neighbour
-        i = after[i] if before[i] < 0 else before[i] if after[i] >= count else i
-        return float(abs(y[i] - 0.5 * (y[before[i]] + y[after[i]])))
-
-    inner = np.abs(y[1:-1] - 0.5 * (y[:-2] + y[2:]))
-    heights = np.concatenate([inner[:1], inner, inner[-1:]])
-    scale, first, last = 1.4826 * float(np.median(heights)), 0, count - 1
-    found, high = [], []
-    while scale > 0 and len(found) <= SPIKE_MOST_SHARE * count + 1:
-        # A spike at an end and its neighbour stand out alike: then it is the end.
-        worst = int(np.argmax(heights))
-        worst = next((end for end in (first, last) if heights[end] == heights[worst]), worst)
-        if heights[worst] < SPIKE_SD * scale:
-            break
-        found.append(worst)
+    left, found, high, scale = np.arange(len(y)), [np.zeros(0, int)], [np.zeros(0)], 0.0
+    while True:
+        rest = y[left]
+        inner = np.abs(rest[1:-1] - 0.5 * (rest[:-2] + rest[2:]))
+        heights = np.concatenate([inner[:1], inner, inner[-1:] * (1.0 + 1e-12)])
+        scale = scale or 1.4826 * float(np.median(heights))
+        worst = (heights > 0) & (heights >= SPIKE_SD * scale)
+        enough = sum(map(len, found)) > SPIKE_MOST_SHARE * len(y) + 1
+        if scale == 0 or enough or not worst.any() or len(left) < SPIKE_NEIGHBOURS:
+            size = scale or 1.0
+            return np.concatenate(found), np.concatenate(high) / size, heights / size
+        around = sliding_window_view(np.pad(heights, SPIKE_NEIGHBOURS), 2 * SPIKE_NEIGHBOURS + 1)
+        before, after = around[:, :SPIKE_NEIGHBOURS], around[:, SPIKE_NEIGHBOURS + 1 :]
+        worst &= (heights > before.max(axis=1)) & (heights >= after.max(axis=1))
+        found.append(left[worst])
         high.append(heights[worst])
-        heights[worst] = -1.0
-        left, right = before[worst], after[worst]
-        first, last = (right if left < 0 else first), (left if right >= count else last)
-        if left >= 0:
-            after[left] = right
-        if right < count:
-            before[right] = left
-        near = [
-            left,
-            right,
-            before[left] if left >= 0 else -1,
-            after[right] if right < count else -1,
-        ]
-        for i in (i for i in near if 0 <= i < count):
-            heights[i] = height(int(i))
-    size = scale or 1.0
-    return np.array(found, dtype=int), np.array(high) / size, heights[heights >= 0] / size
+        left = left[~worst]
 
 
 def _beyond_the_tail(high: np.ndarray, rest: np.ndarray, count: int) -> np.ndarray:
@@ -264,8 +236,9 @@ def _beyond_the_tail(high: np.ndarray, rest: np.ndarray, count: int) -> np.ndarr
 def not_new(readings: Measurements, holdout: Measurements) -> int:
     """How many of the hold-out data are readings that are fitted, whatever their time and labels say.
 
-    A reading is known by its numbers but for the time: output, temperatures, inputs. Where these repeat among the
-    readings themselves, as rounded ones do, equal numbers say nothing, and 0 is returned.
+    A reading is known by its numbers but for the time: output, temperatures, inputs. Of a rounded output a number
+    occurs again by chance, where the others agree: two readings with noise of σ agree to a step in step/(2√π·σ) of
+    cases. As many as that gives say nothing, and 0 is returned.
 
     Args:
         readings: to fit.
@@ -278,14 +251,16 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
         for n in readings.columns
         if n != "time" and readings.unit(n) is not None and holdout.has(n)
     ]
-    mine, theirs = (
-        pd.DataFrame({n: r[n] for n in shared}).round(12).drop_duplicates()
-        for r in (readings, holdout)
-    )
-    if len(mine) < ONE_OF_ITS_KIND_SHARE * len(readings):
-        return 0
-    both = len(theirs.merge(mine, how="inner", on=shared))
-    return both if both > NOT_NEW_SHARE * len(theirs) else 0
+    mine, theirs = (pd.DataFrame({n: r[n] for n in shared}).round(12) for r in (readings, holdout))
+    both = len(theirs.merge(mine.drop_duplicates(), how="inner", on=shared))
+    output = readings["output"]
+    noise = max(thermometers.scatter(output), float(np.spacing(np.max(np.abs(output)))))
+    alike = min(1.0, checks.resolution(output) / (2.0 * np.sqrt(np.pi) * noise))
+    others = [n for n in shared if n != "output"] or ["output"]
+    chances = theirs.merge(mine.groupby(others).size().to_frame("count"), how="left", on=others)
+    by_chance = float(np.sum(1.0 - (1.0 - alike) ** chances["count"].fillna(0.0)))
+    least = max(NOT_NEW_SHARE * len(theirs), by_chance + BY_CHANCE_SD * np.sqrt(by_chance))
+    return both if both > least else 0
 
 
 def said_of(readings: Measurements, holdout: Measurements) -> str:

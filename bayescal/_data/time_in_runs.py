@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._data.dataset_checks import PAUSE_STEPS
 from bayescal._data.measurements import Measurements
+from bayescal._data.records import PAUSE_STEPS
 from bayescal._tables.cells import date_text
 from bayescal._tables.raw_table import option
 
@@ -22,6 +22,9 @@ SILENCE_WINDOWS = 10.0
 # Of the usual step, by which others may differ where steps are to be even: time stamps jitter.
 EVEN_STEPS = 0.05
 RATE_WINDOW = 60.0  # s
+# Of a change, that those on both sides of a step that was set are at the most; and the share of all changes, in
+# squares, that such steps are where a column was set.
+ALONE_RATIO, SET_SHARE = 0.1, 0.9
 
 
 def run_codes(readings: Measurements) -> tuple[tuple[str, ...], np.ndarray]:
@@ -41,6 +44,22 @@ def sequence(time: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarra
     step = np.diff(time[order], prepend=time[order][:1])
     step[np.diff(codes[order], prepend=-1) != 0] = -1.0
     return order, step
+
+
+def set_in_steps(values: np.ndarray, order: np.ndarray, step: np.ndarray) -> bool:
+    """Whether a column was set from time to time and stood between, as a load does, rather than measured on its way.
+
+    Nearly all that it changes by, in squares, are changes beyond which and before which it hardly does.
+
+    Args:
+        values: of the column (n,).
+        order, step: of `sequence`.
+    """
+    change = np.where(step[1:] < 0, 0.0, np.abs(np.diff(values[order])))
+    padded = np.pad(change, 1)
+    alone = np.maximum(padded[:-2], padded[2:]) < ALONE_RATIO * change
+    whole = float(np.sum(change**2))
+    return whole > 0 and float(np.sum(change[alone] ** 2)) > SET_SHARE * whole
 
 
 def run_starts(readings: Measurements, record: Measurements | None = None) -> np.ndarray:

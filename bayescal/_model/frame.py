@@ -27,6 +27,7 @@ from bayescal._data.time_in_runs import (
     run_codes,
     run_starts,
     sequence,
+    set_in_steps,
     silence,
 )
 
@@ -34,6 +35,7 @@ configure_jax()
 
 # that all readings have; an instrument's label columns are groups too
 GROUPS = ("run", "cell", "axis", "device")
+UNHELD = ("output", UNCERTAINTY, "time", "temperature_point")
 BY_READING = ("columns", "labels", "rates", "codes", "record")  # of a frame: dictionaries of (n,)
 Reference = dict[str, float | dict[str, float]]
 
@@ -134,7 +136,8 @@ class Frame(eqx.Module):
     def lag(self, tau: Float[Array, ""], name: str = "temperature") -> Float[Array, "n"]:
         """T̃ − T, where τ·dT̃/dt = T − T̃ and T̃ starts each run at the run's first reading, °C.
 
-        T is taken as linear between readings, for which the recursion below is exact. Over a silence (as of a rate,
+        T is taken as linear between readings, or, where it is set in steps, as held from each reading to the next (the
+        constant "…_held" of its reference is 1); the recursion below is exact for both. Over a silence (as of a rate,
         such as the soak before a tumble) it is taken to have gone at once, and to have stood since: a ramp as long as
         the silence would leave the body behind T by its rate times τ, which a soak does not. T̃ follows the record: a
         correction of the column (an error of the thermometer) moves T at its own reading, not the body's past.
@@ -148,8 +151,9 @@ class Frame(eqx.Module):
         h = jnp.where(first | still, 1.0, self.step / tau)
         decay = jnp.where(first, 0.0, jnp.where(still, 1.0, jnp.exp(-h)))
         change = jnp.diff(values, prepend=values[:1])
-        linear = jnp.where(still, -1.0, jnp.expm1(-h) / h)
-        share = jnp.where(self.step > self.silence, -decay, linear)
+        held = jnp.asarray(self.reference.get(held_name(name), 0.0)) > 0
+        linear = jnp.where(self.step > self.silence, -decay, jnp.expm1(-h) / h)
+        share = jnp.where(still | held, -1.0, linear)
         drive = jnp.where(first, 0.0, change * share)
 
         return self._followed(decay, drive)
@@ -182,7 +186,8 @@ class Frame(eqx.Module):
         Each reading's known uncertainty stays.
         """
         kept = {*names, UNCERTAINTY} | ({"elapsed"} if "time" in names else set())
-        known = {reference_name(name) for name in kept} | {"time_mean", "time_span"}
+        known = {of(name) for name in kept for of in (reference_name, held_name)}
+        known |= {"time_mean", "time_span"}
         known |= {
             f"{n}{rate}_{end}" for n in kept for rate in ("", " rate") for end in ("low", "high")
         }
@@ -247,8 +252,12 @@ def reference_name(column: str) -> str:
     return known.get(column, f"{column}_0")
 
 
+def held_name(column: str) -> str:
+    return f"{column}_held"
+
+
 def reference_of(readings: Measurements) -> Reference:
-    """The constants of the bases for these readings: T0, L0, mean time and span, ranges."""
+    """The constants of the bases for these readings: T0, L0, mean time and span, ranges; what is held."""
     found: Reference = {}
     for name in readings.columns:
         if readings.unit(name) == "degC" and name != "temperature_point":
@@ -259,6 +268,11 @@ def reference_of(readings: Measurements) -> Reference:
         time = readings["time"]
         found["time_mean"] = float(np.mean(time))
         found["time_span"] = float(np.ptp(time)) or 1.0
+        order = sequence(time, run_codes(readings)[1])
+        for name in (n for n in readings.columns if readings.unit(n) and n not in UNHELD):
+            measured = readings.unit(name) == "degC"  # and goes from one reading to the next
+            held = not measured and set_in_steps(readings[name], *order)
+            found[held_name(name)] = float(held)
     return found
 
 

@@ -603,7 +603,12 @@ def _not_decided(chapter: Chapter) -> Iterator[str]:
     leads = [c["effect"] for c in last if c["kind"] == "lead" and c["effect"] not in in_model]
     open_ += [f"whether there is {name} as well" for name in leads]
     confounders = chapter.calibration.confounders
-    open_ += [f"how much of {listed(one.coefficients)} is {one.column}'s" for one in confounders]
+    open_ += [
+        f"how much of {listed(one.coefficients)} is {one.column}'s"
+        for one in confounders
+        if not one.step
+    ]
+    open_ += [f"whether {one.column} was rounded or cut off" for one in confounders if one.step]
     if open_:
         yield f"Not decided: {'; '.join(dict.fromkeys(open_))}."
     if chapter.data["other_path"] is not None:

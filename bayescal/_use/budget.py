@@ -346,7 +346,7 @@ def _by_source(
         parts |= {(f"prior of {name}", "B"): value for name, value in split.priors.items()}
     for one in chosen._calibration.confounders:
         moved = _moved_by(chosen, one, gradient)
-        parts[f"{one.column}, not told from the model's own", "B"] = moved**2
+        parts[f"{one.of_column}, not told from the model's own", "B"] = moved**2
     rest = {REST: total - sum(parts.values())}
     if unlikely:
         rest[STRUCTURES] = variance - total

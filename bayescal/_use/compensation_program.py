@@ -35,7 +35,7 @@ from bayescal._core.version import __version__
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
-from bayescal._model.frame import Frame, build_frame
+from bayescal._model.frame import Frame, build_frame, held_name
 from bayescal._tables.cells import date_text
 from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse, kept_why
 from bayescal._use.expression_graph import Graph, NotExportable, trace
@@ -69,6 +69,7 @@ class Input:
         tau: time constant of a lag, s; of a rate, the time whose slope it is.
         silence: of a lag, the time without a reading beyond which the column counts as having changed at its beginning,
             s; None where it counts as linear always, as exports before 0.3.0 have it.
+        held: of a lag, whether the column stands from each reading to the next.
         low, high: range in the calibration, in `unit`.
         settled: of a time, whether what follows it has died out by `high`: later is no extrapolation.
     """
@@ -83,6 +84,7 @@ class Input:
     tau: float | None = None
     silence: float | None = None
     settled: bool = False
+    held: bool = False
 
     @property
     def end(self) -> float:
@@ -104,20 +106,26 @@ def input_of(
     described = partial(Input, name, low=float(values.min()), high=float(values.max()))
     silence = float(calibration.frame.silence)
     for lag in equation.lags:
-        of_lag = partial(described, column=lag.column, tau=lag.tau, silence=silence)
+        held = bool(calibration.reference.get(held_name(lag.column), 0.0))
+        of_lag = partial(
+            described, column=lag.column, tau=lag.tau, silence=None if held else silence, held=held
+        )
         if lag.name == name:
+            change = f"expm1(-x)/x*(change of {lag.column})"
+            change = f"exp(-x)*L - (change of {lag.column})" if held else f"exp(-x)*L + {change}"
+            beyond = f", or exp(-x)*(L - change) where dt is longer than {silence:g} s" * (not held)
             meaning = (
-                f"lag of {lag.column} behind the thermometer, L, 0 at the start; dt after the last "
-                f"reading, x = dt/{lag.tau!r} s: L = exp(-x)*L + expm1(-x)/x*(change of {lag.column}), "
-                f"or exp(-x)*(L - change) where dt is longer than {silence:g} s"
+                f"lag of {lag.column} behind the thermometer, L, 0 at the start; dt after the last reading, "
+                f"x = dt/{lag.tau!r} s: L = {change}{beyond}"
             )
             return of_lag(unit="delta_degC", meaning=meaning, kind="lag")
         if name == lag.slope:
+            change = f" + (exp(-x) + expm1(-x)/x)*(change of {lag.column})/{lag.tau!r}"
+            beyond = f", or exp(-x)*(M + x*(L - change)/{lag.tau!r}) where dt is longer than {silence:g} s"
             meaning = (
                 f"change of {lag.name} by its time {lag.tau!r} s, which carries the uncertainty of that (0 leaves it "
                 f"out): M, 0 at the start; with L before the reading and x as for {lag.name}, "
-                f"M = exp(-x)*(M + x*L/{lag.tau!r}) + (exp(-x) + expm1(-x)/x)*(change of {lag.column})/{lag.tau!r}, "
-                f"or exp(-x)*(M + x*(L - change)/{lag.tau!r}) where dt is longer than {silence:g} s"
+                f"M = exp(-x)*(M + x*L/{lag.tau!r}){(change + beyond) * (not held)}"
             )
             return of_lag(unit="delta_degC/s", meaning=meaning, kind="lag slope")
     if name not in equation.known:
@@ -229,7 +237,8 @@ def _record(
     if readings is None:
         units = {i.column: "degC" for i in needed if i.kind in PAST} | {"time": "s"}
         readings = Measurements({n: np.array(given[n]) for n in units}, units)
-    return build_frame(readings, {})
+    held = {held_name(i.column): float(i.held) for i in needed}
+    return build_frame(readings, held)
 
 
 def _from_record(record: Frame, wanted: Input) -> np.ndarray:
@@ -332,7 +341,7 @@ def provenance_of(
     reference = {
         k: float(v)
         for k, v in calibration.reference.items()
-        if not isinstance(v, dict) and not k.endswith(("_low", "_high"))
+        if not isinstance(v, dict) and not k.endswith(("_low", "_high", "_held"))
     } | calibration.hold_at
     said = why_not(calibration)
     unreliable = (f"{NOT_RELIABLE}{said}",) if said else ()
@@ -466,6 +475,7 @@ SHAPE = {
                 "tau?": OneOf(None, float),
                 "silence?": OneOf(None, float),
                 "settled?": bool,
+                "held?": bool,
             },
         }
     ],

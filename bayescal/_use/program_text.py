@@ -78,10 +78,12 @@ def _record(program: CompensationProgram, fields: Mapping[str, str]) -> dict[str
         "columns": [(columns[name], units[name]) for name in columns],
         "same": [(columns[i.column], fields[i.name]) for i in program.inputs if i.kind == "column"],
         "lags": [
-            (columns[i.column], fields[i.name], i.tau, i.silence) for i in past if i.kind == "lag"
+            (columns[i.column], fields[i.name], i.tau, i.silence, i.held)
+            for i in past
+            if i.kind == "lag"
         ],
         "slopes": [
-            (columns[i.column], fields[i.name], i.tau, i.silence, lags[i.column, i.tau])
+            (columns[i.column], fields[i.name], i.tau, i.silence, i.held, lags[i.column, i.tau])
             for i in past
             if i.kind == "lag slope"
         ],

@@ -1,0 +1,474 @@
+"""Thermometers are checked against time and against each other: a thermometer is a measurement too.
+
+A body's temperature goes at a pace. What departs from it is an error value, a spike, or another level; a logger that
+asks its thermometer seldom repeats a value between two leaps; a converter at its end stays there while the body goes
+on; and two thermometers on one body do in a run what they do in the others. What departs from that is said by name, row
+and run: nothing in a fit shows it where profiles repeat.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import combinations, permutations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from bayescal._data.records import Columns, pieces, runs_of
+
+# "Good records" are the campaigns that the six instruments simulate, as they are, rounded as displays do, and noisy
+# (tests/readings/test_thermometers.py).
+FEW_CHANGES = 20  # changes of a column, below which nothing is usual in it
+# Share of a thermometer's changes that are usual ones: a rounded corner of a profile is among the rest.
+USUAL_CHANGES_SHARE = 0.9
+# Times every other change of a stretch, above which its first or last reading stands apart.
+END_RATIO = 3.0
+# °C: what a thermometer good to 0.5 °C (uniform) differs by from one time to another.
+UNLIKE_DEGREES = 0.3
+# Steps of a rounded column, above which a change is a leap: noise toggles by one or two.
+HELD_STEPS = 3.0
+BESIDE = 3  # readings on either side of a change, by which its pace is known
+SHOWN_VALUES = 3  # of a column, that a message names
+
+
+class Oddity(NamedTuple):
+    """An anomaly in a thermometer's column.
+
+    Attributes:
+        code: its kind: "held", "saturated", "leap", "level" or "run".
+        column: the thermometer's.
+        said: what is odd, in words.
+        rows: at which it is.
+        wrong: of these, where the temperature was surely another than the column says; none where that is not known.
+    """
+
+    code: str
+    column: str
+    said: str
+    rows: np.ndarray
+    wrong: np.ndarray
+
+
+def oddities(
+    columns: Columns, thermometers: Collection[str], output: str = "output"
+) -> list[Oddity]:
+    """Return what is odd in the columns of thermometers.
+
+    Args:
+        columns: readings by name; without `time` nothing can be said.
+        thermometers: columns of measured temperatures, °C.
+        output: name of the output column, if it is there.
+    """
+    if "time" not in columns:
+        return []
+    found, names = list[Oddity](), sorted(n for n in thermometers if np.ptp(columns[n]) > 0)
+    with np.errstate(all="ignore"):  # of numbers that no temperature is
+        own = pieces(columns)
+        for name in names:
+            odd = _off_pace(name, columns, {*thermometers, output} - {name}, own)
+            gone = np.concatenate([np.zeros(0, int), *(one.wrong for one in odd)])
+            rest = [piece[~np.isin(piece, gone)] for piece in own]
+            if len(rows := held_rows(columns[name], rest)):
+                said = "repeats a value until the next leap: it was held, or asked seldom"
+                wrong = repeats(columns[name], rest, rows)
+                found.append(Oddity("held", name, said, rows, wrong))
+            found += [*_at_an_end(name, columns[name], rest), *odd]
+        return [*found, *_unlike(columns, names)]
+
+
+# Standard deviations of a column's noise, beyond which a change is none.
+LEAP_NOISE_SD = 8.0
+LEAP_SHARE = (
+    0.05  # of all readings; more leaps there and back are a thermometer's noise, or its way
+)
+
+
+def _off_pace(
+    name: str, columns: Columns, witnesses: Collection[str], own: Sequence[np.ndarray]
+) -> list[Oddity]:
+    """Find readings that are no temperature of the body that the others are of: it goes at a pace, and does not leap.
+
+    Leaps cut a stretch into parts, and so does a standstill that ends in one. The longest chain of parts that join at
+    the record's pace is the temperature. Another part is not, if it is one number throughout (a power-on value, a bus
+    error, a stuck value, a spike), or short. A longer one may have been right: another level, and the file does not say
+    which. A leap that the output or another thermometer takes part in was the body's, seen by a slow logger.
+    """
+    values, time = columns[name], columns["time"]
+    every = np.concatenate([np.zeros(0), *(np.abs(np.diff(values[piece])) for piece in own)])
+    if np.count_nonzero(every) < FEW_CHANGES:
+        return []
+    usual = float(np.quantile(every, USUAL_CHANGES_SHARE))
+    least = max(UNLIKE_DEGREES, HELD_STEPS * float(np.diff(np.unique(values)).min()), usual)
+    noise = np.array([scatter(values[piece]) for piece in own])
+    noise[[len(piece) <= 2 * BESIDE for piece in own]] = np.median(noise)
+    allowed = np.maximum(least, LEAP_NOISE_SD * noise)
+    leaps = [_beyond_pace(values[p], time[p]) > most for p, most in zip(own, allowed, strict=True)]
+    count, moves = sum(map(np.count_nonzero, leaps)), np.count_nonzero(every)
+    if not 0 < count <= 2 * LEAP_SHARE * moves:  # there and back
+        return []
+    seen = _taken_part_in(columns, name, witnesses, own)
+    parts = [
+        (is_code, piece[begin:end])
+        for piece, leap, real, most in zip(own, leaps, seen, allowed, strict=True)
+        for is_code, begin, end in _unjoined(values[piece], leap, real[:-1], most)
+    ]
+    codes, others = ([rows for code, rows in parts if code == is_code] for is_code in (True, False))
+    if sum(map(len, others)) <= LEAP_SHARE * len(values):
+        codes, others = [*codes, *others], []
+    found, none = list[Oddity](), np.zeros(0, int)
+    if codes:
+        rows = np.sort(np.concatenate(codes))
+        read = ", ".join(f"{v:g}" for v in dict.fromkeys(values[rows][:SHOWN_VALUES].tolist()))
+        said = f"reads {read} °C where its own pace does not lead, in {len(rows)} reading(s): an error value, or stuck?"
+        found.append(Oddity("leap", name, said, rows, rows))
+    if others:
+        said = (
+            f"goes on from another level in {sum(map(len, others))} readings, and nothing else does: re-seated, "
+            "exchanged, or a counter that wrapped?"
+        )
+        found.append(Oddity("level", name, said, np.sort(np.concatenate(others)), none))
+    return found
+
+
+def _unjoined(
+    values: np.ndarray, leap: np.ndarray, real: np.ndarray, most: float
+) -> list[tuple[bool, int, int]]:
+    """Find the parts of a stretch outside the longest chain of parts that join: whether one number, begin, end.
+
+    Two parts join where the later begins within what the column goes over as many readings, at the end of the earlier
+    or the beginning of the later. A part between them that moves does so as the body does, from a level of its own.
+
+    Args:
+        values: of the stretch, °C (n,).
+        leap: whether a change is one (n − 1,).
+        real: whether something else took part in it (n − 1,); then a part of several readings is the body's.
+        most: what noise and rounding make, °C.
+    """
+    cuts = 1 + np.flatnonzero(leap)
+    changed = np.concatenate([[True], values[1:] != values[:-1]])
+    still = np.maximum.accumulate(np.where(changed, np.arange(len(values)), 0))[cuts - 1]
+    begins = np.unique(np.concatenate([[0], still[cuts - still > BESIDE], cuts]))
+    ends = np.append(begins[1:], len(values))
+    since = np.append(0, cuts)[
+        np.searchsorted(cuts, begins, side="right")
+    ]  # the leaps around each part
+    until = np.append(cuts, len(values))[np.searchsorted(cuts, begins, side="right")]
+    span = np.maximum.reduceat(values, begins) - np.minimum.reduceat(values, begins)
+    moving, lengths = span > most, ends - begins
+    lasting = lengths > BESIDE
+    moved = np.cumsum(np.where(moving, values[ends - 1] - values[begins], 0.0))
+    spent = np.cumsum(np.where(moving, 1, lengths))
+    best = np.where(span > 0, lengths, 0.5 * lengths)  # one number may be no temperature
+    before = np.full(len(begins), -1)
+    for j in range(1, len(begins)):
+        i = np.arange(j)
+        over = 1 + spent[j - 1] - spent[i]  # readings from one to the other
+        last, first = ends[:j] - 1, begins[j]
+        back = np.maximum(last - over, since[:j])
+        on = np.minimum(first + over, until[j] - 1)
+        change = values[first] - values[last] - (moved[j - 1] - moved[i])
+        goes = [
+            (values[last] - values[back]) * over / np.maximum(last - back, 1),
+            (values[on] - values[first]) * over / np.maximum(on - first, 1),
+        ]
+        low, high = np.minimum(0.0, np.min(goes, axis=0)), np.maximum(0.0, np.max(goes, axis=0))
+        joined = (change >= low - most) & (change <= high + most)
+        joined[-1] = not leap[first - 1] or (real[first - 1] and lasting[j - 1] and lasting[j])
+        if joined.any():
+            before[j] = int(np.argmax(np.where(joined, best[:j], -1.0)))
+            best[j] += best[before[j]]
+    chain, at = set[int](), int(np.argmax(best))
+    while at >= 0:
+        chain.add(at)
+        at = int(before[at])
+    edges = np.concatenate([[True], real | ~leap, [True]])  # of each reading's two sides
+    return [
+        (bool(span[k] == 0), int(begins[k]), int(ends[k]))
+        for k in sorted(set(range(len(begins))) - chain)
+        if not (lasting[k] and edges[begins[k]] and edges[ends[k]])
+    ]
+
+
+def _beyond_pace(values: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return what neither the rate before a change nor that after it explains of it (n − 1,).
+
+    These rates are medians of three changes, so that a corner of a profile, from one rate to another, is explained; and
+    a third of it in a change next to it, so that a chamber's step that takes few readings is; at an end, with a rate on
+    one side alone, three times the fastest.
+    """
+    step, (rate, around, fastest) = np.diff(time), _rates(values, time)
+    change = np.diff(values)
+    next_to = END_RATIO * np.pad(rate, 1, mode="reflect")
+    rates = [around[: len(rate)], around[BESIDE + 1 :], next_to[:-2], next_to[2:]]
+    at = np.arange(len(rate))
+    at_end = np.where((at < BESIDE) | (at >= len(rate) - BESIDE), END_RATIO * fastest, 0.0)
+    rates += [at_end, -at_end]
+    low, high = np.min(rates, axis=0) * step, np.max(rates, axis=0) * step
+    return np.maximum(np.maximum(change - high, low - change), 0.0)
+
+
+def _rates(values: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the rate of each change (n − 1,), medians of three from three before the first on, and the fastest."""
+    step = np.diff(time)
+    rate = np.where(step > 0, np.diff(values) / np.where(step > 0, step, 1.0), 0.0)
+    wide = np.pad(rate, BESIDE, mode="symmetric")
+    around = np.median(sliding_window_view(wide, BESIDE), axis=1)
+    return rate, around, float(np.max(np.abs(around[BESIDE : len(rate) + 1]), initial=0.0))
+
+
+def scatter(values: np.ndarray) -> float:
+    """Return the standard deviation of white noise in values, by the median of their second differences."""
+    return 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / math.sqrt(6.0)
+
+
+def _taken_part_in(
+    columns: Columns, name: str, witnesses: Collection[str], own: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """Find changes of each stretch at which a witness has a step or a corner, where no input was set."""
+    others = [n for n, v in columns.items() if n not in (name, "time") and v.dtype.kind == "f"]
+    seen, set_anew = (
+        np.any([np.zeros(sum(map(len, own)), bool), *found], axis=0)
+        for found in (
+            [_bends(columns[n], own) for n in others if (n in witnesses) == asked]
+            for asked in (True, False)
+        )
+    )
+    return np.split(seen & ~set_anew, np.cumsum([len(piece) for piece in own])[:-1])
+
+
+def _bends(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
+    """Find where a column has a step or a corner within a reading, beyond its noise and what is usual in it (n,)."""
+    at = np.arange(2 * BESIDE) - BESIDE + 0.5
+    basis = np.linalg.qr(np.stack([np.ones_like(at), at, np.sign(at), np.abs(at)]).T)[0][:, 2:]
+    found, noise = [np.zeros(len(piece)) for piece in own], [0.0]
+    for piece, sizes in zip(own, found, strict=True):
+        if len(piece) >= 2 * BESIDE:
+            windows = sliding_window_view(values[piece], 2 * BESIDE)
+            sizes[BESIDE - 1 : -BESIDE] = np.linalg.norm(windows @ basis, axis=1)
+            noise.append(scatter(values[piece]))
+    every = np.concatenate(found)
+    usual = max(LEAP_NOISE_SD * max(noise), END_RATIO * float(np.median(every)))
+    bend = np.pad(every > max(usual, 1e-9 * float(np.ptp(values))), 1)
+    return bend[:-2] | bend[1:-1] | bend[2:]
+
+
+HELD_LEAPS = 6  # leaps there and back, below which that may be chance; good records have none
+HELD_SHARE = 0.05  # the same as a share of a stretch's changes
+
+
+def held_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows of stretches in which values are repeated until the next leap, again and again: they were asked seldom.
+
+    Rounded values repeat too, and then change by a step of their rounding, the smallest gap between any two of them.
+
+    Args:
+        values: of a column that is not constant (n,).
+        own: rows of each stretch without a pause, by `pieces`.
+    """
+    held, pairs = [np.zeros(0, int)], 0
+    some = np.unique(values[np.concatenate([held[0], *own])])
+    leap = HELD_STEPS * float(np.diff(some).min(initial=np.inf))
+    for piece in own:
+        cells = values[piece]
+        ends = np.append(np.flatnonzero(cells[1:] != cells[:-1]), len(cells) - 1)
+        repeated = np.diff(ends, prepend=-1) > 1
+        pair = repeated[:-1] & repeated[1:] & (np.abs(np.diff(cells[ends])) > leap)
+        if pair.any() and pair.mean() > HELD_SHARE:
+            held.append(piece)
+            pairs += int(np.count_nonzero(pair))
+    return np.concatenate(held) if pairs >= HELD_LEAPS else held[0]
+
+
+def repeats(values: np.ndarray, own: Sequence[np.ndarray], rows: np.ndarray) -> np.ndarray:
+    """Those of some rows that repeat the value before them in their stretch."""
+    again = [piece[1:][values[piece[1:]] == values[piece[:-1]]] for piece in own]
+    return np.intersect1d(rows, np.concatenate([np.zeros(0, int), *again]))
+
+
+STUCK_RATIO = 4.0  # times the next longest stretch without a change, below which it is like others
+# Share of the other readings that repeat the one before, above which all are rounded, or set.
+REPEATED_SHARE = 0.1
+# Readings in a row at a thermometer's extreme, below which that may be chance.
+SATURATED_READINGS = 5
+
+
+def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
+    """Readings in a row exactly at an extreme, of a column that hardly repeats elsewhere: a converter at its end."""
+    found = []
+    same = np.zeros(len(values), bool)
+    for piece in own:
+        same[piece[1:]] = values[piece[1:]] == values[piece[:-1]]
+    for end, level in (("maximum", values.max()), ("minimum", values.min())):
+        at = values == level
+        there, elsewhere = (_longest(same & chosen, own) for chosen in (at, ~at))
+        if there < max(SATURATED_READINGS, STUCK_RATIO * elsewhere):
+            continue
+        if np.mean(same[~at]) > REPEATED_SHARE:
+            continue
+        rows = np.flatnonzero(at)
+        said = f"stands exactly at its {end} {level:g} in {len(rows)} readings, and hardly still elsewhere: saturated?"
+        found.append(Oddity("saturated", name, said, rows, rows))
+    return found
+
+
+def _longest(same: np.ndarray, own: Sequence[np.ndarray]) -> int:
+    """The most readings in a row that repeat the one before."""
+    lengths = [np.diff(np.flatnonzero(np.r_[True, ~same[piece], True])) - 1 for piece in own]
+    return int(max((one.max() for one in lengths), default=0))
+
+
+MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 of thermometers
+# Share of two runs' readings that have the same times, from which the runs can be compared.
+SAME_TIMES_SHARE = 0.5
+# Share of a thermometer's range to which it repeats from run to run where a profile does.
+REPEATS_RANGE = 0.02
+# Correlation of two thermometers in a run, from which they are on one body: that of a lag of an eighth of a wave (cos
+# 45°).
+TOGETHER_CORRELATION = 0.7
+# Times the range of the other, beyond which one is in the laboratory and one in the chamber.
+AS_WIDE_RATIO = 3.0
+# Times what its sibling repeats to, beyond which a thermometer was different in a run.
+UNLIKE_RATIO = 5.0
+
+
+def _unlike(columns: Columns, names: Collection[str]) -> list[Oddity]:
+    """Runs in which one thermometer does not repeat what it did in another run, although its sibling does.
+
+    Or each does what the other did: they are exchanged there. Siblings are thermometers that go together: on one body,
+    or in one chamber, with whatever lag.
+    """
+    runs, found = runs_of(columns), []
+    if not 2 <= len(names) <= MOST_SIBLINGS or len(runs) > MOST_RUNS:
+        return []
+    pairs = [
+        (a, b, _same_moments(columns["time"], runs[a], runs[b])) for a, b in combinations(runs, 2)
+    ]
+    for one, other in permutations(names, 2):
+        odd, exchanged = {}, False
+        for a, b, (here, there) in pairs:
+            if len(here) < max(FEW_CHANGES, SAME_TIMES_SHARE * min(len(runs[a]), len(runs[b]))):
+                continue
+            apart, its = (_rms(columns[n][here] - columns[n][there]) for n in (one, other))
+            pair = (one, other), (other, one)
+            crossed = max(_rms(columns[m][here] - columns[n][there]) for m, n in pair)
+            repeats_to = min(its, crossed)
+            if repeats_to < REPEATS_RANGE * float(np.ptp(columns[other])):
+                far = apart > max(UNLIKE_RATIO * repeats_to, UNLIKE_DEGREES)
+                odd[a, b] = apart if far else 0.0
+                exchanged |= far and crossed < its
+        if not any(odd.values()) or not _siblings(columns, one, other, runs.values()):
+            continue
+        alone = [
+            r for r in runs if (own := [v for pair, v in odd.items() if r in pair]) and all(own)
+        ]
+        if alone := _told_apart(columns, one, other, runs, alone):
+            named = " or ".join(alone)
+            how = "does: one of the two was different there"
+            if exchanged:
+                how = "does it there: they are exchanged"
+            said = (
+                f"does not repeat in run {named} what it did in the others, {max(odd.values()):.2g} °C rms apart, "
+                f"where {other!r} {how}"
+            )
+            rows = np.concatenate([runs[run] for run in alone])
+            known = len(alone) == 1 and _of_that_run_alone(columns, one, alone[0], pairs, odd, runs)
+            found.append(Oddity("run", one, said, rows, rows if known else rows[:0]))
+    return found
+
+
+def _of_that_run_alone(
+    columns: Columns,
+    name: str,
+    run: str,
+    pairs: Iterable[tuple[str, str, tuple[np.ndarray, np.ndarray]]],
+    odd: Collection[tuple[str, str]],
+    runs: Mapping[str, np.ndarray],
+) -> bool:
+    """Whether a column that does not repeat in a run may be trusted in the others.
+
+    If it does after a while what it does in a later run, it was changed in the midst of this one, and before it it may
+    never have been right; likewise after it, if it did so at first. Runs that were compared are known to be alike.
+    """
+    compared = [(a, b, rows) for a, b, rows in pairs if (a, b) in odd and run in (a, b)]
+    known = {r for a, b, _ in compared for r in (a, b)}
+    begins = {r: float(columns["time"][rows].min()) for r, rows in runs.items()}
+    before = any(begins[r] < begins[run] for r in runs if r not in known)
+    after = any(begins[r] > begins[run] for r in runs if r not in known)
+    for _, _, (here, there) in compared:
+        apart, part = columns[name][here] - columns[name][there], max(1, len(here) // 4)
+        quiet = [_rms(end) * UNLIKE_RATIO < _rms(apart) for end in (apart[:part], apart[-part:])]
+        if quiet[0] != quiet[1] and (after if quiet[0] else before):
+            return False
+    return True
+
+
+def _told_apart(
+    columns: Columns, one: str, other: str, runs: Mapping[str, np.ndarray], suspects: list[str]
+) -> list[str]:
+    """That one of some runs without which a thermometer follows its sibling in all others alike; else all of them.
+
+    Of two runs of one profile that differ, a third run of another profile tells which is right: of the sibling and its
+    rate the thermometer is the same function in all that are.
+    """
+    if len(suspects) < 2 or len(runs) < 3:
+        return suspects
+    bases, values = {}, columns[one]
+    for run, rows in runs.items():
+        beside, since = columns[other][rows], columns["time"][rows]
+        if len(rows) < 3 or np.any(np.diff(since) <= 0):
+            return suspects
+        bases[run] = np.column_stack([np.ones(len(rows)), beside, np.gradient(beside, since)])
+    left = {}
+    for run in suspects:
+        rest = [r for r in runs if r != run]
+        basis = np.concatenate([bases[r] for r in rest])
+        scale = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
+        found = np.concatenate([values[runs[r]] for r in rest])
+        left[run] = _rms(found - basis / scale @ np.linalg.lstsq(basis / scale, found)[0])
+    best, second, *_ = sorted(left, key=left.__getitem__)
+    return [best] if left[second] > UNLIKE_RATIO * left[best] else suspects
+
+
+def _siblings(columns: Columns, one: str, other: str, runs: Iterable[np.ndarray]) -> bool:
+    """Whether two thermometers go together, over ranges alike, in half of the runs at least."""
+    moving = [
+        r for r in runs if len(r) > 2 and np.ptp(columns[one][r]) and np.ptp(columns[other][r])
+    ]
+    found = [float(np.corrcoef(columns[one][r], columns[other][r])[0, 1]) for r in moving]
+    wide = [float(np.ptp(columns[one][r]) / np.ptp(columns[other][r])) for r in moving]
+    most = AS_WIDE_RATIO
+    together = bool(found) and float(np.median(found)) > TOGETHER_CORRELATION
+    return together and 1 / most < float(np.median(wide)) < most
+
+
+def _same_moments(time: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of two runs at the same time since their first readings, within half a usual step."""
+    a, b = (rows[np.argsort(time[rows], kind="stable")] for rows in (a, b))
+    of_a, of_b = time[a] - time[a[0]], time[b] - time[b[0]]
+    nearest = np.searchsorted(0.5 * (of_b[1:] + of_b[:-1]), of_a)
+    step = float(np.median(np.diff(of_a))) if len(a) > 1 else 0.0
+    near = np.abs(of_b[nearest] - of_a) <= 0.5 * step
+    return a[near], b[nearest[near]]
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def allowed_changes(columns: Columns, values: np.ndarray) -> np.ndarray:
+    """Return what a thermometer's column may change by from each reading of a file to the next (n − 1,), °C.
+
+    Args:
+        columns: labels of records, and the time, if they are known.
+        values: of the thermometer, °C (n,).
+    """
+    change = np.abs(np.diff(values))
+    usual = END_RATIO * float(np.quantile(change, USUAL_CHANGES_SHARE)) if change.size else 0.0
+    least = UNLIKE_DEGREES + np.full(len(change), usual)
+    if "time" not in columns:
+        return least
+    time = columns["time"]
+    pace = max((_rates(values[p], time[p])[2] for p in pieces(columns)), default=0.0)
+    return np.maximum(least, UNLIKE_DEGREES + pace * np.abs(np.diff(time)))
