@@ -211,7 +211,7 @@ noise.ended (note)
     The search for the noise law was ended early ({why}): sums that were not fitted may be more probable.
 noise.outside (doubt)
     The Allan deviation lies outside the interval that holds 95 % of such records at {count} of {times} averaging times
-    ({outside:list} s): the noise law does not describe this record.
+    ({taus:list} s): the noise law does not describe this record.
   → Look at its spectrum (a vibration, an event, a setting that changed), or give a part of it.
 """
 

@@ -243,7 +243,7 @@ def noise(readings: Measurements, *, seed: int = 0, time_limit: float | None = N
         claims.insert(0, Claim("noise.held", "N", times=held))
     if outside.sum() > MAX_OUTSIDE:
         at = tuple(number(t) for t in measured.tau[outside])
-        claims.append(Claim("noise.outside", count=len(at), times=len(outside), outside=at))
+        claims.append(Claim("noise.outside", count=len(at), times=len(outside), taus=at))
     return SensorNoise(
         file=readings.file,
         unit=unit,

@@ -11,7 +11,7 @@ from bayescal._calibration.claim import Claim, as_kept, distinct
 from bayescal._calibration.claim_words import WORDS, Words
 
 PAGE = Path(__file__).with_name("claims.txt")
-NAMES = ("by", "column", "columns", "along", "values", "named")  # that may be several
+NAMES = ("by", "column", "columns", "along", "values", "named", "taus")  # that may be several
 TEXTS = ("said", "reasons", "how", "what", "before", "outside", "another", "words", "scheme")
 TEXTS = (*TEXTS, "combination")
 TEXTS = (*TEXTS, "group", "member", "step", "term", "lead")
