@@ -40,7 +40,6 @@ from ._cli.saved import compensator_from as compensator_from
 from ._cli.saved import load_saved as load_saved
 from ._cli.saved import of_units as of_units
 from ._cli.saved import reliable as reliable
-from ._core import deadline as deadline
 from ._core.annex import Annex as Annex
 
 # JSON, and the shape that it must have

@@ -286,10 +286,16 @@ MOMENTS = [(i % len(CALIBRATED), kind) for i in range(10) for kind in ("limit", 
 
 
 def ended_at(moment: float, kind: str, command: list[str], folder: Path) -> Ended:
-    """Run a command that a time limit or Ctrl-C ends after so many seconds."""
+    """Run a command that ends after so many seconds: of its limit, or by Ctrl-C once it tells of a best."""
     if kind == "limit":
         return ended([*command, "--time-limit", str(moment)], lambda *_: False, folder, moment)
-    return ended(command, lambda since, _: since > moment, folder)
+    told = list[float]()
+
+    def pressed(since: float, said: str) -> bool:
+        told.extend([since] * ("best so far" in said and not told))
+        return bool(told) and since > told[0] + 0.5 * moment
+
+    return ended(command, pressed, folder)
 
 
 @needs_installation

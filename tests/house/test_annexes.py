@@ -20,6 +20,7 @@ FROM_OTHERS = {("workbench", "imu"), ("workbench", "metrology")}
 # What annexes still have from behind the two faces, `bayescal` and `bayescal.workshop`: a list that gets shorter.
 BEHIND = {
     "fleet": """
+        _core: deadline
         _core.folder_settings: obey_no_folder
         _core.importance_weights: smoothed
         _core.jax_setup: configure_jax spare_memory_maps
@@ -55,6 +56,7 @@ BEHIND = {
         _calibration.mixture: usual_columns with_columns
         _calibration.sensor_noise: FILTER_QUANTILE
         _cli.output: coefficients_text
+        _core: deadline
         _core.inverse: stepped
         _core.jit: compiled
         _core.parallel: on_one_thread
@@ -79,6 +81,7 @@ BEHIND = {
         _calibration.posterior_tree: build_tree
         _calibration.storage: save
         _calibration.summary: null_directions unknown_rows
+        _core: deadline
         _data.header_matching: MISSING_READINGS
         _inference.method: Method
         _model.effect: with_forms
@@ -91,9 +94,8 @@ BEHIND = {
         _report.whole_folder: AGAIN
         _search.calibrate: Loop QUICK step_of
         _search.candidate: Candidate
-        _search.discover: SEARCH missing
+        _search.discover: SEARCH
         _search.gate: judged
-        _search.library: Library
         _search.noise_laws: laws_over
         _search.own_files: in_a_file refuse_unnamed user_effects
         _search.preview: Previews

@@ -197,7 +197,7 @@ def test_an_effect_below_one_half_is_not_called_more_probable_than_not(
 ) -> None:
     monkeypatch.setattr(search_path, "steps_parts", lambda rows: [])
     added = {"bias.run": 0.99, "bias.warm_up": 0.7, "bias.drift": 0.28, "unknown(elapsed)": None}
-    path: Any = SimpleNamespace(rows=[], added=added)
+    path: Any = SimpleNamespace(rows=[], added=added, complete=True)
     assert search_path.SearchPath._parts(path) == [
         "found: bias.run",
         "more probable than not: bias.warm_up (0.70)",

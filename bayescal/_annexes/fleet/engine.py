@@ -18,8 +18,9 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from bayescal import BayescalError, InputError
+from bayescal._core import deadline
 from bayescal._core.folder_settings import obey_no_folder
-from bayescal.workshop import deadline, note
+from bayescal.workshop import note
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster

@@ -25,12 +25,12 @@ from bayescal import BayescalError, Effect, Measurements, Model
 from bayescal._annexes.fleet.batch_result import EFFECTS, BatchResult
 from bayescal._annexes.fleet.devices import Devices
 from bayescal._annexes.fleet.fit_devices import FitOptions, fit_together
+from bayescal._core import deadline
 from bayescal._model.frame import Reference, reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior
 from bayescal._search.walk import explore
-from bayescal.workshop import deadline
 
 # Probability from which an effect of a device is kept, and printed of the whole: as that of a noise law.
 KEPT_PROBABILITY = 0.01

@@ -63,6 +63,7 @@ from bayescal._annexes.fleet.model_texts import model_texts, shown
 from bayescal._annexes.fleet.odd_devices import Values, odd_effects, odd_values
 from bayescal._annexes.fleet.partial_pooling import learn_population
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
+from bayescal._core import deadline
 from bayescal._core.progress import EVERY
 from bayescal._core.settings import settings
 from bayescal._inference.method import Method
@@ -73,7 +74,6 @@ from bayescal._tables.parquet_netcdf import arrow_cells, arrow_headers
 from bayescal._tables.raw_table import Table, after, as_format, refuse_large
 from bayescal.workshop import (
     ReadOptions,
-    deadline,
     note,
     one_line,
     parsed_json,

@@ -43,6 +43,7 @@ from bayescal._annexes.fleet.batch_result import BatchPart, BatchResult
 from bayescal._annexes.fleet.devices import DEVICE, DeviceBlock, Devices, joined
 from bayescal._annexes.fleet.partial_pooling import pooled
 from bayescal._annexes.fleet.population import Named
+from bayescal._core import deadline
 from bayescal._core.importance_weights import smoothed
 from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._core.jit import compiled
@@ -64,7 +65,7 @@ from bayescal._model.frame import (
     rounded_means,
 )
 from bayescal._model.parameters import Layout, Levels, bind
-from bayescal.workshop import UNCERTAINTY, deadline
+from bayescal.workshop import UNCERTAINTY
 
 GRID = 32  # starts for log σ², among which the best one's neighbours bracket the maximum
 NEWTON_STEPS = 10  # safeguarded Newton steps in the bracket, to the last digits

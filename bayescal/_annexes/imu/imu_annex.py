@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import bayescal as bc
 from bayescal import InputError
+from bayescal._core import deadline
 from bayescal.workshop import (
     CALIBRATION,
     MANIFEST,
@@ -25,7 +26,6 @@ from bayescal.workshop import (
     ModelOptions,
     ReadRequest,
     compensator_from,
-    deadline,
     drawing,
     drawn,
     files_of,

@@ -49,6 +49,7 @@ from bayescal._annexes.metrology.decide import Decisions, decide
 from bayescal._annexes.workbench import kept
 from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_to, script
 from bayescal._calibration.summary import unknown_rows
+from bayescal._core import deadline
 from bayescal._report.section import of_folder
 from bayescal._search.calibrate import Loop, step_of
 from bayescal._search.discover import SEARCH
@@ -58,7 +59,7 @@ from bayescal._search.own_files import refuse_unnamed, user_effects
 from bayescal._search.preview import Previews
 from bayescal._search.search_path import Step
 from bayescal._use import correction_files
-from bayescal.workshop import WIDTH, deadline, number, plain_table, save_search, unit_label
+from bayescal.workshop import WIDTH, number, plain_table, save_search, unit_label
 
 KINDS = {"add": 1, "take_out": 1, "fix": 2, "free": 1, "resize": 2, "noise": 1}
 
