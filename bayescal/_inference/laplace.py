@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from bayescal._core.parallel import on_one_thread
 from bayescal._inference.density import NOWHERE, Density
@@ -335,7 +335,8 @@ def at_mode(
     mode = Mode(x, v, np.zeros((0, 0)), value, value, change, density.flat, False)
     if not len(v):
         return mode
-    covariance, volume, indefinite = gaussian_fit(density, v, quick)
+    spreads = np.array([kind == "group_sd" for kind in density.problem.kinds])
+    covariance, volume, indefinite = gaussian_fit(density, v, quick, spreads)
     return mode._replace(covariance=covariance, log_evidence=value + volume, indefinite=indefinite)
 
 
@@ -346,11 +347,14 @@ def with_fit(problem: Problem, mode: Mode) -> Mode:
 
 
 def gaussian_fit(
-    density: Density, v: np.ndarray, quick: bool = False
+    density: Density,
+    v: np.ndarray,
+    quick: bool = False,
+    spreads: Bool[np.ndarray, "d"] | bool = False,
 ) -> tuple[np.ndarray, float, bool]:
     """Covariance of the Gaussian fit at a mode, its log volume, and whether the curvature had to be mended.
 
-    Where it is that of spreads alone, which lies flat on the way to zero, it does not count as mended.
+    Where it is that of `spreads` alone, which lies flat on the way to zero, it does not count as mended.
     """
     # Laplace: log ∫p ≈ log p(φ̂) + ½·d·log 2π − ½·log|H|, H minus the curvature of log p at φ̂ (L. Tierney and J.
     # Kadane, JASA 81 (1986) 82).
@@ -368,8 +372,7 @@ def gaussian_fit(
     covariance = 0.5 * (covariance + covariance.T)
     volume = 0.5 * len(v) * LOG_2PI - 0.5 * float(np.sum(np.log(mended)))
     # That of a spread alone says no more than that it may be zero.
-    others = np.array([kind != "group_sd" for kind in density.problem.kinds])
-    share = np.sum(vectors[others] ** 2, axis=0)
+    share = np.sum(vectors[~np.broadcast_to(spreads, len(v))] ** 2, axis=0)
     return covariance, volume, bool(np.any((weights < LEAST_CURVATURE) & (share > SPREAD_SHARE)))
 
 

@@ -253,10 +253,10 @@ class Quantised(Noise):
         return {WHITE: self.scale}
 
     def why_not(self, output):
-        least = float(np.min(np.diff(np.unique(output)), initial=math.inf))
-        if least > 0.5 * self.step:
+        span = float(np.ptp(output))
+        if not 0 < span < self.step:
             return ""
-        return f"outputs that are {least:.3g} apart were not rounded in steps of {self.step:.3g}"
+        return f"outputs {span:.3g} apart were not rounded in steps of {self.step:.3g}"
 
     def variance(self, parameters, frame):
         # A rounding error is about uniform over a step, of variance step²/12 (B. Widrow and I. Kollár, Quantization

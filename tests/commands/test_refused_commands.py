@@ -90,7 +90,7 @@ REFUSED = (
     (f"{CHANNELS} gyro_x,gyro_x", "each once"),
     ("export {saved}", "say which format"),
     ("export {saved} --format pascal", "is not one of json, c, python"),
-    ("export {saved} --out {folder}/x.txt", "a correction is written as .json, .h, .py, .html"),
+    ("export {saved} --out {folder}/x.txt", "a correction is written as .json, .h, .py"),
     ("budget {saved} --at pressure=1", "'pressure' plays no part"),
     ("budget {saved} -k -1", "a coverage factor is a positive number"),
     ("compensate {saved} no.csv --out {folder}/o.csv", "cannot be read: No such file"),

@@ -187,6 +187,8 @@ def groups_left_out(rmse: float, log_score: float) -> SimpleNamespace:
     """Three runs, each predicted from the others with this error and density."""
     return SimpleNamespace(
         rmse=rmse,
+        variance=None,
+        error=lambda _: rmse,
         residual=np.full(3, np.nan),  # of no reading
         group="run",
         count=3,

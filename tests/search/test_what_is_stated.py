@@ -41,7 +41,9 @@ def test_no_model_is_called_complete_whose_left_out_error_has_risen(late: float,
     def step(rmse: float, added: str | None) -> SimpleNamespace:
         discovery = SimpleNamespace(candidates=())
         score = np.array([-50.0 * rmse])
-        left_out = SimpleNamespace(rmse=rmse, group="run", log_score=score)
+        left_out = SimpleNamespace(
+            rmse=rmse, group="run", log_score=score, variance=None, error=lambda _, e=rmse: e
+        )
         calibration = SimpleNamespace(model=SimpleNamespace(noise=bc.White()))
         return SimpleNamespace(
             left_out=left_out, added=added, discovery=discovery, calibration=calibration
