@@ -31,7 +31,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
-from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
+from bayescal._data.allan_deviation import EvenRuns, degrees_of_freedom, even_runs, overlapping
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
@@ -311,16 +311,20 @@ def _without_repeats(output: Float[np.ndarray, "n"], runs: EvenRuns) -> EvenRuns
 def _level_count(output: Float[np.ndarray, "n"], runs: EvenRuns) -> int | None:
     """Return how many readings a mean has from which on the Allan deviation falls with slope −½; None if none has.
 
-    A narrow line is left out: its Allan deviation rises and falls over a period. Single readings that are correlated
-    with their neighbours are with others, too.
+    A narrow line is left out: its Allan deviation rises and falls over a period. Single readings are taken where they
+    may be level, by two standard deviations, and are not correlated with their neighbours: with others they were, too.
     """
     clear, line = _line(output, runs)
     variance, _ = overlapping(output, runs)
     if clear > LINE_SD:
         law = SummedNoise(1.0, 2.0 * len(output), ("tone",))
         variance -= law.allan_variance({WHITE: 0.0, **line}, line[TONE[0]] ** 2, runs.factors, 1.0)
-    level = variance[2:] <= 4.0 ** (2 * LEVEL_SLOPE) * variance[:-2]
-    level &= sum(runs.lengths) >= FEWEST_MEANS * runs.factors[:-2]
+    limit = 4.0 ** (2 * LEVEL_SLOPE) * variance[:-2]
+    limit[:1] *= 1 + NEIGHBOURS_SD * np.sqrt(
+        2 / degrees_of_freedom(runs, np.zeros(len(variance)))[2:3]
+    )
+    level = variance[2:] <= limit
+    level[1:] &= sum(runs.lengths) >= FEWEST_MEANS * runs.factors[1:-2]
     level[:1] &= clear > LINE_SD or _negative(output, runs) > -NEIGHBOURS_SD
     return int(runs.factors[np.argmax(level)]) if level.any() else None
 
