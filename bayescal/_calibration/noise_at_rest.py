@@ -32,7 +32,7 @@ from bayescal._core.errors import InputError
 from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
-from bayescal._data.allan_deviation import EvenRuns, even_runs, overlapping
+from bayescal._data.allan_deviation import EvenRuns, degrees_of_freedom, even_runs, overlapping
 from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
@@ -68,6 +68,7 @@ SURE_SD = 6.0
 LEVEL_SLOPE = -0.35
 FEWEST_MEANS = 64  # whose slope is known to 0.1
 HELD_SHARE = 0.05  # of neighbours that are equal, from which an output with digits enough is held
+MAX_HELD_RATIO = 4.0  # of the time for which a value stands, to the mean
 SHORT_STEPS = 3.0  # correlation time, below which a process is part of N: its density is level over these octaves
 # °C, range of a temperature at rest, below which it is taken as constant: two steps of a thermometer that is read to
 # 0.1 °C.
@@ -326,33 +327,41 @@ def _changes(output: Float[np.ndarray, "n"], runs: EvenRuns) -> Float[np.ndarray
 def _without_repeats(output: Float[np.ndarray, "n"], runs: EvenRuns) -> EvenRuns:
     """Return the first reading of each value of a held output, at their mean step; of another one, all readings.
 
-    Of neighbours that differ by about m, 0.27·g/m are equal by rounding to steps of g; of a held output many more are.
+    Of neighbours that differ by about m, 0.27·g/m are equal by rounding to steps of g; of a held output many more are,
+    and no value stands much longer than others, as in one that is stuck for a while.
     """
     changes = np.abs(_changes(output, runs))
     changed = changes[changes > 0]
     least = np.min(np.diff(np.unique(output)), initial=math.inf)
     rounded = least / np.median(changed) if len(changed) else 1.0
-    if len(changed) >= (1 - max(HELD_SHARE, rounded)) * len(changes):
-        return runs
     there = [r[r >= 0] for r in runs.rows]
-    rows = [own[np.append(True, np.diff(output[own]) != 0)] for own in there]
+    first = [np.append(True, np.diff(output[own]) != 0) for own in there]
+    longest = max(int(np.diff(np.flatnonzero(f), append=len(f)).max()) for f in first)
+    held = len(changed) < (1 - max(HELD_SHARE, rounded)) * len(changes)
+    if not held or longest * len(changed) > MAX_HELD_RATIO * len(changes):
+        return runs
     span = sum(len(r) - 1 for r in runs.rows) * runs.step
-    return EvenRuns(tuple(rows), span / sum(len(r) - 1 for r in rows))
+    rows = tuple(own[f] for own, f in zip(there, first, strict=True))
+    return EvenRuns(rows, span / sum(len(r) - 1 for r in rows))
 
 
 def _level_count(output: Float[np.ndarray, "n"], runs: EvenRuns) -> int | None:
     """Return how many readings a mean has from which on the Allan deviation falls with slope −½; None if none has.
 
-    A narrow line is left out: its Allan deviation rises and falls over a period. Single readings that are correlated
-    with their neighbours are with others, too.
+    A narrow line is left out: its Allan deviation rises and falls over a period. Single readings are taken where they
+    may be level, by two standard deviations, and are not correlated with their neighbours: with others they were, too.
     """
     clear, line = _line(output, runs)
     variance, _ = overlapping(output, runs)
     if clear > LINE_SD:
         law = SummedNoise(1.0, 2.0 * len(output), ("tone",))
         variance -= law.allan_variance({WHITE: 0.0, **line}, line[TONE[0]] ** 2, runs.factors, 1.0)
-    level = variance[2:] <= 4.0 ** (2 * LEVEL_SLOPE) * variance[:-2]
-    level &= sum(runs.lengths) >= FEWEST_MEANS * runs.factors[:-2]
+    limit = 4.0 ** (2 * LEVEL_SLOPE) * variance[:-2]
+    limit[:1] *= 1 + NEIGHBOURS_SD * np.sqrt(
+        2 / degrees_of_freedom(runs, np.zeros(len(variance)))[2:3]
+    )
+    level = variance[2:] <= limit
+    level[1:] &= sum(runs.lengths) >= FEWEST_MEANS * runs.factors[1:-2]
     level[:1] &= clear > LINE_SD or _negative(output, runs) > -NEIGHBOURS_SD
     return int(runs.factors[np.argmax(level)]) if level.any() else None
 

@@ -50,7 +50,7 @@ commands = Commands(
         "baseline": "Look for no effect beside bias, scale, misalignment.",
         "dry_run": "Say what these poses do not determine and which to add; fit nothing.",
         "gyroscopes": "Their three columns, as gx,gy,gz; else by the usual names.",
-        "magnetometers": "Their three columns, as mx,my,mz; else by the usual names, if there are any.",
+        "magnetometers": "Their three columns, as mx,my,mz; of a log, those that it has.",
         "poses": "Each row is a pose or a rate; else steady stretches of a log.",
         "shortest": "Shortest pose in a log, s; 2, or 1 where many still stretches are shorter.",
         "instrument": "Of three axes: accelerometer_triad, gyro_triad, magnetometer_triad.",
@@ -177,11 +177,13 @@ def imu(
     magnetometers: str | None = None,
 ) -> Answer:
     """Calibrate accelerometers by poses, gyroscopes by moves between them, magnetometers: one log, one frame."""
-    from bayescal.workshop import Objections, names_in_unit, sensor_name
+    from bayescal.workshop import LOG_FORMATS, Objections, names_in_unit, sensor_name
 
     sensor_name(asked.name, "")
-    how = columns.for_read()
+    how, needed = columns.for_read(), bool(magnetometers or columns.local_field)
     given = dict(zip(SENSORS, (accelerometers, gyroscopes, magnetometers), strict=True))
+    if not (needed or all(path.suffix.lower() in LOG_FORMATS for path in files)):
+        given.popitem()
     instruments = {name: instrument_named(name) for name in given}
     logs, problems = {}, Objections()
     for name, three in given.items():
@@ -193,8 +195,7 @@ def imu(
         except InputError as error:
             if not error.problems:
                 raise
-            optional = SENSORS[name] == "magnetometers" and not (three or columns.local_field)
-            if optional and _lacks_outputs(error.problems):
+            if SENSORS[name] == "magnetometers" and not needed and _lacks_outputs(error.problems):
                 continue
             problems += _of_sensor(SENSORS[name], instruments[name], error.problems)
     problems.refuse()
