@@ -290,33 +290,35 @@ def repeats(values: np.ndarray, own: Sequence[np.ndarray], rows: np.ndarray) -> 
 STUCK_RATIO = 4.0  # times the next longest stretch without a change, below which it is like others
 # Share of the other readings that repeat the one before, above which all are rounded, or set.
 REPEATED_SHARE = 0.1
-# Readings in a row at a thermometer's extreme, below which that may be chance.
-SATURATED_READINGS = 5
+# Readings in a row at a thermometer's extreme, up to which that may be chance; and steps of a rounded one by which its
+# pace beside them would have led on: a rounded peak stands for less than four.
+SATURATED_READINGS, SATURATED_STEPS = 5, 8.0
 
 
 def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
-    """Readings in a row exactly at an extreme, of a column that hardly repeats elsewhere: a converter at its end."""
+    """Find readings in a row exactly at an extreme, where a column's pace would have led on: a converter at its end.
+
+    It stands there far longer than anywhere else, and hardly repeats elsewhere.
+    """
+    step, runs = float(np.diff(np.unique(values)).min()), [np.zeros((3, 0))]
+    for v in (values[piece] for piece in own):
+        begins = np.flatnonzero(np.concatenate([[True], v[1:] != v[:-1]]))
+        lasts = np.append(begins[1:], len(v)) - 1
+        before = np.abs(v[begins] - v[np.maximum(begins - BESIDE, 0)])
+        after = np.abs(v[np.minimum(lasts + BESIDE, len(v) - 1)] - v[lasts])
+        count = lasts + 1 - begins
+        runs.append(np.stack([v[begins], count, count * np.maximum(before, after) / BESIDE]))
+    level, count, led = np.concatenate(runs, axis=1)
     found = []
-    same = np.zeros(len(values), bool)
-    for piece in own:
-        same[piece[1:]] = values[piece[1:]] == values[piece[:-1]]
-    for end, level in (("maximum", values.max()), ("minimum", values.min())):
-        at = values == level
-        there, elsewhere = (_longest(same & chosen, own) for chosen in (at, ~at))
-        if there < max(SATURATED_READINGS, STUCK_RATIO * elsewhere):
-            continue
-        if np.mean(same[~at]) > REPEATED_SHARE:
-            continue
-        rows = np.flatnonzero(at)
-        said = f"stands exactly at its {end} {level:g} in {len(rows)} readings, and hardly still elsewhere: saturated?"
-        found.append(Oddity("saturated", name, said, rows, rows))
+    for end, extreme in (("maximum", values.max()), ("minimum", values.min())):
+        at, others = level == extreme, count[level != extreme]
+        far = at & (count > SATURATED_READINGS) & (led > SATURATED_STEPS * step)
+        far &= count >= STUCK_RATIO * np.max(others, initial=1.0)
+        if np.any(far) and np.sum(others - 1) <= REPEATED_SHARE * np.sum(others):
+            rows = np.flatnonzero(values == extreme)
+            said = f"stands exactly at its {end} {extreme:g} in {len(rows)} readings, and hardly elsewhere: saturated?"
+            found.append(Oddity("saturated", name, said, rows, rows))
     return found
-
-
-def _longest(same: np.ndarray, own: Sequence[np.ndarray]) -> int:
-    """The most readings in a row that repeat the one before."""
-    lengths = [np.diff(np.flatnonzero(np.r_[True, ~same[piece], True])) - 1 for piece in own]
-    return int(max((one.max() for one in lengths), default=0))
 
 
 MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 of thermometers
