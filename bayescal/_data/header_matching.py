@@ -105,7 +105,8 @@ class ReadOptions:
         ignore: columns of the file that are left out.
         only: whether all columns beside the instrument's are.
         others: columns of the file that are outputs of other channels, and left out.
-        unwrap: the file's name, or ours → what a counter held when it began anew, as "2^32us".
+        unwrap: the file's name, or ours → what a counter held when it began anew, as "2^32us" or "256degC"; "sign" of
+            temperatures whose sign was lost.
         remembered: files of which it was said before how they are read: a header that stands there means the same.
     """
 

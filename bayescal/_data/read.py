@@ -84,7 +84,8 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         date_order: of month, day and year in dates such as 05/06/2026: "mdy", "dmy" or "ymd"; empty where a day above
             12 shows it.
         ignore: columns of the file that are left out.
-        unwrap: the file's name (or ours) → what a counter held when it began anew: {"time": "2^32us"}.
+        unwrap: the file's name (or ours) → what a counter held when it began anew: {"time": "2^32us"}, {"temperature":
+            "256degC"}; "sign" of temperatures whose sign was lost.
         like: readings, as of a calibration, whose headers mean the same in these files, where nothing is said of them
             here; and their nominal scale holds.
         max_bytes: most that all files together may hold.
