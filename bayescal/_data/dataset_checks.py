@@ -1,13 +1,8 @@
 """Checks of a whole data set: what makes it unusable, and what its owner should know of.
 
-Refused: one temperature only, time running backwards. Flagged: repeated rows (with a time they are dropped), a
-saturated output, a constant column, an output of an absurd size, a time of too few digits, runs of one reading each.
-
-Thermometers are checked against time and against each other: a thermometer is a measurement too. A body's temperature
-goes smoothly, and does not leap there and back from one reading to the next. A logger that asks its thermometer seldom
-repeats a value between two leaps; a converter at its end stays there while the body goes on; and two thermometers on
-one body do in a run what they do in the others. What departs from that is said by name, row and run: nothing in a fit
-shows it where profiles repeat.
+Refused: one temperature only, time running backwards, a thermometer whose counter wrapped. Flagged: repeated rows (with
+a time they are dropped), a saturated output, a constant column, an output of an absurd size, a time of too few digits,
+runs of one reading each, and what `thermometer_checks` finds.
 """
 
 from __future__ import annotations
