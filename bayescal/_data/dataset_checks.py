@@ -304,15 +304,18 @@ def flags_of(
         "under two labels? Leave one out: copied readings count twice"
         for first, last, share in copied_records(columns, output)
     ]
+    odd = oddities(columns, thermometers, output)
     flags += [
         f"{names}: column {one.column!r} {one.said} (first at {where(int(one.rows[0]))})"
-        for one in oddities(columns, thermometers, output)
+        for one in odd
     ]
     for name, values in columns.items():
         number = values.dtype.kind == "f" and name not in (*converted.filled, MAGNITUDE)
         if number and len(values) > 1 and (values == values[0]).all():
             flags.append(f"{names}: column {name!r} is constant ({values[0]:g})")
         elif number and (stuck := stuck_rows(values, name in thermometers)) is not None:
+            if any(one.column == name and stuck[1] in one.rows for one in odd):
+                continue
             first, last = (where(row) for row in stuck)
             share = (stuck[1] - stuck[0] + 1) / len(values)
             much = f", {100 * share:.0f} % of all readings" if share > STUCK_SHARE else ""
