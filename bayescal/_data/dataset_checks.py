@@ -1,13 +1,8 @@
 """Checks of a whole data set: what makes it unusable, and what its owner should know of.
 
-Refused: one temperature only, time running backwards. Flagged: repeated rows (with a time they are dropped), a
-saturated output, a constant column, an output of an absurd size, a time of too few digits, runs of one reading each.
-
-Thermometers are checked against time and against each other: a thermometer is a measurement too. A body's temperature
-goes smoothly, and does not leap there and back from one reading to the next. A logger that asks its thermometer seldom
-repeats a value between two leaps; a converter at its end stays there while the body goes on; and two thermometers on
-one body do in a run what they do in the others. What departs from that is said by name, row and run: nothing in a fit
-shows it where profiles repeat.
+Refused: one temperature only, time running backwards, a thermometer whose counter wrapped. Flagged: repeated rows (with
+a time they are dropped), a saturated output, a constant column, an output of an absurd size, a time of too few digits,
+runs of one reading each, and what `thermometer_checks` finds.
 """
 
 from __future__ import annotations
@@ -309,15 +304,18 @@ def flags_of(
         "under two labels? Leave one out: copied readings count twice"
         for first, last, share in copied_records(columns, output)
     ]
+    odd = oddities(columns, thermometers, output)
     flags += [
         f"{names}: column {one.column!r} {one.said} (first at {where(int(one.rows[0]))})"
-        for one in oddities(columns, thermometers, output)
+        for one in odd
     ]
     for name, values in columns.items():
         number = values.dtype.kind == "f" and name not in (*converted.filled, MAGNITUDE)
         if number and len(values) > 1 and (values == values[0]).all():
             flags.append(f"{names}: column {name!r} is constant ({values[0]:g})")
         elif number and (stuck := stuck_rows(values, name in thermometers)) is not None:
+            if any(one.column == name and stuck[1] in one.rows for one in odd):
+                continue
             first, last = (where(row) for row in stuck)
             share = (stuck[1] - stuck[0] + 1) / len(values)
             much = f", {100 * share:.0f} % of all readings" if share > STUCK_SHARE else ""

@@ -108,7 +108,8 @@ class ReadOptions:
         ignore: columns of the file that are left out.
         only: whether all columns beside the instrument's are.
         others: columns of the file that are outputs of other channels, and left out.
-        unwrap: the file's name, or ours → what a counter held when it began anew, as "2^32us".
+        unwrap: the file's name, or ours → what a counter held when it began anew, as "2^32us" or "256degC"; "sign" of
+            temperatures whose sign was lost.
         remembered: files of which it was said before how they are read: a header that stands there means the same.
         begin: a file's name, or "" for files without dates → when its first reading was taken: a date, or a time on
             the calibration's clock such as "9 days".

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from bayescal._core.flag import Flag
 from bayescal._core.settings import settings
 from bayescal._data import dataset_checks as checks
 from bayescal._data import thermometer_checks as thermometers
@@ -264,12 +265,13 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
 
 
 def said_of(readings: Measurements, holdout: Measurements) -> str:
-    """That hold-out data are not new, in words; empty where they are."""
+    """Return the flag that hold-out data are not new; empty where they are."""
     many = not_new(readings, holdout)
     if not many:
         return ""
-    return (
+    said = (
         f"{holdout.file}: {many} of the {len(holdout)} readings of the hold-out data are readings that are fitted "
         "(equal output, temperature and inputs; times and labels apart): the hold-out error says nothing of new "
         "readings. Take readings of another run"
     )
+    return Flag(said, "holdout.not_new")

@@ -67,7 +67,7 @@ def oddities(
     with np.errstate(all="ignore"):  # of numbers that no temperature is
         own = pieces(columns)
         for name in names:
-            odd = _off_pace(name, columns, {*thermometers, output} - {name}, own)
+            odd = _off_pace(name, columns, thermometers, output, own)
             gone = np.concatenate([np.zeros(0, int), *(one.wrong for one in odd)])
             rest = [piece[~np.isin(piece, gone)] for piece in own]
             if len(rows := held_rows(columns[name], rest)):
@@ -80,20 +80,23 @@ def oddities(
 
 # Standard deviations of a column's noise, beyond which a change is none.
 LEAP_NOISE_SD = 8.0
-LEAP_SHARE = (
-    0.05  # of all readings; more leaps there and back are a thermometer's noise, or its way
-)
+LEAP_SHARE = 0.05  # of all changes; more leaps there and back are a thermometer's noise, or its way
 
 
 def _off_pace(
-    name: str, columns: Columns, witnesses: Collection[str], own: Sequence[np.ndarray]
+    name: str,
+    columns: Columns,
+    thermometers: Collection[str],
+    output: str,
+    own: Sequence[np.ndarray],
 ) -> list[Oddity]:
     """Find readings that are no temperature of the body that the others are of: it goes at a pace, and does not leap.
 
     Leaps cut a stretch into parts, and so does a standstill that ends in one. The longest chain of parts that join at
     the record's pace is the temperature. Another part is not, if it is one number throughout (a power-on value, a bus
     error, a stuck value, a spike), or short. A longer one may have been right: another level, and the file does not say
-    which. A leap that the output or another thermometer takes part in was the body's, seen by a slow logger.
+    which. A leap that the output or another thermometer takes part in was the body's, seen by a slow logger; of one to
+    a number where the column stands, the output alone tells: thermometers on one bus fail together.
     """
     values, time = columns[name], columns["time"]
     every = np.concatenate([np.zeros(0), *(np.abs(np.diff(values[piece])) for piece in own)])
@@ -108,11 +111,12 @@ def _off_pace(
     count, moves = sum(map(np.count_nonzero, leaps)), np.count_nonzero(every)
     if not 0 < count <= 2 * LEAP_SHARE * moves:  # there and back
         return []
-    seen = _taken_part_in(columns, name, witnesses, own)
+    seen = _taken_part_in(columns, name, {output}, own)
+    seen_by_any = _taken_part_in(columns, name, {*thermometers, output}, own)
     parts = [
         (is_code, piece[begin:end])
-        for piece, leap, real, most in zip(own, leaps, seen, allowed, strict=True)
-        for is_code, begin, end in _unjoined(values[piece], leap, real[:-1], most)
+        for piece, leap, *real, most in zip(own, leaps, seen_by_any, seen, allowed, strict=True)
+        for is_code, begin, end in _unjoined(values[piece], leap, real, most)
     ]
     codes, others = ([rows for code, rows in parts if code == is_code] for is_code in (True, False))
     if sum(map(len, others)) <= LEAP_SHARE * len(values):
@@ -133,7 +137,7 @@ def _off_pace(
 
 
 def _unjoined(
-    values: np.ndarray, leap: np.ndarray, real: np.ndarray, most: float
+    values: np.ndarray, leap: np.ndarray, real: Sequence[np.ndarray], most: float
 ) -> list[tuple[bool, int, int]]:
     """Find the parts of a stretch outside the longest chain of parts that join: whether one number, begin, end.
 
@@ -143,7 +147,8 @@ def _unjoined(
     Args:
         values: of the stretch, °C (n,).
         leap: whether a change is one (n − 1,).
-        real: whether something else took part in it (n − 1,); then a part of several readings is the body's.
+        real: whether something else took part in it, and whether the output did (n,); then a part of several readings
+            is the body's. Of one number throughout the output is asked.
         most: what noise and rounding make, °C.
     """
     cuts = 1 + np.flatnonzero(leap)
@@ -151,10 +156,8 @@ def _unjoined(
     still = np.maximum.accumulate(np.where(changed, np.arange(len(values)), 0))[cuts - 1]
     begins = np.unique(np.concatenate([[0], still[cuts - still > BESIDE], cuts]))
     ends = np.append(begins[1:], len(values))
-    since = np.append(0, cuts)[
-        np.searchsorted(cuts, begins, side="right")
-    ]  # the leaps around each part
-    until = np.append(cuts, len(values))[np.searchsorted(cuts, begins, side="right")]
+    after = np.searchsorted(cuts, begins, side="right")
+    since, until = np.append(0, cuts)[after], np.append(cuts, len(values))[after]
     span = np.maximum.reduceat(values, begins) - np.minimum.reduceat(values, begins)
     moving, lengths = span > most, ends - begins
     lasting = lengths > BESIDE
@@ -175,7 +178,8 @@ def _unjoined(
         ]
         low, high = np.minimum(0.0, np.min(goes, axis=0)), np.maximum(0.0, np.max(goes, axis=0))
         joined = (change >= low - most) & (change <= high + most)
-        joined[-1] = not leap[first - 1] or (real[first - 1] and lasting[j - 1] and lasting[j])
+        asked = real[int(min(span[j - 1], span[j]) == 0)]
+        joined[-1] = not leap[first - 1] or (asked[first - 1] and lasting[j - 1] and lasting[j])
         if joined.any():
             before[j] = int(np.argmax(np.where(joined, best[:j], -1.0)))
             best[j] += best[before[j]]
@@ -183,11 +187,14 @@ def _unjoined(
     while at >= 0:
         chain.add(at)
         at = int(before[at])
-    edges = np.concatenate([[True], real | ~leap, [True]])  # of each reading's two sides
+    edges = [
+        np.concatenate([[True], one[:-1] | ~leap, [True]]) for one in real
+    ]  # of each reading's two sides
+    body = [edges[int(span[k] == 0)][[begins[k], ends[k]]].all() for k in range(len(begins))]
     return [
         (bool(span[k] == 0), int(begins[k]), int(ends[k]))
         for k in sorted(set(range(len(begins))) - chain)
-        if not (lasting[k] and edges[begins[k]] and edges[ends[k]])
+        if not (lasting[k] and body[k])
     ]
 
 
@@ -290,33 +297,35 @@ def repeats(values: np.ndarray, own: Sequence[np.ndarray], rows: np.ndarray) -> 
 STUCK_RATIO = 4.0  # times the next longest stretch without a change, below which it is like others
 # Share of the other readings that repeat the one before, above which all are rounded, or set.
 REPEATED_SHARE = 0.1
-# Readings in a row at a thermometer's extreme, below which that may be chance.
-SATURATED_READINGS = 5
+# Readings in a row at a thermometer's extreme, up to which that may be chance; and steps of a rounded one by which its
+# pace beside them would have led on: a rounded peak stands for less than four.
+SATURATED_READINGS, SATURATED_STEPS = 5, 8.0
 
 
 def _at_an_end(name: str, values: np.ndarray, own: Sequence[np.ndarray]) -> list[Oddity]:
-    """Readings in a row exactly at an extreme, of a column that hardly repeats elsewhere: a converter at its end."""
+    """Find readings in a row exactly at an extreme, where a column's pace would have led on: a converter at its end.
+
+    It stands there far longer than anywhere else, and hardly repeats elsewhere.
+    """
+    step, runs = float(np.diff(np.unique(values)).min()), [np.zeros((3, 0))]
+    for v in (values[piece] for piece in own):
+        begins = np.flatnonzero(np.concatenate([[True], v[1:] != v[:-1]]))
+        lasts = np.append(begins[1:], len(v)) - 1
+        before = np.abs(v[begins] - v[np.maximum(begins - BESIDE, 0)])
+        after = np.abs(v[np.minimum(lasts + BESIDE, len(v) - 1)] - v[lasts])
+        count = lasts + 1 - begins
+        runs.append(np.stack([v[begins], count, count * np.maximum(before, after) / BESIDE]))
+    level, count, led = np.concatenate(runs, axis=1)
     found = []
-    same = np.zeros(len(values), bool)
-    for piece in own:
-        same[piece[1:]] = values[piece[1:]] == values[piece[:-1]]
-    for end, level in (("maximum", values.max()), ("minimum", values.min())):
-        at = values == level
-        there, elsewhere = (_longest(same & chosen, own) for chosen in (at, ~at))
-        if there < max(SATURATED_READINGS, STUCK_RATIO * elsewhere):
-            continue
-        if np.mean(same[~at]) > REPEATED_SHARE:
-            continue
-        rows = np.flatnonzero(at)
-        said = f"stands exactly at its {end} {level:g} in {len(rows)} readings, and hardly still elsewhere: saturated?"
-        found.append(Oddity("saturated", name, said, rows, rows))
+    for end, extreme in (("maximum", values.max()), ("minimum", values.min())):
+        at, others = level == extreme, count[level != extreme]
+        far = at & (count > SATURATED_READINGS) & (led > SATURATED_STEPS * step)
+        far &= count >= STUCK_RATIO * np.max(others, initial=1.0)
+        if np.any(far) and np.sum(others - 1) <= REPEATED_SHARE * np.sum(others):
+            rows = np.flatnonzero(values == extreme)
+            said = f"stands exactly at its {end} {extreme:g} in {len(rows)} readings, and hardly elsewhere: saturated?"
+            found.append(Oddity("saturated", name, said, rows, rows))
     return found
-
-
-def _longest(same: np.ndarray, own: Sequence[np.ndarray]) -> int:
-    """The most readings in a row that repeat the one before."""
-    lengths = [np.diff(np.flatnonzero(np.r_[True, ~same[piece], True])) - 1 for piece in own]
-    return int(max((one.max() for one in lengths), default=0))
 
 
 MOST_RUNS, MOST_SIBLINGS = 30, 8  # compared two by two: 435 pairs of runs, 56 of thermometers

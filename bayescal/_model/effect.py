@@ -194,6 +194,7 @@ class Effect:
         forms: other forms that the same physics may take, each an effect of its own: a search weighs them in its place,
             at most one at a time, and they share its prior probability.
         family: the effect of which it is a form; empty where it is none.
+        general: the form of which it is one at a value of a shape; where that was weighed, it counts for nothing.
     """
 
     name: str
@@ -211,6 +212,7 @@ class Effect:
     along: str | None = None
     forms: tuple[Effect, ...] = field(default=(), repr=False)
     family: str = field(default="", repr=False)
+    general: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
         set_once(

@@ -49,9 +49,11 @@ class Posterior:
     def of(cls, structures: Structures, given: Iterable[str] = ()) -> Posterior:
         held = frozenset(given)
         refitted = {s: w for s, w in structures.visited.items() if math.isfinite(w.total)}
+        refitted = {s: w for s, w in refitted.items() if not structures.is_special_case(s)}
         best = max((w.total for s, w in refitted.items() if held <= s.effects))
         # What was only expected may not lead: it would have been refitted.
-        totals = {s: min(t, best) for s, t in structures.expected.items()}
+        expected = structures.expected.items()
+        totals = {s: min(t, best) for s, t in expected if not structures.is_special_case(s)}
         totals |= {s: w.total for s, w in refitted.items()}
         inside = [s for s in totals if held <= s.effects]
         inside = sorted(inside, key=lambda s: (-totals[s], s not in refitted))

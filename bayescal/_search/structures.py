@@ -187,6 +187,15 @@ class Structures:
         forms = self.forms[self.family(name)]
         return [rest.plus(n) for n in forms if n != name and n in self.open_to(rest)]
 
+    def is_special_case(self, structure: Structure) -> bool:
+        """Whether a structure has a form at one value of a shape, and that with the shape free was weighed."""
+        for name in structure.effects:
+            general = self.candidates[name].general
+            found = self.visited.get(structure.minus(name).plus(general)) if general else None
+            if found is not None and math.isfinite(found.total):
+                return True
+        return False
+
     def log_prior(self, structure: Structure) -> float:
         """Of a structure, against that of the base."""
         of_law = log_prior(self.laws, structure.noise)

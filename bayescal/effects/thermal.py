@@ -22,23 +22,25 @@ from bayescal._model.prior import HalfNormal, Known, Normal
 # Share of the readings during which a temperature must rise, and fall, for a hysteresis to show.
 DIRECTION_SHARE = 0.02
 
-WINDOWS = (
-    2.0,
-    120.0,
-)  # s, of a rate: from a reading or two to what a lag describes; -lag/w is the same function
+# s, of a rate: from a reading or two to what a lag describes; -lag/w is the same function
+WINDOWS = (2.0, 120.0)
 RATIOS = (0.1, 0.8)  # of a second stage's time to the first's: at 1 the two cannot be told from 0.8
+# Of two bodies side by side: the fast one's time to the slow one's, and what the slow one has of the sensor.
+PATH_RATIOS, PATH_SHARES = (0.02, 0.6), (0.1, 0.9)
 Modes = tuple[tuple[Any, Any], ...]  # of a body: multiples of τ, and their weights
 
 
 class Body(NamedTuple):
     """How a body follows what is around it: its modes, by the shapes that they depend on beside τ.
 
-    The weights are one in sum, and τ is the time by which the body is behind a steady ramp.
+    The weights are one in sum, and τ is the time by which the body is behind a steady ramp. `general` is the body of
+    which it is one at a value of a shape.
     """
 
     modes: Callable[..., Modes]
     equation: str
     shapes: tuple[Shape, ...] = ()
+    general: str = ""
 
 
 def _first_order() -> Modes:
@@ -50,6 +52,11 @@ def _two_stages(ratio: Any) -> Modes:
         (1 / (1 + ratio), 1 / (1 - ratio)),
         (ratio / (1 + ratio), -ratio / (1 - ratio)),
     )
+
+
+def _two_paths(ratio: Any, share: Any) -> Modes:
+    slow = 1 / (share + (1 - share) * ratio)
+    return (slow, share), (ratio * slow, 1 - share)
 
 
 def slab() -> Modes:
@@ -67,11 +74,22 @@ BODIES: Mapping[str, Body] = MappingProxyType(
     {
         "body": Body(_first_order, "T → T̃(τ)"),
         # One body behind another: what the outer one of τ₁ has is the inner one's outside, of r·τ₁.
-        "two_stages": Body(partial(_two_stages, 0.5), "T → 2·T̃(τ₁) − T̃(τ₁/2),  τ₁ = τ/1.5"),
+        "two_stages": Body(
+            partial(_two_stages, 0.5), "T → 2·T̃(τ₁) − T̃(τ₁/2),  τ₁ = τ/1.5", general="stages"
+        ),
         "stages": Body(
             _two_stages,
             "T → (T̃(τ₁) − r·T̃(r·τ₁))/(1 − r),  τ₁ = τ/(1 + r)",
             (Shape("ratio", "1", *RATIOS, scale="bounded"),),
+        ),
+        # Two bodies side by side, each with a share of the sensor: w of the slow one, of τ₁.
+        "paths": Body(
+            _two_paths,
+            "T → w·T̃(τ₁) + (1 − w)·T̃(r·τ₁),  τ₁ = τ/(w + (1 − w)·r)",
+            (
+                Shape("ratio", "1", *PATH_RATIOS, scale="bounded"),
+                Shape("share", "1", *PATH_SHARES, scale="bounded"),
+            ),
         ),
         "diffusion": Body(slab, "T → " + " + ".join(f"{w:.3g}·T̃({m:.3g}·τ)" for m, w in slab())),
     }
@@ -155,7 +173,7 @@ def thermal_lag(
 
     In the first form something of its own lags, such as electronics beside a sensor that does not. In the others the
     sensor is itself at T̃, so that its line, its curve and its scale factor follow that in place of T: the body is of
-    first order, of two stages (the second twice as fast, or of any ratio), or heat diffuses into it. Where the body was
+    first order, of two stages, two side by side with a share of the sensor each, or heat diffuses into it. Where it was
     not at T when a run began, exp(−t/τ) remains: one coefficient a run, whose standard deviation is learned and has the
     plausible size `start`.
 
@@ -182,16 +200,19 @@ def thermal_lag(
             source,
         ),
         forms=tuple(
-            body(
-                slot,
-                start,
-                start_unit,
-                behind=behind,
-                low=low,
-                high=high,
-                source=source,
-                column=column,
-                name=f"{name}.{form}",
+            replace(
+                body(
+                    slot,
+                    start,
+                    start_unit,
+                    behind=behind,
+                    low=low,
+                    high=high,
+                    source=source,
+                    column=column,
+                    name=f"{name}.{form}",
+                ),
+                general=behind.general and f"{slot}.{name}.{behind.general}",
             )
             for form, behind in (BODIES if bodies is None else bodies).items()
         )
@@ -213,9 +234,9 @@ def body(
 ) -> Effect:
     """Every effect that depends on the temperature T acts at T̃, that of a body which lags T by τ.
 
-    T̃ = Σ wₖ·T̃ₖ with mₖ·τ·dT̃ₖ/dt = T − T̃ₖ: one mode for a body of first order, two for one behind another, a series for
-    heat that diffuses into a slab. Σ wₖ = Σ wₖ·mₖ = 1, so that τ is in each the time by which it is behind a steady
-    ramp. Where the body was not at T when a run began, Σ wₖ·exp(−t/(mₖ·τ)) remains: one coefficient a run.
+    T̃ = Σ wₖ·T̃ₖ with mₖ·τ·dT̃ₖ/dt = T − T̃ₖ: one mode for a body of first order, two for one behind or beside another,
+    a series for heat that diffuses into a slab. Σ wₖ = Σ wₖ·mₖ = 1: τ is in each the time by which it is behind a ramp.
+    Where the body was not at T when a run began, Σ wₖ·exp(−t/(mₖ·τ)) remains: one coefficient a run.
 
     Args:
         slot: that the initial state adds to.
@@ -228,7 +249,7 @@ def body(
         _of_a_body(
             slot,
             name,
-            partial(_stages if behind.shapes else _body, behind.modes),
+            partial(_ACTING[len(behind.shapes)], behind.modes),
             (
                 _start(start_unit, start, slot),
                 Coefficient("1", Known(1.0)),
@@ -316,8 +337,17 @@ def _stages(modes: Callable[..., Modes], column: str, r: Frame, tau: Any, ratio:
     return _followed(modes(ratio), column, r, tau)
 
 
+def _paths(
+    modes: Callable[..., Modes], column: str, r: Frame, tau: Any, ratio: Any, share: Any
+) -> Any:
+    return _followed(modes(ratio, share), column, r, tau)
+
+
 def _body(modes: Callable[..., Modes], column: str, r: Frame, tau: Any) -> Any:
     return _followed(modes(), column, r, tau)
+
+
+_ACTING = (_body, _stages, _paths)  # by the number of shapes beside τ
 
 
 def _followed(modes: Modes, column: str, r: Frame, tau: Any) -> Any:

@@ -46,6 +46,16 @@ def averaged() -> tuple[bc.Compensator, bc.Measurements]:
     return bc.compensator(average), average.readings
 
 
+def held() -> tuple[bc.Compensator, bc.Measurements]:
+    """A lag of a thermometer that stands between readings."""
+    readings = mems_gyro.simulate(seed=3, campaign=mems_gyro.Campaign(average=300))
+    model = mems_gyro.INSTRUMENT.baseline() + "bias.thermal_lag"
+    asked = {"temperature_held": 1.0}
+    return bc.compensator(
+        bc.fit(model, readings, bc.LeastSquares(draws=60), reference=asked)
+    ), readings
+
+
 MADE: dict[str, Callable[[], tuple[bc.Compensator, bc.Measurements]]] = {
     "gyro": lambda: of(
         *(mems_gyro, "scale.constant", "bias.rate", "bias.thermal_lag", "bias.run"),
@@ -67,10 +77,11 @@ MADE: dict[str, Callable[[], tuple[bc.Compensator, bc.Measurements]]] = {
     "inclinometer, exact": tilted,
     "bent sensor": lambda: (bc.compensator(bent_sensor.calibration()), bent_sensor.readings(2)),
     "averaged over structures": averaged,
+    "held between readings": held,
 }
 
 
-FAST = ("gyro", "bent sensor")
+FAST = ("gyro", "bent sensor", "held between readings")
 
 
 @pytest.fixture(scope="module", params=slow_but(FAST, MADE))

@@ -10,11 +10,12 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import bayescal as bc
 from bayescal import effects
-from bayescal.effects.thermal import BODIES, RATIOS
-from bayescal_models import mems_gyro
+from bayescal.effects.thermal import BODIES
+from bayescal_models import mems_gyro, still_sensor
 from tests.support.inside import frame_of, why_not_testable
 
 GYRO = mems_gyro.INSTRUMENT
@@ -89,8 +90,8 @@ def test_it_is_found_in_twenty_campaigns() -> None:
 @pytest.mark.parametrize("form", BODIES)
 def test_a_body_comes_to_rest_at_what_is_around_it_and_is_behind_a_ramp_by_tau(form: str) -> None:
     body = BODIES[form]
-    for ratio in RATIOS if body.shapes else [None]:
-        modes = body.modes() if ratio is None else body.modes(ratio)
+    for values in itertools.product(*((s.low, s.high) for s in body.shapes)):
+        modes = body.modes(*values)
         assert math.fsum(w for _, w in modes) == pytest.approx(1.0)
         assert math.fsum(m * w for m, w in modes) == pytest.approx(1.0)
 
@@ -116,6 +117,46 @@ def test_two_stages_are_one_body_behind_another() -> None:
             second += fine * (first - second) / (tau / 3)
         expected.append(second)
     np.testing.assert_allclose(found, expected, atol=2e-3)
+
+
+def side_by_side(seed: int, interval: int = 30) -> bc.Measurements:
+    """A sensor at rest of which half follows the temperature with 300 s and half with 1,500 s; slope 40 µg/°C."""
+    fine, wanted = (still_sensor.simulate(seed=seed, interval=i) for i in (1, interval))
+    warm, noise = np.array(fine["temperature"]), []
+    for tau in (300.0, 1500.0):
+        body = np.concatenate(
+            [
+                lfilter([1 - np.exp(-1 / tau)], [1, -np.exp(-1 / tau)], one - one[0]) + one[0]
+                for one in np.split(warm, 3)
+            ]
+        )
+        noise.append(20.0 * (body - warm))
+    behind = sum(noise).reshape(3, -1)[:, ::interval].ravel()
+    return wanted.with_column("output", wanted["output"] + behind)
+
+
+@pytest.mark.parametrize("seed", [305, 306, 307])
+def test_two_bodies_side_by_side_are_one_of_the_forms(seed: int) -> None:
+    """Of one body the slope is forty of its standard uncertainties off, and less probable."""
+    readings = side_by_side(seed)
+    baseline = still_sensor.INSTRUMENT.for_readings(readings).baseline()
+    paths, one = (
+        bc.fit(baseline + f"bias.thermal_lag.{form}", readings) for form in ("paths", "body")
+    )
+    slope, alone = (f.samples("bias.temperature") for f in (paths, one))
+    assert abs(slope.mean() - 40.0) < 3 * slope.std() and slope.std() < 5
+    assert abs(alone.mean() - 40.0) > 10 * alone.std()
+    assert paths.log_evidence is not None and one.log_evidence is not None
+    assert paths.log_evidence[0] > one.log_evidence[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [305, 306, 307])
+def test_two_bodies_side_by_side_are_found(seed: int) -> None:
+    readings = side_by_side(seed)
+    trail = bc.calibrate(still_sensor.INSTRUMENT.for_readings(readings).baseline(), readings)
+    slope = trail.calibration.samples("bias.temperature")
+    assert abs(slope.mean() - 40.0) < 3 * slope.std() and slope.std() < 5
 
 
 def test_an_average_over_forms_is_that_of_its_structures(trail) -> None:
