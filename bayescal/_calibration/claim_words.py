@@ -131,6 +131,11 @@ term.replaceable (doubt)
   → [one run] Look at the column {column}: late, held, smoothed? Or does a body lag for longer than the run? {another}
   → [runs] Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than
     a run? {another}
+equivalent.undecided (doubt)
+    These readings cannot tell {of[0]} from {beside}: they are in the model together, each as uncertain as their priors
+    leave it, and which of them acts in use is not decided.
+  → [test] What would tell: {experiment} ({nats:.1f} nats at plausible sizes).
+  → [none] None of the instrument's experiments would tell.
 complete.undecided (doubt)
     The model is complete with probability {complete:.2g} only, and the readings do not tell what is missing; the
     most probable are {named:list}.
@@ -164,6 +169,13 @@ direction.confounded (note)
     {of} apart from {column}: these readings tell {told:.1g} of its squares from the model. Standard uncertainties
     hold what it may have done in their place; the sum of both is measured.
   → Vary {vary} otherwise in another run, or leave it out if it is no cause (--ignore {vary})
+equivalent.latent (note)
+    These readings cannot tell {of[0]} from {beside}: they are in the model together, each as uncertain as their priors
+    leave it.
+  → [test] What would tell: {experiment} ({nats:.1f} nats at plausible sizes).
+  → [none] None of the instrument's experiments would tell.
+equivalent.candidates (note)
+    These readings cannot tell {of[0]} from the others of {of:list}: who finds one has found any of them.
 term.confounded (note)
     {of[0]} and {by} are confounded in these readings, which tell {left:.1%} of it apart: their standard
     uncertainties hold both.

@@ -135,7 +135,7 @@ def calibrate(
         more = loop.freed(first)
         if first.against and not more:
             return loop.not_looked(first)
-        loop, structures, shut = loop.open(first, (*effects, *more), widen_noise)
+        loop, first, structures, shut = loop.open(first, (*effects, *more), widen_noise)
         tell = partial(loop.tell, [first], structures, deadline.door(), follow)
         tell()
         deadline.allow(loop.grace)
@@ -197,18 +197,25 @@ class Loop:
 
     def open(
         self, first: Step, effects: Sequence[Effect], widen_noise: bool
-    ) -> tuple[Loop, Structures, list[Candidate]]:
-        """The structures to look at beyond the first step, and the candidates that these readings cannot test."""
+    ) -> tuple[Loop, Step, Structures, list[Candidate]]:
+        """The structures to look at beyond the first step, and the candidates that these readings cannot test.
+
+        The first step's model holds what these readings cannot tell from its effects.
+        """
         loop, c, fixed = self, first.calibration, first.check.fixed
         # Without convergence there are no probabilities; and a published calibration that fails is not saved.
         if not c.verdict.ok or (fixed is not None and fixed.wrong):
             loop, widen_noise = replace(self, max_effects=0), False
         # Of the same name as one of the catalogue, the given one counts: its size may be the user's own.
         named = [e for e in self.given if not e.is_placeholder]
+        how = {"widen_noise": widen_noise, "latent": loop.max_effects > 0}
         structures, shut = structures_over(
-            c.model, self.readings, c.reference, effects=(*effects, *named), widen_noise=widen_noise
+            c.model, self.readings, c.reference, effects=(*effects, *named), **how
         )
-        return loop, structures, shut
+        if structures.latent(Structure()):
+            model = structures.whole(structures.weigh(Structure())).model
+            first = loop.step(model, method=loop.quick(model))
+        return loop, first, structures, shut
 
     def freed(self, first: Step) -> tuple[Effect, ...]:
         """Effects of the first model once more, free of stated values that the readings contradict.
@@ -331,7 +338,7 @@ class Loop:
             best = " + ".join(sorted(chosen.effects)) or "the first model under another noise law"
             tell(f"interrupted: fitting the best so far, {best}; Ctrl-C again does not wait for it")
         for before, at in pairwise(way):
-            weighed = structures.weigh(at)
+            weighed = structures.whole(structures.weigh(at))
             model = weighed.sized_model
             once = at == way[-1] and not (twice or hurried)
             method = self.method if once else self.quick(model)
@@ -340,7 +347,7 @@ class Loop:
         if hurried and self.method != QUICK:
             steps[-1] = steps[-1].noted([NOT_SAMPLED.format(deadline.current().limit)])
         elif self.method != QUICK and (len(way) == 1 or twice):
-            steps[-1] = self.sampled(steps[-1], structures.weigh(way[-1]).phi)
+            steps[-1] = self.sampled(steps[-1], structures.whole(structures.weigh(way[-1])).phi)
             self.tell(steps, structures, to)
         if first.calibration.verdict.ok and self.max_effects > 0:  # else nothing was looked for
             steps = [

@@ -60,7 +60,6 @@ def averaged(
         seed: of every random number.
     """
     shares = shares_of(structures, noise)
-    own = frozenset(last.model.names) - frozenset(structures.base.names)
     if len(shares) < 2:
         return last, shares
     random, parts, models = np.random.default_rng(seed), [], []
@@ -68,7 +67,9 @@ def averaged(
         for share in shares:
             deadline.current().ask()
             count = max(1, round(COUNT * share.probability))
-            if frozenset(share.effects) == own:
+            structure = Structure(frozenset(share.effects), noise)
+            names = {*structures.base.names, *structure.effects, *structures.latent(structure)}
+            if names == {*last.model.names}:
                 # The last structure was sampled already: its own draws again, without repetition where there are
                 # enough.
                 x, v = last.draws()
@@ -76,7 +77,7 @@ def averaged(
                 parts.append(_by_name(last.layout, x[pick], v[pick]))
                 models.append(last.model)
                 continue
-            weighed = structures.weigh(Structure(frozenset(share.effects), noise))
+            weighed = structures.whole(structures.weigh(structure))
             parts.append(_drawn(weighed, count, share.probability, seed))
             models.append(weighed.sized_model)
     model = _union(structures, models)

@@ -4,6 +4,9 @@ Each candidate is in or out, independently, with odds such that P(model complete
 tenth of the prior. A candidate is a family of forms, of which a structure has one at most and which share its odds: a
 form more makes nothing more probable. A plausible size is known to an order of magnitude: evidence is averaged over it
 times 1, 3 and 10.
+
+Evidence says nothing of a candidate that readings cannot tell from the effects of a structure: it is latent in the
+structure's model, with its prior.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from functools import cache, cached_property, lru_cache
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._core.null_space import Spans
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import condition
@@ -43,6 +47,8 @@ ROUGHLY_NATS = 20.0
 # Factors on a candidate's plausible size, which is known to an order of magnitude, and their prior probabilities: real
 # coefficients on the chamber ramp stood 3 to 8 such sizes out.
 SIZE_FACTORS = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}
+# Standard deviation of a coefficient whose size the readings do not tell, in plausible sizes.
+RMS_SIZE = math.sqrt(sum(p * factor**2 for factor, p in SIZE_FACTORS.items()))
 
 NOISE_COORDINATES = (-6.0, 6.0)  # coordinates of a noise's size
 STILL_SD = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
@@ -125,6 +131,8 @@ class Structures:
         candidates: effects that may be added, by name.
         laws: further noise laws that the readings can tell, by name.
         odds: prior log odds of candidates of which more is known than their number.
+        floor: noise that no model removes, output unit.
+        spans: which candidates these readings cannot tell from which.
         earlier: structures weighed with other ranges of shapes: where refits begin.
     """
 
@@ -134,6 +142,8 @@ class Structures:
     candidates: Mapping[str, Effect]
     laws: Mapping[str, Noise]
     odds: Mapping[str, float] = field(default_factory=dict)
+    floor: float = 0.0
+    spans: Spans = field(default_factory=Spans)
     earlier: Mapping[Structure, Weighed] = field(default_factory=dict)
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
@@ -191,6 +201,21 @@ class Structures:
         of_law = log_prior(self.laws, structure.noise)
         return of_law + sum(self.log_odds[name] for name in structure.effects)
 
+    def latent(self, structure: Structure) -> frozenset[str]:
+        """Candidates that these readings cannot tell from the effects of a structure."""
+        return self.spans.implied(structure.effects)
+
+    def rivals(self, structure: Structure) -> dict[str, frozenset[str]]:
+        """For each effect of a structure those that take its place, alone or together, for all that readings tell."""
+        own = structure.effects
+        sets = self.spans.generators(own)
+        return {n: frozenset().union(*(one - own for one in sets if n not in one)) for n in own}
+
+    def reported(self, structure: Structure) -> frozenset[str]:
+        """Families of the effects of a structure, and of those that take their place."""
+        named = structure.effects.union(*self.rivals(structure).values())
+        return frozenset(map(self.family, named))
+
     def noise(self, structure: Structure) -> Noise:
         return self.laws.get(structure.noise, self.base.noise)
 
@@ -235,6 +260,23 @@ class Structures:
             near = self.earlier.get(structure, near)
             found = self.visited[structure] = self._refitted(structure, near, hints)
         return found
+
+    def whole(self, weighed: Weighed) -> Weighed:
+        """A structure with its latent effects in the model, at its mode: what is fitted, drawn and used of it."""
+        structure, model = weighed.structure, weighed.model
+        latent, factors = self.latent(structure), dict(weighed.problem.size_factors or {})
+        if not latent:
+            return weighed
+        model = model + [e for name, e in self.candidates.items() if name in latent]
+        # What is in one span has one prior: no member by the size that suits the readings.
+        for name in (*latent, *self.spans.spanning(structure.effects)):
+            model = model.resize(name, RMS_SIZE * model.effect(name).coefficients[0].size)
+            factors.pop(name, None)
+        problem = Problem(replace(self.layout, model=model), self.record, factors)
+        known, width = carried(problem, weighed.problem, weighed.mode)
+        begin = np.array([known.get(h.name, 0.0) for h in problem.hypers])
+        x = problem.x_of(weighed.problem, weighed.mode.x)
+        return replace(weighed, problem=problem, mode=find_mode(problem, [begin], width, x))
 
     @cached_property
     def line(self) -> Callable[[Weighed], LinearModel]:
