@@ -175,7 +175,7 @@ equivalent.latent (note)
   → [test] What would tell: {experiment} ({nats:.1f} nats at plausible sizes).
   → [none] None of the instrument's experiments would tell.
 equivalent.candidates (note)
-    These readings cannot tell {of[0]} from the others of {of:list}: who finds one has found any of them.
+    These readings cannot tell {of[0]} from {beside}.
 term.confounded (note)
     {of[0]} and {by} are confounded in these readings, which tell {left:.1%} of it apart: their standard
     uncertainties hold both.

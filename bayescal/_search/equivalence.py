@@ -12,7 +12,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -155,55 +155,51 @@ def equivalents(spans: Spans) -> list[Equivalent]:
     return found
 
 
-def separating_experiment(
-    structures: Structures, one: Equivalent
-) -> tuple[str, float] | None:
-    """Which of an instrument's experiments tells equivalent effects apart best, and by how much of the first one, nats.
-
-    None where none does.
-    """
-    instrument = structures.base.instrument
-    found = dict[str, float]()
-    for name, record in instrument.experiments:
-        readings = Measurements.from_arrays(instrument, **record())
-        readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MOST_READINGS)))
-        reference = reference_of(readings)
-        own = {n: structures.candidates[n] for n in one.effects}
-        if any(testable(effect, readings) for effect in own.values()):
-            continue
-        layout = bind(structures.base, readings, own.values(), reference)[0]
-        there = replace(
-            structures,
-            layout=layout,
-            record=record_of(instrument, readings, reference),
-            candidates=own,
-        )
-        _, _, left = _columns(there)
-        first, *others = (left[n] for n in one.effects)
-        found[name] = nats(beyond(first, np.column_stack([np.zeros((len(first), 1)), *others])))
-    best = max(found, key=lambda name: found[name], default="")
-    return (best, found[best]) if best and found[best] >= UNDECIDED_NATS else None
-
-
 def said_of_equivalents(structures: Structures, at: Structure) -> tuple[Claim, ...]:
-    """Of sets of equivalent effects, those of a structure's model first: whether that is decided, and what would tell.
+    """Sets of equivalent effects, those of a structure's model first: whether it is decided what acts, what would tell.
 
     It stands against a model where the readings do not say which of its terms act in use.
     """
-    inside, latent = at.effects | structures.latent(at), structures.latent(at)
-    of_model, others = list[Claim](), list[Claim]()
+    latent = structures.latent(at)
+    found = dict[str, list[Claim]](undecided=[], latent=[], candidates=[])
     for one in equivalents(structures.spans):
-        if not ({*one.effects} <= inside and latent.intersection(one.effects)):
-            others.append(Claim("equivalent.candidates", *one.effects))
-            continue
-        test = separating_experiment(structures, one)
-        told = {"experiment": test[0], "nats": test[1], "cure": "test"} if test else {"cure": "none"}
-        acting = [_acts_in_use(structures, name) for name in one.effects]
-        open_ = any(acting) if one.coefficients else len({*acting}) > 1
-        code = "equivalent.undecided" if open_ else "equivalent.latent"
         first, *rest = one.effects
-        of_model.append(Claim(code, first, *rest, beside=one.coefficients or (*rest,), **told))
-    return (*of_model, *others)
+        told, state = {"beside": one.coefficients or (*rest,)}, "candidates"
+        if latent.intersection(one.effects) and {*one.effects} <= at.effects | latent:
+            acting = {_acts_in_use(structures, name) for name in one.effects}
+            open_ = acting == {True, False} or (acting == {True} and not rest)
+            state = "undecided" if open_ else "latent"
+            told |= separating_experiments(structures)[one]
+        found[state].append(Claim(f"equivalent.{state}", first, *rest, **told))
+    return (*found["undecided"], *found["latent"], *found["candidates"])
+
+
+def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str, Any]]:
+    """Which of the instrument's experiments tells each set of equivalent effects apart best, by how many nats of the
+    first one; computed once."""
+    if structures.experiments:
+        return structures.experiments
+    instrument, sets = structures.base.instrument, equivalents(structures.spans)
+    found: dict[Equivalent, dict[str, Any]] = {one: {"cure": "none"} for one in sets}
+    for name, columns in instrument.experiments:
+        readings = Measurements.from_arrays(instrument, **columns())
+        readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MOST_READINGS)))
+        every = {n: structures.candidates[n] for one in sets for n in one.effects}
+        own = {n: effect for n, effect in every.items() if testable(effect, readings) is None}
+        reference = reference_of(readings)
+        layout = bind(structures.base, readings, own.values(), reference)[0]
+        record = record_of(instrument, readings, reference)
+        there = replace(structures, layout=layout, record=record, candidates=own)
+        left = _columns(there)[2]
+        for one in sets:
+            if {*one.effects} <= {*own}:
+                first, *others = (left[n] for n in one.effects)
+                span = np.column_stack([np.zeros((len(first), 1)), *others])
+                told = nats(beyond(first, span))
+                if told > found[one].get("nats", UNDECIDED_NATS):
+                    found[one] = {"cure": "test", "experiment": name, "nats": told}
+    structures.experiments.update(found)
+    return found
 
 
 def _acts_in_use(structures: Structures, name: str) -> bool:

@@ -136,7 +136,7 @@ def _not_decidable(steps: Sequence[Step]) -> list[Claim]:
 def _equivalent(step: Step, severity: str) -> list[Claim]:
     """Effects of the last model that these readings cannot tell apart."""
     said = step.discovery.equivalent if step.discovery else ()
-    return [one for one in said if one.severity == severity and one.numbers]
+    return [one for one in said if one.severity == severity and "cure" in one.numbers]
 
 
 def _levels(step: Step) -> list[Claim]:

@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -147,6 +148,7 @@ class Structures:
     earlier: Mapping[Structure, Weighed] = field(default_factory=dict)
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
+    experiments: dict[Any, Any] = field(default_factory=dict)  # which tell equivalent effects apart
 
     @cached_property
     def log_odds(self) -> dict[str, float]:
