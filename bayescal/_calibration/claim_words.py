@@ -86,6 +86,11 @@ noise.correlated (doubt)
     Noise model inadequate: neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), so the
     probabilities of missing effects are too confident. Either the noise is correlated in time or something is
     missing that no candidate describes.
+noise.describes (doubt)
+    The noise ({words}) stands for something that has no name here: its Allan deviation reaches {size:.2g} {unit:unit}
+    within a run, {times:.0f} times the noise of a single reading.
+  → Look for what moves the output so, and add it (--effect, --add); a repeat of the test tells a cause, which comes
+    again, from noise.
 noise.scatter (doubt)
     Noise model inadequate: the scatter changes with {of}, so standard uncertainties hold for no part of the record.
   → Give the readings their own uncertainties (column output_uncertainty).

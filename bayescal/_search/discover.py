@@ -381,7 +381,7 @@ def discovery_at(
     rivals = list(dict.fromkeys(first + leads))[:RIVALS]
     return Discovery(
         nothing_missing=posterior.complete(structures, (c.effect for c in judged if c.unseen)),
-        unnamed=tuple(sorted(structures.matters(here))),
+        unnamed=(*sorted(structures.matters(here)), *[f"{here.problem.noise.name} noise"] * here.noise_describes),
         latent=tuple(sorted(structures.latent(here.structure))),
         equivalent=said_of_equivalents(structures, here.structure),
         sets=found,

@@ -88,7 +88,8 @@ class Posterior:
         """Probability that the given effects are all that is there, under any noise law.
 
         A description that carries more than a small part stands for something that has no name here: a structure with
-        one is not complete, also where the description is among the given. One that does not counts for nothing.
+        one is not complete, also where the description is among the given, or the noise. One that does not counts for
+        nothing.
 
         Args:
             structures: that were weighed.
@@ -100,7 +101,9 @@ class Posterior:
         for s, own, probability in each:
             unnamed = {n for n in s.effects if structures.candidates[n].unnamed}
             weighed = self.refitted.get(s)
-            if not own - unnamed <= rest or not unnamed:
+            if weighed is not None and weighed.noise_describes:
+                found.append(False)
+            elif not own - unnamed <= rest or not unnamed:
                 found.append(own <= rest)
             elif weighed is None or probability < NEXT_TO_NOTHING:
                 found.append(False)

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._calibration.judgement import describes
 from bayescal._core.null_space import Spans
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
@@ -102,6 +103,12 @@ class Weighed:
     def phi(self) -> dict[str, float]:
         """Shapes, noise parameters and spreads at the mode, by name."""
         return {name: float(value) for name, value in self.problem.hyper(self.mode.v).items()}
+
+    @property
+    def noise_describes(self) -> bool:
+        """Whether its noise stands for something without a name."""
+        noise = self.problem.noise
+        return not noise.independent and describes(noise, self.phi)
 
     @cached_property
     def acting(self) -> dict[Correction, tuple[float, ...]]:
@@ -313,7 +320,10 @@ class Structures:
             found = find_mode(problem, begin, width, x, STILL_SD, False, wanted_from=wanted)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         problem, mode, log_evidence = averaged(problem, found, sized, wanted)
-        return Weighed(structure, log_evidence, log_prior, problem, mode)
+        weighed = Weighed(structure, log_evidence, log_prior, problem, mode)
+        if weighed.noise_describes:  # something without a name, whose share of the prior is that of curves
+            weighed = replace(weighed, log_prior=log_prior + math.log(UNKNOWN_SHARE))
+        return weighed
 
     def roughly(self, structure: Structure, near: Weighed) -> float:
         """The total under independent noise of one size, all else of φ as another has it; infinite under others."""
