@@ -33,9 +33,9 @@ from bayescal._model.unknown_effect import FREED
 from bayescal._search.library import Library
 from bayescal._search.structures import RMS_SIZE, Structure, Structures, has_size
 
-WIDE = 1e6  # norm of a whitened column of which no prior is stated
-TOGETHER = 2  # effects in whose span another one is looked for
-MOST_READINGS = 1500  # of an experiment that are looked at, evenly spread
+FLAT_NORM = 1e6  # norm of a whitened column of which no prior is stated
+MAX_SPANNING = 2  # effects in whose span another one is looked for
+MAX_EXPERIMENT_READINGS = 1500  # of an experiment that are looked at, evenly spread
 
 
 class Equivalent(NamedTuple):
@@ -99,7 +99,7 @@ def _columns(structures: Structures) -> tuple[LinearModel, _ByName, _ByName]:
     for t in line.problem.in_x:
         random[t.at] = t.group_sd_name is not None or t.known.effect.weights is not None
     white = line.white_nuisance
-    unstated = WIDE / np.maximum(np.linalg.norm(white, axis=0), 1 / WIDE)
+    unstated = FLAT_NORM / np.maximum(np.linalg.norm(white, axis=0), 1 / FLAT_NORM)
     white = white * np.where(line.weight == 0, unstated, 1.0)
     of_groups = _beside(white[:, random])
     of_all = _beside(of_groups(white[:, ~random]))
@@ -137,7 +137,7 @@ def equivalents(spans: Spans) -> list[Equivalent]:
     every = sorted(
         (
             (name, *others)
-            for count in range(TOGETHER, 0, -1)
+            for count in range(MAX_SPANNING, 0, -1)
             for name in spans.left
             if spans.within(name, {*spans.left} - {name})
             for others in itertools.combinations([n for n in spans.left if n != name], count)
@@ -183,7 +183,7 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
     found: dict[Equivalent, dict[str, Any]] = {one: {"cure": "none"} for one in sets}
     for name, columns in instrument.experiments:
         readings = Measurements.from_arrays(instrument, **columns())
-        readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MOST_READINGS)))
+        readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MAX_EXPERIMENT_READINGS)))
         every = {n: structures.candidates[n] for one in sets for n in one.effects}
         own = {n: effect for n, effect in every.items() if testable(effect, readings) is None}
         reference = reference_of(readings)
