@@ -385,7 +385,8 @@ def _against(chapter: Chapter) -> Iterator[str]:
 def _found(chapter: Chapter) -> str:
     """What the last model has more than the first; sizes are those that are signed for."""
     c, steps = chapter.calibration, chapter.data["steps"]
-    first = set(steps[0]["effects"])
+    latent = [set(m.get("latent", ())) for m in chapter.data["missing"]] or [set()]
+    first = set(steps[0]["effects"]) - (latent[0] - latent[-1])
     added = [e for e in c.model.effects if e.name not in first]
     if not added:
         search = chapter.data["search"] or {}
@@ -397,7 +398,7 @@ def _found(chapter: Chapter) -> str:
             weighed = "Nothing was looked for beside"
             if count > 1 and search.get("stopped"):
                 weighed = f"{count} structures were weighed, and none was fitted but"
-        names = c.model.names
+        names = [n for n in c.model.names if n not in latent[-1]]
         model = f"{len(names)} effects" if len(names) > NAMED else ", ".join(names) or "no effect"
         return f"{weighed} the first model ({model})."
     by_subject: dict[str, list[str]] = {}
