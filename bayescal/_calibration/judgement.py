@@ -43,7 +43,7 @@ CORRELATED_SD = 4.0
 CORRELATED_COEFFICIENT = 0.1
 # Allan deviation of correlated noise over a tenth to a half of a run, in standard deviations of a reading's own noise,
 # from which it describes how the output goes, as a curve does: bias instability of sensors at rest stays below.
-DESCRIBING_SD = 3.0
+DESCRIBING_SD = 2.5
 # Share of the squares of a step between runs, that lie within runs where it is one between them.
 WITHIN_RUNS_SHARE = 0.05
 SURPRISE_RATIO = 3.0  # times what the other groups expect of one, beyond which it is not like them
