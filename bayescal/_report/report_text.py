@@ -386,7 +386,7 @@ def _found(chapter: Chapter) -> str:
     """What the last model has more than the first; sizes are those that are signed for."""
     c, steps = chapter.calibration, chapter.data["steps"]
     latent = [set(m.get("latent", ())) for m in chapter.data["missing"]] or [set()]
-    first = set(steps[0]["effects"]) - (latent[0] - latent[-1])
+    first = set(steps[0]["effects"]) | latent[0] & latent[-1]
     added = [e for e in c.model.effects if e.name not in first]
     if not added:
         search = chapter.data["search"] or {}

@@ -54,7 +54,7 @@ from bayescal._search.gate import judged, left_out_better
 from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search, ShownStructure
 from bayescal._search.search_path import Gate, SearchPath, Step
-from bayescal._search.structure_average import averaged
+from bayescal._search.structure_average import averaged, with_latent
 from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import STOPPED, path
 
@@ -135,7 +135,7 @@ def calibrate(
         more = loop.freed(first)
         if first.against and not more:
             return loop.not_looked(first)
-        loop, first, structures, shut = loop.open(first, (*effects, *more), widen_noise)
+        loop, structures, shut = loop.open(first, (*effects, *more), widen_noise)
         tell = partial(loop.tell, [first], structures, deadline.door(), follow)
         tell()
         deadline.allow(loop.grace)
@@ -197,11 +197,8 @@ class Loop:
 
     def open(
         self, first: Step, effects: Sequence[Effect], widen_noise: bool
-    ) -> tuple[Loop, Step, Structures, list[Candidate]]:
-        """The structures to look at beyond the first step, and the candidates that these readings cannot test.
-
-        The first step's model holds what these readings cannot tell from its effects.
-        """
+    ) -> tuple[Loop, Structures, list[Candidate]]:
+        """The structures to look at beyond the first step, and the candidates that these readings cannot test."""
         loop, c, fixed = self, first.calibration, first.check.fixed
         # Without convergence there are no probabilities; and a published calibration that fails is not saved.
         if not c.verdict.ok or (fixed is not None and fixed.wrong):
@@ -212,10 +209,7 @@ class Loop:
         structures, shut = structures_over(
             c.model, self.readings, c.reference, effects=(*effects, *named), **how
         )
-        if structures.latent(Structure()):
-            model = structures.whole(structures.weigh(Structure())).model
-            first = loop.step(model, method=loop.quick(model))
-        return loop, first, structures, shut
+        return loop, structures, shut
 
     def freed(self, first: Step) -> tuple[Effect, ...]:
         """Effects of the first model once more, free of stated values that the readings contradict.
@@ -338,7 +332,7 @@ class Loop:
             best = " + ".join(sorted(chosen.effects)) or "the first model under another noise law"
             tell(f"interrupted: fitting the best so far, {best}; Ctrl-C again does not wait for it")
         for before, at in pairwise(way):
-            weighed = structures.whole(structures.weigh(at))
+            weighed = structures.weigh(at)
             model = weighed.sized_model
             once = at == way[-1] and not (twice or hurried)
             method = self.method if once else self.quick(model)
@@ -347,7 +341,7 @@ class Loop:
         if hurried and self.method != QUICK:
             steps[-1] = steps[-1].noted([NOT_SAMPLED.format(deadline.current().limit)])
         elif self.method != QUICK and (len(way) == 1 or twice):
-            steps[-1] = self.sampled(steps[-1], structures.whole(structures.weigh(way[-1])).phi)
+            steps[-1] = self.sampled(steps[-1], structures.weigh(way[-1]).phi)
             self.tell(steps, structures, to)
         if first.calibration.verdict.ok and self.max_effects > 0:  # else nothing was looked for
             steps = [
@@ -358,11 +352,14 @@ class Loop:
             if (last := steps[-1].discovery) and why:
                 steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
             steps[-1] = self.said_of_given(steps[-1])
-        last, shares = steps[-1].calibration, ()
+        last, shares, at = steps[-1].calibration, (), way[len(steps) - 1]
         used = last
         if self.max_effects > 0 and last.verdict.ok:
             with suppress(TimeIsUp):  # what is used of it is an average over the structures
-                used, shares = averaged(last, structures, way[len(steps) - 1].noise, self.seed)
+                used, shares = averaged(last, structures, at.noise, self.seed)
+            whole = with_latent(last, structures, at)
+            used = whole if used is last else with_latent(used, structures, at)
+            steps[-1], last = replace(steps[-1], calibration=whole), whole
         steps[-1] = self.held_against(steps[-1], used, structures)
         trail = self.trail(steps, structures, complete=not stopped, stopped=stopped)
         if used is last:

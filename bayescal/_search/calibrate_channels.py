@@ -145,7 +145,7 @@ class _Channel:
         more = loop.freed(first)
         if first.against and not more:
             return cls(name, loop, first)
-        loop, first, structures, shut = loop.open(first, (*effects, *more), widen_noise)
+        loop, structures, shut = loop.open(first, (*effects, *more), widen_noise)
         found = cls(name, loop, first, shut=shut)
         if loop.max_effects > 0:
             of_all = {n: e.shared_shape for n, e in structures.candidates.items()}

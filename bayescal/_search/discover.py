@@ -192,9 +192,8 @@ def discover(
         library, stopped = walked(Library(structures), max_effects)
         with deadline.grace(TO_SAY):
             found = discovery_at(library, Structure(), shut, stopped)
-        first = structures.whole(structures.weigh(Structure())).model
-        held = [first.effect(name) for name in found.latent]
-        found = replace(found, best=(*held, *found.best))
+        held = structures.unsized(model, found.latent)
+        found = replace(found, best=(*(held.effect(n) for n in found.latent), *found.best))
         return found.not_stated(ENDED) if stopped else found
 
     with deadline.until(time_limit), deadline.share(WORK):
@@ -372,9 +371,8 @@ def discovery_at(
         )
         judged.append(found_or_lead(candidate, name in in_sets))
     ranked = sorted(judged, key=lambda c: (-(c.probability or 0.0), -(c.log_bayes_factor or 0.0)))
-    made = structures.whole(structures.weigh(posterior.chosen)).sized_model
-    new = {*made.names} - {*structures.base.names} - at.effects - structures.latent(at)
-    best = [made.effect(name) for name in structures.candidates if name in new]
+    new, made = posterior.chosen.effects - at.effects, structures.weigh(posterior.chosen)
+    best = [made.sized_model.effect(name) for name in structures.candidates if name in new]
     # What another experiment should tell apart, the most probable first.
     first = list(found[0].effects) if found else []
     leads = [c.effect for c in ranked if c.kind == "lead"] if len(first) < 2 else []

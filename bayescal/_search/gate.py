@@ -106,9 +106,10 @@ def _followed(steps: Sequence[Step]) -> list[TakenOver]:
     last, found = steps[-1].calibration, list[TakenOver]()
     unnamed = {e.name for e in last.model.effects if e.unnamed}
     plain = [s.calibration for s in steps[:-1] if unnamed.isdisjoint(s.calibration.model.names)]
+    latent = steps[-1].discovery.latent if steps[-1].discovery else ()
     if plain:
-        found = [one for one in taken_over(plain[0], last) if not one.unnamed]
-        found += [one for one in taken_over(plain[-1], last) if one.unnamed]
+        found = [one for one in taken_over(plain[0], last, latent) if not one.unnamed]
+        found += [one for one in taken_over(plain[-1], last, latent) if one.unnamed]
     return sorted(found, key=lambda one: -one.moved)
 
 

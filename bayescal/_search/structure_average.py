@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fitted import named
+from bayescal._calibration.mixture import has_effect
 from bayescal._core import deadline
 from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
@@ -60,6 +61,7 @@ def averaged(
         seed: of every random number.
     """
     shares = shares_of(structures, noise)
+    own = frozenset(last.model.names) - frozenset(structures.base.names)
     if len(shares) < 2:
         return last, shares
     random, parts, models = np.random.default_rng(seed), [], []
@@ -67,9 +69,7 @@ def averaged(
         for share in shares:
             deadline.current().ask()
             count = max(1, round(COUNT * share.probability))
-            structure = Structure(frozenset(share.effects), noise)
-            names = {*structures.base.names, *structure.effects, *structures.latent(structure)}
-            if names == {*last.model.names}:
+            if frozenset(share.effects) == own:
                 # The last structure was sampled already: its own draws again, without repetition where there are
                 # enough.
                 x, v = last.draws()
@@ -77,11 +77,44 @@ def averaged(
                 parts.append(_by_name(last.layout, x[pick], v[pick]))
                 models.append(last.model)
                 continue
-            weighed = structures.whole(structures.weigh(structure))
+            weighed = structures.weigh(Structure(frozenset(share.effects), noise))
             parts.append(_drawn(weighed, count, share.probability, seed))
             models.append(weighed.sized_model)
-    model = _union(structures, models)
-    return _together(last, model, models, parts, shares), shares
+    found = _together(last, _union(structures, models), models, parts)
+    each = [f"{' + '.join(s.effects) or 'nothing added'} {s.probability:.2f}" for s in shares]
+    said = f"Averaged over {len(shares)} structures with their probabilities: {', '.join(each)}."
+    found = found.with_verdict(notes=(*last.verdict.notes, said))
+    return replace(found, method=f"{last.method}, averaged"), shares
+
+
+@on_one_thread
+def with_latent(calibration: Calibration, structures: Structures, at: Structure) -> Calibration:
+    """A calibration in which effects are latent that its readings cannot tell from those of a structure.
+
+    Draws that lack them are those of the others given that they are zero. Linear in them, the others then stand where
+    they are to be given what they are; all of one span have the prior of a size that nobody knows.
+    """
+    latent, spanning = structures.latent(at), structures.spans.spanning(at.effects)
+    if not latent:
+        return calibration
+    there = [has_effect(calibration, name) for name in spanning]
+    there += [~has_effect(calibration, n) for n in latent if n in calibration.model.names]
+    every = [n for n in structures.candidates if n in latent | spanning]
+    model = structures.unsized(calibration.model, every)
+    draws = _by_name(calibration.layout, *calibration.draws())
+    found = _together(calibration, model, [calibration.model], [draws], shuffled=False)
+    line, (x, v) = found.linear, found.draws()
+    p, inside = found.layout.size, np.isin(line.owners, [*latent])
+    covariance = line.root @ line.root.T
+    own = covariance[np.ix_(inside, inside)]
+    normal = np.random.default_rng([found.seed, 4]).standard_normal((len(x), len(own)))
+    values = line.z[inside] + normal @ np.linalg.cholesky(own).T
+    values *= np.all([np.ones(len(x), dtype=bool), *there], axis=0)[:, None]
+    moved = values @ np.linalg.solve(own, covariance[inside])
+    x, v = x + moved[:, :p] * line.sd[:p], v.copy()
+    v[:, found.layout.moving] += moved[:, p:]
+    mode = _mode(calibration, found.layout, x, v)
+    return replace(found, joint=Draws.of(x, v), mode=mode)
 
 
 def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
@@ -137,7 +170,7 @@ def _together(
     model: Model,
     models: Sequence[Model],
     parts: Sequence[_Values],
-    shares: Sequence[StructureShare],
+    shuffled: bool = True,
 ) -> Calibration:
     """The draws of all structures as those of one model, in a random order."""
     # Groups of labels that the last model knows nothing of, but another structure.
@@ -158,16 +191,12 @@ def _together(
                 x[at, b.start] = b.coefficient.mean
     for i, h in enumerate(layout.hypers):
         v[:, i] = _coordinates(h, parts, counts)
-    random = np.random.default_rng(last.seed)
-    order = random.permutation(total)[: CHAINS * (total // CHAINS)]
-    each = [f"{' + '.join(s.effects) or 'nothing added'} {s.probability:.2f}" for s in shares]
-    said = f"Averaged over {len(shares)} structures with their probabilities: {', '.join(each)}."
+    order = np.random.default_rng(last.seed).permutation(total) if shuffled else np.arange(total)
+    order = order[: CHAINS * (total // CHAINS)]
     return replace(
         last,
         model=model,
         joint=Draws.of(x[order], v[order]),
-        verdict=replace(last.verdict, notes=(*last.verdict.notes, said)),
-        method=f"{last.method}, averaged",
         confounded=last.confounders,
         layout=layout,
         levels={**last.levels, **further},

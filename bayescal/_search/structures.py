@@ -12,7 +12,7 @@ structure's model, with its prior.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache
 from typing import Any
@@ -214,6 +214,14 @@ class Structures:
         """Candidates that these readings cannot tell from the effects of a structure."""
         return self.spans.implied(structure.effects)
 
+    def unsized(self, model: Model, names: Iterable[str]) -> Model:
+        """A model with some candidates, in it or not, of which readings tell no size: their prior is that of any."""
+        for name in names:
+            effect = self.candidates[name]
+            model = model if name in model.names else model + effect
+            model = model.resize(name, RMS_SIZE * effect.coefficients[0].size)
+        return model
+
     def rivals(self, structure: Structure) -> dict[str, frozenset[str]]:
         """For each effect of a structure those that take its place, alone or together, for all that readings tell."""
         own = structure.effects
@@ -269,23 +277,6 @@ class Structures:
             near = self.earlier.get(structure, near)
             found = self.visited[structure] = self._refitted(structure, near, hints)
         return found
-
-    def whole(self, weighed: Weighed) -> Weighed:
-        """A structure with its latent effects in the model, at its mode: what is fitted, drawn and used of it."""
-        structure, model = weighed.structure, weighed.model
-        latent, factors = self.latent(structure), dict(weighed.problem.size_factors or {})
-        if not latent:
-            return weighed
-        model = model + [e for name, e in self.candidates.items() if name in latent]
-        # What is in one span has one prior: no member by the size that suits the readings.
-        for name in (*latent, *self.spans.spanning(structure.effects)):
-            model = model.resize(name, RMS_SIZE * model.effect(name).coefficients[0].size)
-            factors.pop(name, None)
-        problem = Problem(replace(self.layout, model=model), self.record, factors)
-        known, width = carried(problem, weighed.problem, weighed.mode)
-        begin = np.array([known.get(h.name, 0.0) for h in problem.hypers])
-        x = problem.x_of(weighed.problem, weighed.mode.x)
-        return replace(weighed, problem=problem, mode=find_mode(problem, [begin], width, x))
 
     @cached_property
     def line(self) -> Callable[[Weighed], LinearModel]:
