@@ -113,9 +113,7 @@ def given_up(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np
     return -(linear.root[:p] * linear.sd[:p, None]) @ linear.projected(columns)
 
 
-def widened_by(
-    linear: LinearModel, added: Float[np.ndarray, "p"]
-) -> Bool[np.ndarray, "p"]:
+def widened_by(linear: LinearModel, added: Float[np.ndarray, "p"]) -> Bool[np.ndarray, "p"]:
     """Which coefficients of a law are a fifth or more less certain by so many standard deviations."""
     p = linear.problem.layout.size
     known = np.linalg.norm(linear.root[:p] * linear.sd[:p, None], axis=1)

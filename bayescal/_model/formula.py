@@ -612,7 +612,7 @@ class _TypedLine(_Text):
         else:
             raise InputError(f"{name} = {said!r} is no plausible range: write it as 100 to 2000 s")
         unit = (unit or "1").strip()
-        # What is added to a column or compared with it is a place along it: 50 degF is 10 °C there, and may be negative.
+        # What is added to a column or compared with it is a place along it: 50 degF is 10 °C, and may be negative.
         place = any(
             part.kind == "name" and part.parts[0] == name
             for n in _inside(self.tree)

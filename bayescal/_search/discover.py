@@ -379,7 +379,10 @@ def discovery_at(
     rivals = list(dict.fromkeys(first + leads))[:RIVALS]
     return Discovery(
         nothing_missing=posterior.complete(structures, (c.effect for c in judged if c.unseen)),
-        unnamed=(*sorted(structures.matters(here)), *[f"{here.problem.noise.name} noise"] * here.noise_describes),
+        unnamed=(
+            *sorted(structures.matters(here)),
+            *[f"{here.problem.noise.name} noise"] * here.noise_describes,
+        ),
         latent=tuple(sorted(structures.latent(here.structure))),
         equivalent=said_of_equivalents(structures, here.structure),
         sets=found,

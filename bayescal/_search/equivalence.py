@@ -76,7 +76,9 @@ def with_spans(structures: Structures, floor: float) -> Structures:
 
 def _left_by_all(structures: Structures) -> float:
     """Standard deviation of what the base and all candidates without shapes leave of the output, by least squares."""
-    line = about_priors(Problem(replace(structures.layout, model=structures.base), structures.record))
+    line = about_priors(
+        Problem(replace(structures.layout, model=structures.base), structures.record)
+    )
     library = Library(structures)
     points = [point for point, *others in library.points.values() if not others]
     columns = np.column_stack([line.nuisance, library.columns(line.slopes, points, {})])
@@ -183,7 +185,9 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
     found: dict[Equivalent, dict[str, Any]] = {one: {"cure": "none"} for one in sets}
     for name, columns in instrument.experiments:
         readings = Measurements.from_arrays(instrument, **columns())
-        readings = readings.select(np.arange(0, len(readings), -(-len(readings) // MAX_EXPERIMENT_READINGS)))
+        readings = readings.select(
+            np.arange(0, len(readings), -(-len(readings) // MAX_EXPERIMENT_READINGS))
+        )
         every = {n: structures.candidates[n] for one in sets for n in one.effects}
         own = {n: effect for n, effect in every.items() if testable(effect, readings) is None}
         reference = reference_of(readings)

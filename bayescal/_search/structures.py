@@ -312,7 +312,9 @@ class Structures:
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         problem, mode, log_evidence = averaged(problem, found, sized, wanted)
         weighed = Weighed(structure, log_evidence, log_prior, problem, mode)
-        if weighed.noise_describes:  # something without a name, whose share of the prior is that of curves
+        if (
+            weighed.noise_describes
+        ):  # something without a name, whose share of the prior is that of curves
             weighed = replace(weighed, log_prior=log_prior + math.log(UNKNOWN_SHARE))
         return weighed
 

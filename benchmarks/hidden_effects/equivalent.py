@@ -1,6 +1,6 @@
 """Pairs and triples of effects that the usual test of each instrument cannot tell apart: a page.
 
-    python -m benchmarks equivalent
+python -m benchmarks equivalent
 """
 
 from __future__ import annotations
@@ -20,16 +20,15 @@ HEAD = """# Effects that a test cannot tell apart
 
 Rendered by `python -m benchmarks equivalent`, of one campaign (seed {seed}) of each instrument's simulator as it is.
 
-An effect's columns, whitened by the noise floor and in plausible sizes, are projected on those of the first model, and of
-one or two other effects. Where they leave less than a hundredth of its squares, and less than half a nat to decide by
-(½·log(1 + K), K the information in units of its prior), these readings cannot tell it from what spans it. What cannot
-be told from the first model's own coefficients is in every model with its prior, which these coefficients are then as
-uncertain as; what cannot be told from effects that are found enters with them. Whoever finds one of a set has found the
-set. `bayescal calibrate` says all of them, those that are in its model at the gate or among its notes, where they are
-*in* the model of the test below.
+An effect's columns, whitened by the noise floor and in plausible sizes, are projected on those of the first model,
+and of one or two other effects. Where these leave less than a hundredth of its squares, and less than half a nat
+(½·log(1 + K), K the information in units of its prior), the readings cannot tell it from what spans it. What cannot be
+told from coefficients of the first model, *in* the table, is in every model with its prior, and these coefficients are
+as uncertain as that leaves them; what cannot be told from effects that are found enters with them. `bayescal calibrate`
+says every set before what it finds, and those of its model at the gate or among the notes.
 
-*Test that tells*: of the experiments that the instrument lists, the one that leaves most of the first effect to decide
-by, in nats at its plausible size; more than 0.5.
+*Test that tells*: of the experiments that the instrument lists, the one that leaves most of the first effect, in nats
+at its plausible size; more than half a one.
 
 """
 

@@ -310,7 +310,12 @@ def test_it_is_found_saved_loaded_compensated_and_exported(tmp_path: Path) -> No
         ("kink: c*exp(-(temperature - 52)/w); c = 0.2 deg/s; w = 9 to 18 degF", "w", 5.0, 10.0),
         ("kink: c*tanh((temperature - 52)/w); c = 0.2 deg/s; w = 1 to 3 K", "w", 1.0, 3.0),
         ("step: c*step(temperature - m); c = 0.2 deg/s; m = 50 to 122 degF", "m", 10.0, 50.0),
-        ("bend: c*max(temperature, m); c = 0.2 deg/s/degC; m = 283.15 to 323.15 K", "m", 10.0, 50.0),
+        (
+            "bend: c*max(temperature, m); c = 0.2 deg/s/degC; m = 283.15 to 323.15 K",
+            "m",
+            10.0,
+            50.0,
+        ),
         ("step: c*step(temperature - m); c = 0.2 deg/s; m = -20 to 60 degC", "m", -20.0, 60.0),
     ],
 )

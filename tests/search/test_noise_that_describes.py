@@ -15,7 +15,7 @@ GYRO = mems_gyro.INSTRUMENT
 
 
 def snapping(seed: int, kink: float) -> bc.Measurements:
-    """Two hours up and down: a line and a quadratic at the temperature of a body that lags, and a kink at 52 °C, °/s."""
+    """Two hours up and down: a line and a quadratic at a body's temperature, and a kink at 52 °C, °/s."""
     random, time = np.random.default_rng(seed), np.linspace(0.0, 7200.0, 180)
     profile = np.array([0.0, 0.1, 0.45, 0.6, 0.9, 1.0]) * time[-1]
     temperature = 25 + np.interp(time, profile, [0, 0, 52, 52, -8, -8])
@@ -25,7 +25,7 @@ def snapping(seed: int, kink: float) -> bc.Measurements:
     output = 0.85 + 0.0155 * (body - 36) + 1.1e-4 * (body - 36) ** 2
     output = output + kink * np.tanh((body - 52) / 1.5) + 0.034 * random.standard_normal(time.size)
     temperature = temperature + 0.05 * random.standard_normal(time.size)
-    columns = {"time": time, "temperature": temperature, "output": output}
+    columns: dict[str, Any] = {"time": time, "temperature": temperature, "output": output}
     return bc.Measurements.from_arrays(GYRO, run=np.full(time.size, "1"), **columns)
 
 
@@ -60,7 +60,7 @@ def test_bias_instability_at_rest_is_noise() -> None:
         wander[i] = kept * wander[i - 1] + fresh
     output = wander + 0.005 / np.sqrt(10) * random.standard_normal(time.size)
     temperature = 25 + 0.3 * random.standard_normal(time.size)
-    columns = {"time": time, "temperature": temperature, "output": output}
+    columns: dict[str, Any] = {"time": time, "temperature": temperature, "output": output}
     readings = bc.Measurements.from_arrays(GYRO, run=np.full(time.size, "1"), **columns)
     assert "noise.describes" not in codes(readings)
 
