@@ -137,10 +137,11 @@ term.replaceable (doubt)
   → [runs] Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than
     a run? {another}
 equivalent.undecided (doubt)
-    These readings cannot tell {of[0]} from {beside}: they are in the model together, each as uncertain as their priors
-    leave it, and which of them acts in use is not decided.
-  → [test] What would tell: {experiment} ({nats:.1f} nats at plausible sizes).
-  → [none] None of the instrument's experiments would tell.
+    These readings cannot tell {of[0]} from {beside}: they belong in the model together, each as uncertain as its prior
+    leaves it, and which of them acts in use is not decided.
+  → [test] Of the instrument's experiments {experiment!r} would tell best ({nats:.1f} nats at plausible sizes).
+  → [none] None of the instrument's experiments would tell: take another set-up, or give one of them the size that is
+    known.
 complete.undecided (doubt)
     The model is complete with probability {complete:.2g} only, and the readings do not tell what is missing; the
     most probable are {named:list}.
@@ -175,10 +176,11 @@ direction.confounded (note)
     hold what it may have done in their place; the sum of both is measured.
   → Vary {vary} otherwise in another run, or leave it out if it is no cause (--ignore {vary})
 equivalent.latent (note)
-    These readings cannot tell {of[0]} from {beside}: they are in the model together, each as uncertain as their priors
-    leave it.
-  → [test] What would tell: {experiment} ({nats:.1f} nats at plausible sizes).
-  → [none] None of the instrument's experiments would tell.
+    These readings cannot tell {of[0]} from {beside}: they belong in the model together, each as uncertain as its prior
+    leaves it.
+  → [test] Of the instrument's experiments {experiment!r} would tell best ({nats:.1f} nats at plausible sizes).
+  → [none] None of the instrument's experiments would tell: take another set-up, or give one of them the size that is
+    known.
 equivalent.candidates (note)
     These readings cannot tell {of[0]} from {beside}.
 term.confounded (note)
