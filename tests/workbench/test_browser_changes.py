@@ -56,7 +56,6 @@ def test_an_effect_is_resized_and_taken_out(seen: Seen) -> None:
     seen.clean()
 
 
-
 def test_experiments_are_ranked_where_two_effects_are_confounded(seen: Seen) -> None:
     seen.tab("Next experiment")
     told = seen.page.get_by_text(re.compile("To tell apart|Nothing is confounded here"))
