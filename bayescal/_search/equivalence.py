@@ -35,7 +35,8 @@ from bayescal._search.structures import RMS_SIZE, Structure, Structures, has_siz
 
 FLAT_NORM = 1e6  # norm of a whitened column of which no prior is stated
 MAX_SPANNING = 2  # effects in whose span another one is looked for
-MAX_EXPERIMENT_READINGS = 1500  # of an experiment that are looked at, evenly spread
+MAX_ROWS = 4096  # readings that are looked at, evenly spread
+MAX_EXPERIMENT_READINGS = 1500  # the same of an experiment
 
 
 class Equivalent(NamedTuple):
@@ -60,12 +61,12 @@ def with_spans(structures: Structures, floor: float) -> Structures:
         floor: standard deviation of neighbouring readings about each other, output unit.
     """
     structures = replace(structures, floor=min(floor, _left_by_all(structures)))
-    line, whole, left = _columns(structures)
+    line, columns = _columns(structures)
     latent, kept = dict[str, tuple[str, ...]](), dict[str, np.ndarray]()
-    for name, columns in whole.items():
-        if not undecided(columns, left[name]):
-            kept[name] = left[name]
-        elif widened := _coefficients(line, RMS_SIZE * columns):
+    for name, own in columns.items():
+        if not undecided(own.beside_groups, own.beside_all):
+            kept[name] = own.beside_all
+        elif widened := _coefficients(line, RMS_SIZE * own.white):
             latent[name] = widened
     if kept:  # the triangle of a QR has the products of all columns, in few rows
         ends = np.cumsum([c.shape[1] for c in kept.values()])[:-1]
@@ -75,12 +76,13 @@ def with_spans(structures: Structures, floor: float) -> Structures:
 
 
 def _left_by_all(structures: Structures) -> float:
-    """Standard deviation of what the base and all candidates without shapes leave of the output, by least squares."""
+    """Standard deviation of what the base and named candidates without shapes leave of the output, by least squares."""
     line = about_priors(
         Problem(replace(structures.layout, model=structures.base), structures.record)
     )
     library = Library(structures)
-    points = [point for point, *others in library.points.values() if not others]
+    named = {n: p for n, p in library.points.items() if not structures.candidates[n].is_placeholder}
+    points = [point for point, *others in named.values() if not others]
     columns = np.column_stack([line.nuisance, library.columns(line.slopes, points, {})])
     axes, values, _ = np.linalg.svd(columns * column_scale(columns), full_matrices=False)
     axes = axes[:, values > RANK * values.max(initial=0.0)]
@@ -90,27 +92,38 @@ def _left_by_all(structures: Structures) -> float:
 
 
 Array = Float[np.ndarray, "n k"]
-_ByName = dict[str, Array]
 
 
-def _columns(structures: Structures) -> tuple[LinearModel, _ByName, _ByName]:
-    """The base about its priors' means; candidates' columns beside the deviations of groups, and beside all of it."""
+class _Columns(NamedTuple):
+    """Of an effect, whitened, per plausible size: of all readings; of some, beside groups, and beside all of the base."""
+
+    white: Array
+    beside_groups: Array
+    beside_all: Array
+
+
+def _columns(structures: Structures) -> tuple[LinearModel, dict[str, _Columns]]:
+    """The base about its priors' means, and candidates' columns."""
     layout = replace(structures.layout, model=structures.base)
     line = about_priors(Problem(layout, structures.record), structures.floor)
     random = np.zeros(len(line.owners), dtype=bool)
     for t in line.problem.in_x:
         random[t.at] = t.group_sd_name is not None or t.known.effect.weights is not None
-    white = line.white_nuisance
+    # Of many readings some, each in the place of several.
+    every = -(-line.size // MAX_ROWS)
+    white = math.sqrt(every) * line.white_nuisance[::every]
     unstated = FLAT_NORM / np.maximum(np.linalg.norm(white, axis=0), 1 / FLAT_NORM)
     white = white * np.where(line.weight == 0, unstated, 1.0)
     of_groups = _beside(white[:, random])
     of_all = _beside(of_groups(white[:, ~random]))
-    library, whole = Library(structures), _ByName()
+    library, found = Library(structures), dict[str, _Columns]()
     for name, (point, *others) in library.points.items():
         if not others and _has_fixed_columns(structures.candidates[name]):
             columns = library.columns(line.slopes, [point], {}) * library.sizes[name][0].sd
-            whole[name] = of_groups(line.whiten(columns))
-    return line, whole, {name: of_all(columns) for name, columns in whole.items()}
+            whole = line.whiten(columns)
+            beside = of_groups(math.sqrt(every) * whole[::every])
+            found[name] = _Columns(whole, beside, of_all(beside))
+    return line, found
 
 
 def _beside(columns: Float[np.ndarray, "n q"]) -> Callable[[Array], Array]:
@@ -194,10 +207,10 @@ def separating_experiments(structures: Structures) -> dict[Equivalent, dict[str,
         layout = bind(structures.base, readings, own.values(), reference)[0]
         record = record_of(instrument, readings, reference)
         there = replace(structures, layout=layout, record=record, candidates=own)
-        left = _columns(there)[2]
+        columns = _columns(there)[1]
         for one in sets:
             if {*one.effects} <= {*own}:
-                first, *others = (left[n] for n in one.effects)
+                first, *others = (columns[n].beside_all for n in one.effects)
                 span = np.column_stack([np.zeros((len(first), 1)), *others])
                 told = nats(beyond(first, span))
                 if told > found[one].get("nats", UNDECIDED_NATS):
