@@ -95,7 +95,7 @@ Array = Float[np.ndarray, "n k"]
 
 
 class _Columns(NamedTuple):
-    """Of an effect, whitened, per plausible size: of all readings; of some, beside groups, and beside all of the base."""
+    """Of an effect, whitened, per plausible size: of all readings; of some, beside groups, and beside all effects."""
 
     white: Array
     beside_groups: Array
