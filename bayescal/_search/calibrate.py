@@ -357,9 +357,8 @@ class Loop:
         if self.max_effects > 0 and last.verdict.ok:
             with suppress(TimeIsUp):  # what is used of it is an average over the structures
                 used, shares = averaged(last, structures, at.noise, self.seed)
-            whole = with_latent(last, structures, at)
-            used = whole if used is last else with_latent(used, structures, at)
-            steps[-1], last = replace(steps[-1], calibration=whole), whole
+            last, used = with_latent(last, used, structures, at)
+            steps[-1] = replace(steps[-1], calibration=last)
         steps[-1] = self.held_against(steps[-1], used, structures)
         trail = self.trail(steps, structures, complete=not stopped, stopped=stopped)
         if used is last:

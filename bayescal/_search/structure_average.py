@@ -88,33 +88,64 @@ def averaged(
 
 
 @on_one_thread
-def with_latent(calibration: Calibration, structures: Structures, at: Structure) -> Calibration:
-    """A calibration in which effects are latent that its readings cannot tell from those of a structure.
+def with_latent(
+    last: Calibration, used: Calibration, structures: Structures, at: Structure
+) -> tuple[Calibration, Calibration]:
+    """Calibrations in which effects are latent that the readings cannot tell from those of a structure.
 
     Draws that lack them are those of the others given that they are zero. Linear in them, the others then stand where
     they are to be given what they are; all of one span have the prior of a size that nobody knows.
+
+    Args:
+        last: of the structure.
+        used: its average over structures, or itself.
+        structures: that were weighed.
+        at: which.
     """
     latent, spanning = structures.latent(at), structures.spans.spanning(at.effects)
     if not latent:
-        return calibration
-    there = [has_effect(calibration, name) for name in spanning]
-    there += [~has_effect(calibration, n) for n in latent if n in calibration.model.names]
+        return last, used
     every = [n for n in structures.candidates if n in latent | spanning]
-    model = structures.unsized(calibration.model, every)
-    draws = _by_name(calibration.layout, *calibration.draws())
-    found = _together(calibration, model, [calibration.model], [draws], shuffled=False)
-    line, (x, v) = found.linear, found.draws()
-    p, inside = found.layout.size, np.isin(line.owners, [*latent])
-    covariance = line.root @ line.root.T
+    whole = _beside(last, structures.unsized(last.model, every))
+    line, layout = whole.linear, whole.layout
+    inside, covariance = np.isin(line.owners, [*latent]), line.root @ line.root.T
     own = covariance[np.ix_(inside, inside)]
-    normal = np.random.default_rng([found.seed, 4]).standard_normal((len(x), len(own)))
-    values = line.z[inside] + normal @ np.linalg.cholesky(own).T
-    values *= np.all([np.ones(len(x), dtype=bool), *there], axis=0)[:, None]
-    moved = values @ np.linalg.solve(own, covariance[inside])
-    x, v = x + moved[:, :p] * line.sd[:p], v.copy()
-    v[:, found.layout.moving] += moved[:, p:]
-    mode = _mode(calibration, found.layout, x, v)
-    return replace(found, joint=Draws.of(x, v), mode=mode)
+    # By how much each unknown stands elsewhere for each unit of what is latent.
+    moves = np.linalg.solve(own, covariance[inside]) * line.sd
+    by_name = {b.name: moves[:, b.start : b.start + b.size] for b in layout.x_blocks}
+    by_name |= {
+        layout.hypers[i].name: moves[:, layout.size + k] for k, i in enumerate(layout.moving)
+    }
+
+    def moved(calibration: Calibration) -> Calibration:
+        found = _beside(calibration, structures.unsized(calibration.model, every))
+        x, v = (a.copy() for a in found.draws())
+        random = np.random.default_rng([found.seed, 4])
+        values = random.standard_normal((len(x), len(own))) @ np.linalg.cholesky(own).T
+        values += line.z[inside]
+        there = {n: has_effect(calibration, n) for n in calibration.model.names}
+        for name in spanning:
+            values *= there[name][:, None]
+        for name in latent & there.keys():
+            values *= ~there[name][:, None]
+        for b in found.layout.x_blocks:
+            if b.name in by_name:
+                has = 1.0 if b.effect.name in latent else there[b.effect.name][:, None]
+                x[:, b.start : b.start + b.size] += has * (values @ by_name[b.name])
+        for i, h in enumerate(found.layout.hypers):
+            if h.name in by_name:
+                v[:, i] += values @ by_name[h.name]
+        mode = _mode(calibration, found.layout, x, v)
+        return replace(found, joint=Draws.of(x, v), mode=mode)
+
+    whole = moved(last)
+    return whole, whole if used is last else moved(used)
+
+
+def _beside(calibration: Calibration, model: Model) -> Calibration:
+    """A calibration as one of a model with more effects, which are zero in all draws."""
+    draws = _by_name(calibration.layout, *calibration.draws())
+    return _together(calibration, model, [calibration.model], [draws], shuffled=False)
 
 
 def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
