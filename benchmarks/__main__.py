@@ -30,6 +30,7 @@ MODULES = {  # each name's module, with `main()`, in the order in which all are 
     "hidden_effects": "hidden_effects.measurement",
     "triads": "hidden_effects.triads",
     "dividing_head": "hidden_effects.dividing_head",
+    "equivalent": "hidden_effects.equivalent",
     "triad_coverage": "hidden_effects.triad_coverage",
     "under_noise": "hidden_effects.under_noise",
     "units": "hidden_effects.units",

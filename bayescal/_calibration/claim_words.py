@@ -86,6 +86,11 @@ noise.correlated (doubt)
     Noise model inadequate: neighbouring residuals are correlated ({coefficient:.2f}, z = {z:.1f}), so the
     probabilities of missing effects are too confident. Either the noise is correlated in time or something is
     missing that no candidate describes.
+noise.describes (doubt)
+    The noise ({words}) stands for something that has no name here: its Allan deviation reaches {size:.2g} {unit:unit}
+    within a run, {times:.0f} times the noise of a single reading.
+  → Look for what moves the output so, and add it (--effect, --add); a repeat of the test tells a cause, which comes
+    again, from noise.
 noise.scatter (doubt)
     Noise model inadequate: the scatter changes with {of}, so standard uncertainties hold for no part of the record.
   → Give the readings their own uncertainties (column output_uncertainty).
@@ -131,6 +136,12 @@ term.replaceable (doubt)
   → [one run] Look at the column {column}: late, held, smoothed? Or does a body lag for longer than the run? {another}
   → [runs] Look at the column {column}: late, held, smoothed, another's in one run? Or does a body lag for longer than
     a run? {another}
+equivalent.undecided (doubt)
+    These readings cannot tell {of[0]} from {beside}: they belong in the model together, each as uncertain as its prior
+    leaves it, and which of them acts in use is not decided.
+  → [test] Of the instrument's experiments {experiment!r} would tell best ({nats:.1f} nats at plausible sizes).
+  → [none] None of the instrument's experiments would tell: take another set-up, or give one of them the size that is
+    known.
 complete.undecided (doubt)
     The model is complete with probability {complete:.2g} only, and the readings do not tell what is missing; the
     most probable are {named:list}.
@@ -167,6 +178,14 @@ direction.confounded (note)
 column.rounded (note)
     {of} apart from half a step of {column!r}, {grid:.3g}: whether its readings were rounded or cut off is not told
     by the file, and all of them may be off alike. Standard uncertainties hold that (step/√12).
+equivalent.latent (note)
+    These readings cannot tell {of[0]} from {beside}: they belong in the model together, each as uncertain as its prior
+    leaves it.
+  → [test] Of the instrument's experiments {experiment!r} would tell best ({nats:.1f} nats at plausible sizes).
+  → [none] None of the instrument's experiments would tell: take another set-up, or give one of them the size that is
+    known.
+equivalent.candidates (note)
+    These readings cannot tell {of[0]} from {beside}.
 term.confounded (note)
     {of[0]} and {by} are confounded in these readings, which tell {left:.1%} of it apart: their standard
     uncertainties hold both.

@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.special import expit, ndtri
 
 from bayescal._calibration.claim import Claim
@@ -30,7 +30,7 @@ from bayescal._inference.linear_model import LinearModel
 from bayescal._model.frame import derived
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
-from bayescal._model.parameters import CoefficientBlock, Layout
+from bayescal._model.parameters import Layout
 
 A_FIFTH = 0.2  # of a standard uncertainty: a smaller change is lost in the digits printed
 IN_TIME = ("time", "elapsed")
@@ -83,20 +83,19 @@ def confounders(
         steps: of rounded columns the step, and the slope of the output by the column (n,).
     """
     layout, line = linear.problem.layout, linear.line
-    blocks, p = layout.x_blocks, layout.size
-    main = np.repeat([_stands_alone(b, layout) for b in blocks], [b.size for b in blocks])
+    blocks = layout.x_blocks
+    main = stand_alone(layout)
     if not main.any():
         return ()
     x = linear.mode.x - linear.problem.mean_of_x
     size = SIZE * float(np.std(line.jacobian[:, main] @ x[main]))
-    root, found = linear.root[:p] * linear.sd[:p, None], list[Confounder]()
-    known = np.linalg.norm(root, axis=1)
     acting = [
         (name, size * (values - values.mean()) / values.std() * linear.slopes[slot], 0.0)
         for name, values in columns.items()
         for slot in _slots(layout.model.instrument)
     ]
     acting += [(name, step / math.sqrt(12.0) * by, step) for name, (step, by) in steps.items()]
+    found = list[Confounder]()
     for name, values, step in acting:
         # The column at its size, whitened; what the model's columns take of it, P, and leave, K.
         column = linear.whiten(values[:, None])[:, 0]
@@ -107,9 +106,8 @@ def confounders(
         pull, inner = float(column @ linear.white_settled), 1 + left
         acts = 1.0 if step else float(expit(0.5 * (pull**2 / inner - math.log(inner))))
         second_moment = acts * (1 / inner + (pull / inner) ** 2)
-        added = -math.sqrt(second_moment) * (root @ taken)
-        wider = main & (np.hypot(added, known) > (1 + A_FIFTH) * known)
-        if np.any(wider):
+        added = math.sqrt(second_moment) * given_up(linear, column[:, None])[:, 0]
+        if np.any(wider := widened_by(linear, added)):
             parts = {b.name: slice(b.start, b.start + b.size) for b in blocks}
             shares = {n: added[at].tolist() for n, at in parts.items() if added[at].any()}
             concerned = [n for n, at in parts.items() if wider[at].any()]
@@ -117,14 +115,33 @@ def confounders(
     return tuple(found)
 
 
-def _stands_alone(block: CoefficientBlock, layout: Layout) -> bool:
-    """Whether a coefficient is one of a law: no deviation of a group, no part of a curve, nothing of a rig's own."""
-    vector, c = layout.model.instrument.vector, block.coefficient
-    return (
-        c.group_sd is None
-        and block.effect.weights is None
-        and not (vector and block.slot in vector.rig)
-    )
+def stand_alone(layout: Layout) -> Bool[np.ndarray, "p"]:
+    """Which coefficients are those of a law: no deviation of a group, no part of a curve, nothing of a rig's own."""
+    vector = layout.model.instrument.vector
+    rig = () if vector is None else vector.rig
+    alone = [
+        b.coefficient.group_sd is None and b.effect.weights is None and b.slot not in rig
+        for b in layout.x_blocks
+    ]
+    return np.repeat(np.array(alone, dtype=bool), [b.size for b in layout.x_blocks])
+
+
+def given_up(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
+    """By how much a model's coefficients would stand elsewhere beside further ones of one standard deviation each.
+
+    Args:
+        linear: the model.
+        columns: of these, whitened, per standard deviation.
+    """
+    p = linear.problem.layout.size
+    return -(linear.root[:p] * linear.sd[:p, None]) @ linear.projected(columns)
+
+
+def widened_by(linear: LinearModel, added: Float[np.ndarray, "p"]) -> Bool[np.ndarray, "p"]:
+    """Which coefficients of a law are a fifth or more less certain by so many standard deviations."""
+    p = linear.problem.layout.size
+    known = np.linalg.norm(linear.root[:p] * linear.sd[:p, None], axis=1)
+    return stand_alone(linear.problem.layout) & (np.hypot(added, known) > (1 + A_FIFTH) * known)
 
 
 def _slots(instrument: Instrument) -> list[str]:

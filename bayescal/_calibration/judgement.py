@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from bayescal._core.settings import settings
 from bayescal._data.dataset_checks import rounding_step
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.model import Model
+from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.unknown_effect import FREED, IN_TIME, covariate_in
 
 # Standard deviations of the lag-1 autocorrelation, above which noise is not what its law says; one record in 30,000 by
@@ -38,6 +40,9 @@ from bayescal._model.unknown_effect import FREED, IN_TIME, covariate_in
 CORRELATED_SD = 4.0
 # The autocorrelation itself, below which it changes no standard uncertainty by more than a tenth.
 CORRELATED_COEFFICIENT = 0.1
+# Allan deviation of correlated noise over a tenth to a half of a run, in standard deviations of a reading's own noise,
+# from which it describes how the output goes, as a curve does: bias instability of sensors at rest stays below.
+DESCRIBING_SD = 2.5
 # Share of the squares of a step between runs, that lie within runs where it is one between them.
 WITHIN_RUNS_SHARE = 0.05
 SURPRISE_RATIO = 3.0  # times what the other groups expect of one, beyond which it is not like them
@@ -166,6 +171,7 @@ def of_noise(
     if evidence is not None and not math.isfinite(evidence[0]):
         found.append(Claim("evidence.not_finite"))
     found += doubts
+    found += _describing(calibration)
     found += _of_scatter(check)
     found += _left_over(calibration, check, missing)
     found += _between_runs(calibration)
@@ -173,6 +179,21 @@ def of_noise(
     if abs(z) > CORRELATED_SD and abs(coefficient) > CORRELATED_COEFFICIENT:
         found.append(Claim("noise.correlated", coefficient=coefficient, z=z))
     return found
+
+
+def describes(noise: Noise, values: Mapping[str, Any]) -> bool:
+    """Whether correlated noise is so slow and large that it stands for something without a name."""
+    return noise.lasting_deviation(values) > DESCRIBING_SD * values.get(WHITE, math.inf)
+
+
+def _describing(calibration: Calibration) -> list[Claim]:
+    """Noise that describes how the output goes."""
+    noise, values = calibration.model.noise, calibration.problem.hyper(calibration.mode.v)
+    if noise.independent or not describes(noise, values):
+        return []
+    size = noise.lasting_deviation(values)
+    told = {"size": size, "unit": calibration.unit, "times": size / values[WHITE]}
+    return [Claim("noise.describes", noise.name, words=noise.in_words, **told)]
 
 
 def _left_over(calibration: Calibration, check: Check, missing: Mapping[str, str]) -> list[Claim]:

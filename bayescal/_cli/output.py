@@ -216,6 +216,9 @@ def loop_text(
     """
     final = trail.final
     parts = [""] if begun else [first_text(trail, verbose)]
+    if final.discovery and (sets := final.discovery.equivalent):
+        lines = [f"{one.of[0]} and {' + '.join(one.numbers['beside'])}" for one in sets]
+        parts.append(_headed("WHAT THESE READINGS CANNOT TELL APART", *map(_filled, lines)))
     parts += _candidates_of_steps(trail) if verbose else []
     unexplained = unexplained_text(final.calibration, final.check, own)
     parts += [unexplained] if unexplained else []

@@ -1,4 +1,4 @@
-"""Directions of the unknowns that readings do not tell: exact null spaces and weak ones, by few coefficients each.
+"""What readings do not tell of unknowns: null spaces, exact and weak, and groups of columns in the span of others.
 
 Eigenvectors of a null space of several dimensions come out mixed, and say nothing to anyone. A reduced echelon form,
 its pivots the largest entries that are left, gives each direction a coefficient of its own and keeps apart what has
@@ -7,12 +7,20 @@ no coefficient in common.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+
 import numpy as np
 from scipy import linalg
 
 EXACT_SHARE = 3e-14  # of the largest singular value of normalised columns: rounding, no information
 DUST_SHARE = 1e-9  # of a direction's largest entry: rounding
 TRACE_SHARE = 1e-4  # of it: may be what a nearly null direction leaves
+# Nats by which a group of columns, at its prior's size, would narrow this prior, below which no evidence decides on it.
+UNDECIDED_NATS = 0.5
+UNDECIDED_SHARE = 0.01  # of a group's squares that others leave, below which it is in their span
 
 
 def exact(columns: np.ndarray) -> np.ndarray:
@@ -125,3 +133,69 @@ def simple(vector: np.ndarray) -> np.ndarray:
     small = near.all() and np.abs(whole).max() < 100
     made = np.rint(whole) if small else vector / entries.max()
     return made * np.sign(made[np.flatnonzero(made)[0]])
+
+
+def nats(columns: np.ndarray) -> float:
+    """½·Σ log(1 + K), K the information of columns (n, k) per prior standard deviation along their axes."""
+    return 0.5 * float(np.sum(np.log1p(np.linalg.svd(columns, compute_uv=False) ** 2)))
+
+
+def beyond(columns: np.ndarray, span: np.ndarray) -> np.ndarray:
+    """What others leave of columns (n, k), along those of their directions (n, m) that the readings tell."""
+    axes, values, _ = np.linalg.svd(span, full_matrices=False)
+    axes = axes[:, 0.5 * np.log1p(values**2) >= UNDECIDED_NATS]
+    return columns - axes @ (axes.T @ columns)
+
+
+def undecided(columns: np.ndarray, left: np.ndarray) -> bool:
+    """Whether what is left of columns is too little to decide on them, and a small part of them."""
+    small = np.sum(left**2) < UNDECIDED_SHARE * np.sum(columns**2)
+    return bool(small) and nats(left) < UNDECIDED_NATS
+
+
+@dataclass(frozen=True, eq=False)
+class Spans:
+    """Groups of columns by name, and which readings cannot tell from which.
+
+    Attributes:
+        left: columns modulo a model's, whitened, per prior standard deviation (n, k).
+        latent: names of further groups, which are in the span of the model's columns, and what of that they stand for.
+    """
+
+    left: Mapping[str, np.ndarray] = field(default_factory=dict)
+    latent: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # Asked for time and again by a search.
+        for name in ("implied", "generators"):
+            object.__setattr__(self, name, cache(getattr(self, name)))
+
+    def within(self, name: str, others: Iterable[str]) -> bool:
+        """Whether a group is in the span of others."""
+        span = [self.left[n] for n in others if n in self.left]
+        if name not in self.left or not span:
+            return False
+        return undecided(self.left[name], beyond(self.left[name], np.column_stack(span)))
+
+    def implied(self, names: frozenset[str]) -> frozenset[str]:
+        """Groups that are in the span of some and of the model, and not among them."""
+        own = names.intersection(self.left)
+        found = {n for n in self.left if n not in own and self.within(n, own)} if own else set()
+        return frozenset(found | {*self.latent}) - names
+
+    def spanning(self, names: frozenset[str]) -> set[str]:
+        """Those of some groups without which others would not be in their span."""
+        whole = self.implied(names)
+        return {n for n in names if whole - self.implied(names - {n}) - {n}}
+
+    def generators(self, names: frozenset[str]) -> tuple[frozenset[str], ...]:
+        """Smallest sets with the same span as some groups, the fewest first."""
+        whole = names | self.implied(names)
+        free = [n for n in self.left if n in whole and self.within(n, whole - {n})]
+        found = list[frozenset[str]]()
+        for count in range(len(free) + 1):
+            for some in itertools.combinations(free, count):
+                made = (whole - {*free, *self.latent}).union(some)
+                if not any(one <= made for one in found) and whole <= made | self.implied(made):
+                    found.append(made)
+        return tuple(found)

@@ -13,7 +13,7 @@ from bayescal._core.errors import ModelError
 from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import column_scale
-from bayescal._inference.laplace import Mode
+from bayescal._inference.laplace import Mode, flat_scales
 from bayescal._inference.noise_on_record import (
     Independent,
     Whitening,
@@ -26,6 +26,7 @@ from bayescal._inference.record import Record
 from bayescal._model.composition import Linearised
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
+from bayescal._model.noise_law import WHITE
 from bayescal._model.parameters import bind
 
 STEP = 1e-4  # of a shape's coordinate, for the slope of the output by it
@@ -275,6 +276,21 @@ def linear_model(problem: Problem, mode: Mode) -> LinearModel:
         whiten=whitening(problem.noise, hyper, problem.record, extra, residual),
         extra=extra,
     )
+
+
+def about_priors(problem: Problem, noise: float | None = None) -> LinearModel:
+    """A structure about the means of its priors, before anything is fitted.
+
+    Args:
+        problem: the structure.
+        noise: standard deviation of the white part, output unit; that of its prior if not given.
+    """
+    v, x = np.zeros(len(problem.hypers)), problem.start
+    for i, h in enumerate(problem.hypers):
+        if h.name == WHITE and noise is not None:
+            v[i] = float(h.prior.coordinate(noise))
+    flat = flat_scales(problem, x, v)
+    return linear_model(problem, Mode(x, v, np.eye(len(v)), 0.0, 0.0, 0.0, flat, False))
 
 
 def sized(model: Model, readings: Measurements, record: Record) -> Model:

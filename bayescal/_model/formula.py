@@ -21,7 +21,7 @@ import numpy as np
 
 from bayescal._core.errors import InputError, ModelError
 from bayescal._data.measurements import Measurements
-from bayescal._data.unit_conversion import ANY, base_unit, coefficient_factor, parse
+from bayescal._data.unit_conversion import ANY, base_unit, coefficient_factor, convert, parse
 from bayescal._model.effect import Coefficient, Effect, Shape
 from bayescal._model.frame import Frame, build_frame, reference_of
 from bayescal._model.instrument import Instrument
@@ -651,14 +651,25 @@ class _TypedLine(_Text):
             low, high = value / MAGNITUDE, value * MAGNITUDE
         else:
             raise InputError(f"{name} = {said!r} is no plausible range: write it as 100 to 2000 s")
-        if not 0 < low < high:
+        unit = (unit or "1").strip()
+        # What is added to a column or compared with it is a place along it: 50 degF is 10 °C, and may be negative.
+        place = any(
+            part.kind == "name" and part.parts[0] == name
+            for n in _inside(self.tree)
+            if n.kind in "+-" or n.parts[0] in _OF_TWO
+            for part in n.parts
+            if isinstance(part, FormulaNode)
+        )
+        if not (low < high and (low > 0 or place)):
             raise InputError(
                 f"{name} = {said!r}: a range goes from a positive number to a larger one"
             )
-        unit = (unit or "1").strip()
-        factor = parse(unit).factor
-        base = base_unit(unit).replace("degC", "delta_degC") if unit != "1" else "1"
-        return Shape(name, base, low * factor, high * factor)
+        base = "1"
+        if unit != "1":
+            own = base_unit(unit)
+            low, high = (float(convert(v, unit, own, difference=not place)) for v in (low, high))
+            base = re.sub(r"(?<!delta_)degC", "delta_degC", own)
+        return Shape(name, base, low, high, "log" if low > 0 else "linear")
 
     def _slot(self) -> tuple[str, str | None, str]:
         """The slot, its unit where it is known, and the cause."""
@@ -738,7 +749,7 @@ def _power_of(name: str, power: float) -> str:
 def _scatter(made: Formula, readings: Measurements, shapes: Mapping[str, Shape]) -> list[float]:
     """Size of each coefficient at which its term varies as much as the output does, base units of the output."""
     frame = build_frame(readings, reference_of(readings))
-    middle = {n: math.sqrt(s.low * s.high) for n, s in shapes.items()}
+    middle = {n: float(s.prior.value(np.float64(0.0))) for n, s in shapes.items()}
     with np.errstate(all="ignore"):  # what is not finite is refused where it meets the readings
         columns = np.asarray(made(frame, **middle))
         sizes = np.std(columns, axis=0)

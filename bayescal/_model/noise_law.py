@@ -228,6 +228,10 @@ class Noise(abc.ABC):
         """Part of a reading's variance that it shares with its neighbours, output unit squared."""
         return 0.0
 
+    def lasting_deviation(self, values: Parameters) -> float:
+        """Allan deviation of the correlated part over a tenth to a half of the longest run, at most, output unit."""
+        return 0.0
+
     def slow_part(
         self,
         values: Parameters,

@@ -38,6 +38,7 @@ OFFERED = (  # what measured records show beside white noise (IEEE 952, and a un
     ("correlated", "correlated"),
     ("correlated", "smooth"),
 )
+LASTING = np.geomspace(0.1, 0.5, 9)  # parts of the longest run
 MOST_ALIKE = 3  # Ornstein–Uhlenbeck terms: more than that no record of a day tells apart
 
 
@@ -183,6 +184,12 @@ class SumOfTerms(Noise, interface=True):
         slow = np.asarray(self.slow_variance(own), float)
         white = np.maximum(np.asarray(variance)[..., None] - slow, 0.0)
         return white / factors + sum(p.allan(own, self.bounds, factors, step) for p in self.parts)
+
+    def lasting_deviation(self, values):
+        factors = self.longest / self.shortest * LASTING
+        own = {n: np.float64(v) for n, v in values.items() if n in self.parameters()}
+        slow = np.asarray(self.slow_variance(own))
+        return float(np.sqrt(np.max(self.allan_variance(own, slow, factors, self.shortest))))
 
     def slow_part(self, values, time, left, white, at, along=None):
         """By the Kalman smoother over all these times."""

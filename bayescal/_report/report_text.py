@@ -385,7 +385,8 @@ def _against(chapter: Chapter) -> Iterator[str]:
 def _found(chapter: Chapter) -> str:
     """What the last model has more than the first; sizes are those that are signed for."""
     c, steps = chapter.calibration, chapter.data["steps"]
-    first = set(steps[0]["effects"])
+    latent = [set(m.get("latent", ())) for m in chapter.data["missing"]] or [set()]
+    first = set(steps[0]["effects"]) | latent[0] & latent[-1]
     added = [e for e in c.model.effects if e.name not in first]
     if not added:
         search = chapter.data["search"] or {}
@@ -394,7 +395,7 @@ def _found(chapter: Chapter) -> str:
             weighed = "When the search was ended, nothing had been found missing from"
         if not chapter.data["missing"]:
             weighed = "Nothing was looked for beside"
-        names = c.model.names
+        names = [n for n in c.model.names if n not in latent[-1]]
         model = f"{len(names)} effects" if len(names) > NAMED else ", ".join(names) or "no effect"
         return f"{weighed} the first model ({model})."
     by_subject: dict[str, list[str]] = {}

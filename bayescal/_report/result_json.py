@@ -200,6 +200,8 @@ def missing_data(found: Discovery, step: int, check: Check) -> dict[str, Any]:
         "step": step,
         "nothing_missing_probability": found.nothing_missing,
         "unnamed": list(found.unnamed),
+        "latent": list(found.latent),
+        "equivalent": [one.data() for one in found.equivalent],
         "unstated": found.unstated,
         "correlated_noise": found.correlated_noise,
         "noise_laws": found.noise,

@@ -51,7 +51,7 @@ from bayescal._search.gate import judged, left_out_better
 from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search
 from bayescal._search.search_path import Gate, SearchPath, Step
-from bayescal._search.structure_average import averaged
+from bayescal._search.structure_average import averaged, with_latent
 from bayescal._search.structures import Structure, Structures, Weighed
 from bayescal._search.walk import explore, path
 
@@ -205,9 +205,10 @@ class Loop:
             self.max_effects, widen_noise = 0, False
         # Of the same name as one of the catalogue, the given one counts: its size may be the user's own.
         named = [e for e in self.given if not e.is_placeholder]
+        how = {"widen_noise": widen_noise, "latent": self.max_effects > 0}
         every = (*effects, *more, *named)
         structures, self.shut = structures_over(
-            c.model, self.readings, c.reference, effects=every, widen_noise=widen_noise
+            c.model, self.readings, c.reference, effects=every, **how
         )
         self.library = Library(structures)
 
@@ -294,14 +295,17 @@ class Loop:
             if why := "" if self.stopped else self.incomplete(steps):
                 steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
             steps[-1] = self.said_of_given(steps[-1])
-        used, shares = steps[-1].calibration, ()
-        if self.max_effects > 0 and used.verdict.ok:
+        last, shares = steps[-1].calibration, ()
+        used = last
+        if self.max_effects > 0 and last.verdict.ok:
             try:  # what is used is an average over the structures
-                used, shares = averaged(used, structures, goal.noise, self.seed)
+                used, shares = averaged(last, structures, goal.noise, self.seed)
             except deadline.TimeIsUp:
                 steps[-1] = steps[-1].noted([NOT_AVERAGED.format(end.why)])
-                used = steps[-1].calibration
-        one = steps[-1].calibration is used
+                used = last = steps[-1].calibration
+            last, used = with_latent(last, used, structures, goal)
+            steps[-1] = replace(steps[-1], calibration=last)
+        one = last is used
         steps[-1] = self.held_against(steps[-1], used, structures)
         search = search or self.search(complete=True)
         trail = SearchPath(

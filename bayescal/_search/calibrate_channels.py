@@ -169,8 +169,8 @@ class _Channel:
             after.expect(structure, changed)
         for structure, weighed in before.visited.items():
             if structure.effects.isdisjoint(news):
-                log_prior = after.log_prior(structure)
-                after.visited[structure] = replace(weighed, log_prior=log_prior)
+                changed = after.log_prior(structure) - before.log_prior(structure)
+                after.visited[structure] = replace(weighed, log_prior=weighed.log_prior + changed)
         leaders = sorted(before.visited.values(), key=lambda w: -w.total)[:BEAM_STRUCTURES]
         for structure in (Structure(), *(w.structure for w in leaders)):
             deadline.current().ask()

@@ -11,6 +11,7 @@ from scipy.special import chdtrc, logsumexp, ndtri
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.guards import off_scale
+from bayescal._core.null_space import UNDECIDED_SHARE
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.linear_model import learned_size
@@ -25,8 +26,6 @@ LEAD_PROBABILITY = 0.2
 # Cosine of two fitted contributions from which they are one to these readings: 0.95 leaves a tenth of the squares to
 # tell them apart by.
 ALIKE_COSINE = 0.95
-# Share of an effect's information that nuisances leave, below which a plausible size must still be seen.
-VISIBLE_INFORMATION = 0.01
 # Plausible sizes that an effect would need to be seen, beyond which this experiment cannot test it; a plausible size
 # is known to an order of magnitude.
 DETECTABLE_SIZES = 10.0
@@ -328,7 +327,7 @@ def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
     # their exact form, and the plausible size must be enough by itself.
     least, hidden = (
         candidate.minimum_detectable,
-        (candidate.visibility or 0.0) < VISIBLE_INFORMATION,
+        (candidate.visibility or 0.0) < UNDECIDED_SHARE,
     )
     most = plausible * (1.0 if hidden else DETECTABLE_SIZES)
     if least is None or least > most:

@@ -1,14 +1,13 @@
 """The self-check of an instrument: simulated at its own plausible sizes, fitted, and what came back.
 
 It finds what an author cannot see in the file: a basis that is zero, an output that no slot changes, a size that is
-lost in the noise, coefficients that no readings could tell apart, units that disagree between slots and output.
+lost in the noise, coefficients that no readings could tell apart.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -25,7 +24,7 @@ from bayescal._core.progress import stage
 from bayescal._core.result_table import Printed, ResultTable, TableColumn
 from bayescal._data.column import Column
 from bayescal._data.measurements import Measurements
-from bayescal._data.unit_conversion import ANY, coefficient_factor, same_dimension, unit_label
+from bayescal._data.unit_conversion import ANY, unit_label
 from bayescal._inference.least_squares import LeastSquares
 from bayescal._model import forward
 from bayescal._model.effect import Effect
@@ -35,8 +34,6 @@ from bayescal._model.model import Model, testable
 from bayescal._model.parameters import bind
 from bayescal._search.own_files import in_one_line
 
-# Share of the noise by which a response may depart from its linearisation at plausible sizes.
-BENT_NOISE = 0.1
 # Standard deviations from what was simulated, beyond which a coefficient has not come back.
 BACK_SD = 4.0
 # Contraction below which a coefficient is not identifiable; two that are one have a half each.
@@ -44,7 +41,6 @@ IDENTIFIABLE_CONTRACTION = 0.6
 
 RUNS, ROWS = 4, 60  # of the readings that are made up, where the instrument has no simulator
 SPANS = 5.0  # times the longest median time of an effect, that a run lasts at the least
-SAME = 1e-9  # of a slope, up to which it is 1
 
 
 @dataclass(frozen=True)
@@ -161,7 +157,7 @@ class _CheckedInstrument:
     def __init__(self, instrument: Instrument, readings: Measurements | None, seed: int) -> None:
         self.instrument, self.seed = instrument, seed
         self.rows, self.errors, self.notes = list[Returned](), list[str](), list[str]()
-        self.noise, self.made_labels, self._is_bent = 0.0, set[str](), False
+        self.noise, self.made_labels = 0.0, set[str]()
         self.readings = self._columns() if readings is None else readings
 
     def result(self) -> InstrumentCheck:
@@ -258,7 +254,6 @@ class _CheckedInstrument:
                 f"{output.size} readings: is a logarithm, root or quotient out of its range?"
             )
         zero = self._zero_bases(one)
-        self._bent(one, kind)
         made = self.readings.with_column("output", output)
         how: dict[str, Any] = {"seed": self.seed, "reference": one.reference, "strict": False}
         fitted = fit(model, made, LeastSquares(draws=300), **how)
@@ -267,42 +262,19 @@ class _CheckedInstrument:
             self.notes += [f"baseline: {one}" for one in null_directions(fitted)]
 
     def _of_response(self, one: _Simulated) -> None:
-        """Slots that change no output, or change it one for one in another unit."""
-        i, layout, frame, hyper = self.instrument, one.layout, one.frame, one.hyper
-        by_slot = forward.slopes_by_slot(layout, frame, one.x, hyper)
-        slopes = {s.name: np.asarray(by_slot[s.name]) for s in i.slots}
-        if not any(np.any(slope) for slope in slopes.values()):
-            raise ModelError(
-                f"instrument {i.name!r}: the output is the same whatever its slots are ({', '.join(slopes)}): its "
-                "response must take them, as slots['bias']"
-            )
-        for slot in i.slots:
-            if not np.any(slopes[slot.name]):
-                self.notes.append(f"slot {slot.name!r} changes no output of these readings")
-            elif np.all(np.abs(slopes[slot.name] - 1) < SAME):
-                self._one_for_one(f"slot {slot.name!r}", slot.unit)
-        if i.use is not None and i.use.equation is None and i.use.stimulus in frame.columns:
-            name = i.use.stimulus
-            # Without an equation of its own the stimulus is a column of the response: the output is tried with one
-            # unit more of it.
-            there, here = (
-                forward.mean(layout, at, jnp.zeros_like(one.x), hyper)
-                for at in (frame.with_column(name, frame[name] + 1.0), frame)
-            )
-            if np.all(np.abs(np.asarray(there - here) - 1) < 1e-6):
-                self._one_for_one(f"column {name!r}", str(i.column(name).unit))
+        """Say which slots change no output.
 
-    def _one_for_one(self, what: str, unit: str) -> None:
-        """An error, where something adds to the output one for one in another unit of its dimension."""
-        own = self.instrument.unit
-        if not same_dimension(unit, own) or unit == own:
-            return
-        factor = coefficient_factor(unit, own)
-        if abs(factor - 1) > SAME:
-            self.errors.append(
-                f"{what} is in [{unit}] and adds to the output, in [{own}], one for one: it should by {factor:.6g}. "
-                "Declare both in one unit, or convert it in the response"
+        Raises:
+            ModelError: none does.
+        """
+        by_slot = forward.slopes_by_slot(one.layout, one.frame, one.x, one.hyper)
+        still = [s.name for s in self.instrument.slots if not np.any(np.asarray(by_slot[s.name]))]
+        if len(still) == len(self.instrument.slots):
+            raise ModelError(
+                f"instrument {self.instrument.name!r}: the output is the same whatever its slots are "
+                f"({', '.join(still)}): its response must take them, as slots['bias']"
             )
+        self.notes += [f"slot {name!r} changes no output of these readings" for name in still]
 
     def _zero_bases(self, one: _Simulated) -> set[str]:
         """Coefficients whose basis is zero in every reading, each an error."""
@@ -325,66 +297,49 @@ class _CheckedInstrument:
                 )
         return found
 
-    def _bent(self, one: _Simulated, kind: str) -> None:
-        """A note, where the output departs from its linear form within the plausible sizes."""
-        middle = forward.prior_mean(one.layout)
-        # Linearised where every coefficient stands one size from its mean, and compared at the means.
-        exact = forward.mean(one.layout, one.frame, middle, one.hyper)
-        linear = one.line.mean + one.line.jacobian @ (middle - one.x)
-        departs = float(np.max(np.abs(np.asarray(exact - linear)), initial=0.0))
-        if departs > BENT_NOISE * self.noise and (kind == "baseline" or not self._is_bent):
-            self._is_bent = True
-            unit = unit_label(self.instrument.unit)
-            self.notes.append(
-                "the response is nonlinear in its slots: over plausible sizes it departs from a straight line by up "
-                f"to {number(departs)} {unit}, {number(departs / self.noise, 2)} times the noise. It is fitted as it "
-                "is; compare with bc.NUTS() once"
-            )
-
     def _came_back(self, one: _Simulated, fitted: Calibration, zero: set[str], kind: str) -> None:
-        def returned(name: str, unit: str, adds: float | None, truth: float | None, draws, remark):
-            mean, sd = float(draws.mean()), float(draws.std())
-            said = remark if isinstance(remark, str) else remark(mean, sd)
-            self.rows.append(Returned(kind, name, unit, adds, truth, mean, sd, said))
-
+        """Note what came back of each coefficient, spread and shape."""
         x, jacobian = np.asarray(one.x), np.asarray(one.line.jacobian)
+
+        def note(name: str, unit: str, adds, truth, draws, remark: str = "") -> None:
+            mean, sd = float(draws.mean()), float(draws.std())
+            self.rows.append(Returned(kind, name, unit, adds, truth, mean, sd, remark))
+
         for b in (b for b in one.layout.x_blocks if b.effect.name in one.mine):
-            at, c = slice(b.start, b.start + b.size), b.coefficient
+            at, c, draws = slice(b.start, b.start + b.size), b.coefficient, fitted.samples(b.name)
             adds = float(np.max(c.size * np.abs(jacobian[:, at]), initial=0.0))
-            draws = fitted.samples(b.name)
             if c.per is None:
-                truth = float(x[b.start])
-                remark = partial(self._remark, b.name, truth, None if c.flat else c.size, zero)
-                returned(b.name, c.unit, adds, truth, draws, remark)
+                truth, remark = float(x[b.start]), self._remark(b.name, float(x[b.start]), draws)
+                if b.name in zero:
+                    remark = "its basis is zero"
+                elif not c.flat and 1 - (draws.std() / c.size) ** 2 < IDENTIFIABLE_CONTRACTION:
+                    remark = "not identifiable here"
+                elif remark:
+                    self.errors.append(remark)
+                    remark = "did not come back"
+                note(b.name, c.unit, adds, truth, draws, remark)
             else:
                 spread = b.group_sd_name if c.group_sd is not None else None
                 draws = fitted.samples(spread) if spread else draws.std(axis=1)
                 truth = float(np.std(x[at] - c.mean)) if b.size > 1 else None
                 name = spread or f"{b.name}, one a {c.per}"
-                returned(name, c.unit, adds, truth, draws, f"{b.size} of them")
+                note(name, c.unit, adds, truth, draws, f"{b.size} of them")
             if b.name not in zero:
                 found = off_scale(b.effect, adds, self.noise, self.instrument.unit)
                 self.errors += map(str, found)
         for effect in (e for e in one.layout.model.effects if e.name in one.mine):
             for shape in effect.shapes:
                 name, truth = effect.shape_name(shape), float(shape.prior.value(0.0))
-                returned(name, shape.unit, None, truth, fitted.samples(name), "")
+                note(name, shape.unit, None, truth, fitted.samples(name))
         if not fitted.verdict.ok:
             self.notes.append(f"{', '.join(sorted(one.mine))}: {' '.join(fitted.verdict.reasons)}")
 
-    def _remark(
-        self, name: str, truth: float, size: float | None, zero: set[str], mean: float, sd: float
-    ) -> str:
-        if name in zero:
-            return "its basis is zero"
-        if size is not None and 1 - (sd / size) ** 2 < IDENTIFIABLE_CONTRACTION:
-            return "not identifiable here"
-        if abs(mean - truth) > BACK_SD * sd:
-            self.errors.append(
-                f"{name} did not come back: {number(truth)} simulated, {with_error(mean, sd)} found"
-            )
-            return "did not come back"
-        return ""
+    def _remark(self, name: str, truth: float, draws: np.ndarray) -> str:
+        """Return why a coefficient has not come back; empty where it has."""
+        mean, sd = float(draws.mean()), float(draws.std())
+        if abs(mean - truth) <= BACK_SD * sd:
+            return ""
+        return f"{name} did not come back: {number(truth)} simulated, {with_error(mean, sd)} found"
 
 
 class _Simulated:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
@@ -38,6 +39,7 @@ from bayescal._search.candidate import (
     kind_of,
     too_small_or_large,
 )
+from bayescal._search.equivalence import said_of_equivalents, with_spans
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.posterior import Found, Posterior
@@ -81,6 +83,8 @@ class Discovery(Printed):
         off_scale: candidates a million times smaller or larger than the noise at their plausible size.
         rivals: effects to tell apart by another experiment: the members of the first set; where it has one alone,
             with those that come nearest; without a set, the leads.
+        latent: effects of the model that these readings cannot tell from its others.
+        equivalent: sets of effects that these readings cannot tell apart, those of the model first.
     """
 
     nothing_missing: float | None
@@ -93,6 +97,8 @@ class Discovery(Printed):
     off_scale: tuple[Claim, ...] = ()
     unstated: str = ""
     unnamed: tuple[str, ...] = ()
+    latent: tuple[str, ...] = ()
+    equivalent: tuple[Claim, ...] = ()
 
     def not_stated(self, why: str) -> Discovery:
         """The same without a probability that the model is complete."""
@@ -119,7 +125,8 @@ class Discovery(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         """What is missing, and every candidate, the most probable first."""
-        lines: list[str | ResultTable] = [*_findings(self)]
+        lines: list[str | ResultTable] = [_folded(str(one)) for one in self.equivalent]
+        lines += _findings(self)
         if self.noise:
             shown = [n for n in self.noise if n.probability >= SHOWN_PROBABILITY]
             lines.append(_folded(f"noise law (probability): {', '.join(map(str, shown))}"))
@@ -179,7 +186,9 @@ def discover(
         library = Library(structures)
         with deadline.sooner(SEARCH):
             stopped = explore(library, max_effects)
-        return missing(library, Structure(), shut, stopped)
+        found = missing(library, Structure(), shut, stopped)
+        held = structures.unsized(model, found.latent)
+        return replace(found, best=(*(held.effect(n) for n in found.latent), *found.best))
 
 
 def missing(library: Library, at: Structure, shut: Sequence[Candidate], stopped: str) -> Discovery:
@@ -198,8 +207,13 @@ def structures_over(
     *,
     effects: Sequence[Effect] = (),
     widen_noise: bool = True,
+    latent: bool = True,
 ) -> tuple[Structures, list[Candidate]]:
-    """All structures over a model, and the families of which these readings can test no form, each with the reason."""
+    """All structures over a model, and the families of which these readings can test no form, each with the reason.
+
+    Args:
+        latent: whether they hold what these readings cannot tell from their effects.
+    """
     instrument = model.instrument
     listed = (*instrument.candidates, *instrument.effects)
     known = {e.name: e for e in with_forms((*listed, *effects))}
@@ -228,13 +242,15 @@ def structures_over(
     record = record_of(instrument, readings, reference)
     frame = record.frame
     model = sized(model, readings, record)
-    if any(e.open for e in open_.values()):
-        plausible = amplitudes(model, readings, record)
-        open_ = {n: e.sized(*plausible) for n, e in open_.items()}
+    plausible = amplitudes(model, readings, record)
+    open_ = {n: e.sized(*plausible) for n, e in open_.items()}
     record.show((*open_.values(), *model.effects))
     laws = laws_over(model, frame) if widen_noise else {}
     layout = bind(model, readings, open_.values(), reference)[0]
-    return Structures(model, layout, record, open_, laws), list(shut.values())
+    found = Structures(model, layout, record, open_, laws)
+    if latent:
+        found = with_spans(found, plausible[0] * math.sqrt(record.size))
+    return found, list(shut.values())
 
 
 def with_causes(
@@ -303,7 +319,7 @@ def discovery_at(
     structures = library.structures
     posterior = Posterior.of(structures, at.effects)
     here = structures.weigh(at)
-    had = posterior.families(at.effects)
+    had = posterior.families(at.effects | structures.latent(at))
     names = [n for n in library.points if scored and structures.family(n) not in had]
     points = View(library, here).without().scores(names) if names else {}
     # Of forms that have a score the one that has the best speaks for its family.
@@ -350,7 +366,12 @@ def discovery_at(
         nothing_missing=posterior.complete(structures, (c.effect for c in judged if c.unseen))
         if stated
         else None,
-        unnamed=tuple(sorted(structures.matters(here))),
+        unnamed=(
+            *sorted(structures.matters(here)),
+            *[f"{here.problem.noise.name} noise"] * here.noise_describes,
+        ),
+        latent=tuple(sorted(structures.latent(here.structure))),
+        equivalent=said_of_equivalents(structures, here.structure),
         sets=found,
         candidates=(*ranked, *shut),
         best=tuple(best),

@@ -56,6 +56,7 @@ def against(steps: Sequence[Step]) -> tuple[Claim, ...]:
         *last.different,
         *of_noise(last.calibration, last.check, last.doubts, _may_be_missing(last)),
         *_undecided(last),
+        *_equivalent(last, "doubt"),
         *of_thermometers(last.calibration, steps[0].calibration.model),
         *_taken_over(steps),
         *_against_the_steps_before(steps),
@@ -73,6 +74,7 @@ def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
         *said_of_profiles(last.calibration),
         *_confounded(steps),
         *_not_decidable(steps),
+        *_equivalent(last, "note"),
         *_levels(last),
         *in_one_order(last),
     ]
@@ -104,9 +106,10 @@ def _followed(steps: Sequence[Step]) -> list[TakenOver]:
     last, found = steps[-1].calibration, list[TakenOver]()
     unnamed = {e.name for e in last.model.effects if e.unnamed}
     plain = [s.calibration for s in steps[:-1] if unnamed.isdisjoint(s.calibration.model.names)]
+    latent = steps[-1].discovery.latent if steps[-1].discovery else ()
     if plain:
-        found = [one for one in taken_over(plain[0], last) if not one.unnamed]
-        found += [one for one in taken_over(plain[-1], last) if one.unnamed]
+        found = [one for one in taken_over(plain[0], last, latent) if not one.unnamed]
+        found += [one for one in taken_over(plain[-1], last, latent) if one.unnamed]
     return sorted(found, key=lambda one: -one.moved)
 
 
@@ -129,6 +132,12 @@ def _not_decidable(steps: Sequence[Step]) -> list[Claim]:
     if not (warm and in_time):
         return []
     return [Claim("thermometer.or_sensor", *in_time, columns=tuple(warm))]
+
+
+def _equivalent(step: Step, severity: str) -> list[Claim]:
+    """Effects of the last model that these readings cannot tell apart."""
+    said = step.discovery.equivalent if step.discovery else ()
+    return [one for one in said if one.severity == severity and "cure" in one.numbers]
 
 
 def _levels(step: Step) -> list[Claim]:

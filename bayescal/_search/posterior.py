@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -36,6 +35,8 @@ class Posterior:
         probability: of each.
         refitted: those of them that were refitted.
         family: the name under which each candidate is reported; asked of an effect, it is asked of all its forms.
+        rivals: of each effect of the most probable structure, what takes its place for all that readings tell.
+        reported: of each structure, the families of its effects and of their rivals.
     """
 
     given: frozenset[str]
@@ -44,16 +45,18 @@ class Posterior:
     probability: np.ndarray
     refitted: dict[Structure, Weighed]
     family: Callable[[str], str]
+    rivals: Mapping[str, frozenset[str]]
+    reported: tuple[frozenset[str], ...]
 
     @classmethod
     def of(cls, structures: Structures, given: Iterable[str] = ()) -> Posterior:
         held = frozenset(given)
         refitted = {s: w for s, w in structures.visited.items() if math.isfinite(w.total)}
         refitted = {s: w for s, w in refitted.items() if not structures.is_special_case(s)}
-        best = max((w.total for s, w in refitted.items() if held <= s.effects))
+        most = max((w.total for s, w in refitted.items() if held <= s.effects))
         # What was only expected may not lead: it would have been refitted.
         expected = structures.expected.items()
-        totals = {s: min(t, best) for s, t in expected if not structures.is_special_case(s)}
+        totals = {s: min(t, most) for s, t in expected if not structures.is_special_case(s)}
         totals |= {s: w.total for s, w in refitted.items()}
         inside = [s for s in totals if held <= s.effects]
         inside = sorted(inside, key=lambda s: (-totals[s], s not in refitted))
@@ -61,8 +64,17 @@ class Posterior:
         # Probabilities are relative evidence times prior: what was never weighed nor expected has none, so that the
         # walk must have looked wherever they could be.
         weight = np.exp(total - total[0])
-        probability = weight / weight.sum()
-        return cls(held, tuple(inside), total, probability, refitted, structures.family)
+        best = next(s for s in inside if s in refitted)
+        return cls(
+            held,
+            tuple(inside),
+            total,
+            weight / weight.sum(),
+            refitted,
+            structures.family,
+            structures.rivals(best),
+            tuple(map(structures.reported, inside)),
+        )
 
     def families(self, names: Iterable[str]) -> frozenset[str]:
         """The names under which effects are reported."""
@@ -78,18 +90,22 @@ class Posterior:
         """Probability that the given effects are all that is there, under any noise law.
 
         A description that carries more than a small part stands for something that has no name here: a structure with
-        one is not complete, also where the description is among the given. One that does not counts for nothing.
+        one is not complete, also where the description is among the given, or the noise. One that does not counts for
+        nothing.
 
         Args:
             structures: that were weighed.
             unseen: effects of which the readings say nothing: of these it is not asked.
         """
-        rest, found = self.families(self.given.union(unseen)), []
-        each = zip(self.structures, self._reported, self.probability, strict=True)
+        given = Structure(self.given)
+        rest = structures.reported(given) | self.families({*unseen, *structures.latent(given)})
+        found, each = [], zip(self.structures, self.reported, self.probability, strict=True)
         for s, own, probability in each:
             unnamed = {n for n in s.effects if structures.candidates[n].unnamed}
             weighed = self.refitted.get(s)
-            if not own - unnamed <= rest or not unnamed:
+            if weighed is not None and weighed.noise_describes:
+                found.append(False)
+            elif not own - unnamed <= rest or not unnamed:
                 found.append(own <= rest)
             elif weighed is None or probability < NEXT_TO_NOTHING:
                 found.append(False)
@@ -105,7 +121,7 @@ class Posterior:
         """Probability that at least one of these effects is missing."""
         # At least one: probabilities of structures are added, not those of effects, which are not independent.
         wanted = self.families(names)
-        return self._of_any([not wanted.isdisjoint(own) for own in self._reported])
+        return self._of_any([not wanted.isdisjoint(own) for own in self.reported])
 
     def form(self, name: str) -> str:
         """The most probable form of a family; its own name where no structure has any."""
@@ -116,10 +132,9 @@ class Posterior:
                     mass[n] = mass.get(n, 0.0) + probability
         return max(mass, key=lambda n: mass[n], default=name)
 
-    @cached_property
-    def _reported(self) -> list[frozenset[str]]:
-        """Of each structure, the families of its effects."""
-        return [self.families(s.effects) for s in self.structures]
+    def _share(self, name: str) -> float:
+        """Probability of the structures that have an effect themselves."""
+        return self._of_any([name in self.families(s.effects) for s in self.structures])
 
     def _of_any(self, inside: Sequence[bool]) -> float:
         return float(min(1.0, self.probability[np.array(inside, dtype=bool)].sum()))
@@ -133,15 +148,16 @@ class Posterior:
         found = []
         # Greedy: each step takes the effect with the most probability of those structures that lack all members so
         # far.
-        for name in self.families(self.best.effects) - self.families(self.given):
-            members = [name]
+        for effect in self.best.effects - self.given:
+            name = self.family(effect)
+            members = [name, *sorted(self.families(self.rivals[effect]) - {name})]
             while self.inclusion(*members) < settings().found_probability:
                 further = self._substitute(members)
                 if further is None:
                     break
                 members.append(further)
             if self.inclusion(*members) >= settings().found_probability:
-                order = sorted(members, key=lambda n: -self.inclusion(n))
+                order = sorted(members, key=lambda n: -self._share(n))
                 found.append(Found(tuple(order), self.inclusion(*members)))
         return tuple(sorted(found, key=lambda f: (-self.inclusion(f.effects[0]), len(f.effects))))
 
@@ -150,7 +166,7 @@ class Posterior:
         # Effects that are in for other reasons are nobody's substitutes.
         settled = (self.families(self.best.effects) - {members[0]}) | self.families(self.given)
         mass: dict[str, float] = {}
-        for there, probability in zip(self._reported, self.probability, strict=True):
+        for there, probability in zip(self.reported, self.probability, strict=True):
             if there.isdisjoint(members):
                 for name in there - settled:
                     mass[name] = mass.get(name, 0.0) + float(probability)

@@ -247,6 +247,7 @@ class SearchPath(Printed):
         whatever form; none where probabilities would not be honest."""
         first, last = self.steps[0], self.final.calibration.model
         had, found = set(first.calibration.model.names), first.discovery
+        had |= {*self.final.discovery.latent} if self.final.discovery else set()
         known = {c.effect: c.probability for c in found.candidates} if found else {}
         return {e.name: known.get(e.reported) for e in last.effects if e.name not in had}
 

@@ -20,6 +20,7 @@ from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.fitted import named
+from bayescal._calibration.mixture import has_effect
 from bayescal._core import deadline
 from bayescal._core.importance_weights import resample, smoothed
 from bayescal._core.parallel import on_one_thread
@@ -82,8 +83,72 @@ def averaged(
             weighed = structures.weigh(Structure(frozenset(share.effects), noise))
             parts.append(_drawn(weighed, count, share.probability, seed))
             models.append(weighed.sized_model)
-    model = _union(structures, models)
-    return _together(last, model, models, parts, shares), shares
+    found = _together(last, _union(structures, models), models, parts)
+    each = [f"{' + '.join(s.effects) or 'nothing added'} {s.probability:.2f}" for s in shares]
+    said = f"Averaged over {len(shares)} structures with their probabilities: {', '.join(each)}."
+    found = found.with_verdict(notes=(*last.verdict.notes, said))
+    return replace(found, method=f"{last.method}, averaged"), shares
+
+
+@on_one_thread
+def with_latent(
+    last: Calibration, used: Calibration, structures: Structures, at: Structure
+) -> tuple[Calibration, Calibration]:
+    """Calibrations in which effects are latent that the readings cannot tell from those of a structure.
+
+    Draws that lack them are those of the others given that they are zero. Linear in them, the others then stand where
+    they are to be given what they are; all of one span have the prior of a size that nobody knows.
+
+    Args:
+        last: of the structure.
+        used: its average over structures, or itself.
+        structures: that were weighed.
+        at: which.
+    """
+    latent, spanning = structures.latent(at), structures.spans.spanning(at.effects)
+    if not latent:
+        return last, used
+    every = [n for n in structures.candidates if n in latent | spanning]
+    whole = _beside(last, structures.unsized(last.model, every))
+    line, layout = whole.linear, whole.layout
+    inside, covariance = np.isin(line.owners, [*latent]), line.root @ line.root.T
+    own = covariance[np.ix_(inside, inside)]
+    # By how much each unknown stands elsewhere for each unit of what is latent.
+    moves = np.linalg.solve(own, covariance[inside]) * line.sd
+    by_name = {b.name: moves[:, b.start : b.start + b.size] for b in layout.x_blocks}
+    by_name |= {
+        layout.hypers[i].name: moves[:, layout.size + k] for k, i in enumerate(layout.moving)
+    }
+
+    def moved(calibration: Calibration) -> Calibration:
+        found = _beside(calibration, structures.unsized(calibration.model, every))
+        x, v = (a.copy() for a in found.draws())
+        random = np.random.default_rng([found.seed, 4])
+        values = random.standard_normal((len(x), len(own))) @ np.linalg.cholesky(own).T
+        values += line.z[inside]
+        there = {n: has_effect(calibration, n) for n in calibration.model.names}
+        for name in spanning:
+            values *= there[name][:, None]
+        for name in latent & there.keys():
+            values *= ~there[name][:, None]
+        for b in found.layout.x_blocks:
+            if b.name in by_name:
+                has = 1.0 if b.effect.name in latent else there[b.effect.name][:, None]
+                x[:, b.start : b.start + b.size] += has * (values @ by_name[b.name])
+        for i, h in enumerate(found.layout.hypers):
+            if h.name in by_name:
+                v[:, i] += values @ by_name[h.name]
+        mode = _mode(calibration, found.layout, x, v)
+        return replace(found, joint=Draws.of(x, v), mode=mode)
+
+    whole = moved(last)
+    return whole, whole if used is last else moved(used)
+
+
+def _beside(calibration: Calibration, model: Model) -> Calibration:
+    """A calibration as one of a model with more effects, which are zero in all draws."""
+    draws = _by_name(calibration.layout, *calibration.draws())
+    return _together(calibration, model, [calibration.model], [draws], shuffled=False)
 
 
 def shares_of(structures: Structures, noise: str) -> tuple[StructureShare, ...]:
@@ -143,7 +208,7 @@ def _together(
     model: Model,
     models: Sequence[Model],
     parts: Sequence[_Values],
-    shares: Sequence[StructureShare],
+    shuffled: bool = True,
 ) -> Calibration:
     """The draws of all structures as those of one model, in a random order."""
     # Groups of labels that the last model knows nothing of, but another structure.
@@ -164,16 +229,12 @@ def _together(
                 x[at, b.start] = b.coefficient.mean
     for i, h in enumerate(layout.hypers):
         v[:, i] = _coordinates(h, parts, counts)
-    random = np.random.default_rng(last.seed)
-    order = random.permutation(total)[: CHAINS * (total // CHAINS)]
-    each = [f"{' + '.join(s.effects) or 'nothing added'} {s.probability:.2f}" for s in shares]
-    said = f"Averaged over {len(shares)} structures with their probabilities: {', '.join(each)}."
+    order = np.random.default_rng(last.seed).permutation(total) if shuffled else np.arange(total)
+    order = order[: CHAINS * (total // CHAINS)]
     return replace(
         last,
         model=model,
         joint=Draws.of(x[order], v[order]),
-        verdict=replace(last.verdict, notes=(*last.verdict.notes, said)),
-        method=f"{last.method}, averaged",
         confounded=last.confounders,
         layout=layout,
         levels={**last.levels, **further},

@@ -4,19 +4,25 @@ Each candidate is in or out, independently, with odds such that P(model complete
 tenth of the prior. A candidate is a family of forms, of which a structure has one at most and which share its odds: a
 form more makes nothing more probable. A plausible size is known to an order of magnitude: evidence is averaged over it
 times 1, 3 and 10.
+
+Evidence says nothing of a candidate that readings cannot tell from the effects of a structure: it is latent in the
+structure's model, with its prior.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._calibration.judgement import describes
 from bayescal._core import deadline
+from bayescal._core.null_space import Spans
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import condition
@@ -44,6 +50,8 @@ ROUGHLY_NATS = 20.0
 # Factors on a candidate's plausible size, which is known to an order of magnitude, and their prior probabilities: real
 # coefficients on the chamber ramp stood 3 to 8 such sizes out.
 SIZE_FACTORS = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}
+# Standard deviation of a coefficient whose size the readings do not tell, in plausible sizes.
+RMS_SIZE = math.sqrt(sum(p * factor**2 for factor, p in SIZE_FACTORS.items()))
 
 NOISE_COORDINATES = (-6.0, 6.0)  # coordinates of a noise's size
 STILL_SD = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
@@ -97,6 +105,12 @@ class Weighed:
         """Shapes, noise parameters and spreads at the mode, by name."""
         return {name: float(value) for name, value in self.problem.hyper(self.mode.v).items()}
 
+    @property
+    def noise_describes(self) -> bool:
+        """Whether its noise stands for something without a name."""
+        noise = self.problem.noise
+        return not noise.independent and describes(noise, self.phi)
+
     @cached_property
     def acting(self) -> dict[Correction, tuple[float, ...]]:
         """What columns of the readings are corrected by, as by the temperature of a body; its shapes at the mode."""
@@ -126,6 +140,8 @@ class Structures:
         candidates: effects that may be added, by name.
         laws: further noise laws that the readings can tell, by name.
         odds: prior log odds of candidates of which more is known than their number.
+        floor: noise that no model removes, output unit.
+        spans: which candidates these readings cannot tell from which.
         earlier: structures weighed with other ranges of shapes: where refits begin.
     """
 
@@ -135,9 +151,12 @@ class Structures:
     candidates: Mapping[str, Effect]
     laws: Mapping[str, Noise]
     odds: Mapping[str, float] = field(default_factory=dict)
+    floor: float = 0.0
+    spans: Spans = field(default_factory=Spans)
     earlier: Mapping[Structure, Weighed] = field(default_factory=dict)
     visited: dict[Structure, Weighed] = field(default_factory=dict)
     expected: dict[Structure, float] = field(default_factory=dict)  # totals of others, by score
+    experiments: dict[Any, Any] = field(default_factory=dict)  # which tell equivalent effects apart
 
     @cached_property
     def log_odds(self) -> dict[str, float]:
@@ -200,6 +219,29 @@ class Structures:
         """Of a structure, against that of the base."""
         of_law = log_prior(self.laws, structure.noise)
         return of_law + sum(self.log_odds[name] for name in structure.effects)
+
+    def latent(self, structure: Structure) -> frozenset[str]:
+        """Candidates that these readings cannot tell from the effects of a structure."""
+        return self.spans.implied(structure.effects)
+
+    def unsized(self, model: Model, names: Iterable[str]) -> Model:
+        """A model with some candidates, in it or not, of which readings tell no size: their prior is that of any."""
+        for name in names:
+            effect = self.candidates[name]
+            model = model if name in model.names else model + effect
+            model = model.resize(name, RMS_SIZE * effect.coefficients[0].size)
+        return model
+
+    def rivals(self, structure: Structure) -> dict[str, frozenset[str]]:
+        """For each effect of a structure those that take its place, alone or together, for all that readings tell."""
+        own = structure.effects
+        sets = self.spans.generators(own)
+        return {n: frozenset().union(*(one - own for one in sets if n not in one)) for n in own}
+
+    def reported(self, structure: Structure) -> frozenset[str]:
+        """Families of the effects of a structure, and of those that take their place."""
+        named = structure.effects.union(*self.rivals(structure).values())
+        return frozenset(map(self.family, named))
 
     def noise(self, structure: Structure) -> Noise:
         return self.laws.get(structure.noise, self.base.noise)
@@ -280,7 +322,12 @@ class Structures:
             found = find_mode(problem, begin, width, x, STILL_SD, False, wanted_from=wanted)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         problem, mode, log_evidence = averaged(problem, found, sized, wanted)
-        return Weighed(structure, log_evidence, log_prior, problem, mode)
+        weighed = Weighed(structure, log_evidence, log_prior, problem, mode)
+        if (
+            weighed.noise_describes
+        ):  # something without a name, whose share of the prior is that of curves
+            weighed = replace(weighed, log_prior=log_prior + math.log(UNKNOWN_SHARE))
+        return weighed
 
     def roughly(self, structure: Structure, near: Weighed) -> float:
         """The total under independent noise of one size, all else of φ as another has it; infinite under others."""

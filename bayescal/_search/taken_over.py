@@ -12,7 +12,7 @@ that depends on other columns; and its coefficient with where it stood.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -95,17 +95,20 @@ class TakenOver(NamedTuple):
         return Claim(code, self.term.name, **told, kept=self.kept, moved=self.moved)
 
 
-def taken_over(first: Calibration, last: Calibration) -> list[TakenOver]:
+def taken_over(
+    first: Calibration, last: Calibration, latent: Collection[str] = ()
+) -> list[TakenOver]:
     """Terms of the first model that what was added may stand for, the one that moved the most first.
 
     Args:
         first, last: fits of the same readings, the second with effects added.
+        latent: effects that were not.
     """
-    had = {e.name for e in first.model.effects}
+    had = {e.name for e in first.model.effects}.union(latent)
     added = [e for e in last.model.effects if e.name not in had]
     found: list[TakenOver] = []
     for term in last.model.effects:
-        if term.name not in had or term.shapes or len(term.coefficients) != 1:
+        if term.name not in first.model.names or term.shapes or len(term.coefficients) != 1:
             continue
         if not term.varies or term.coefficients[0].per:
             continue

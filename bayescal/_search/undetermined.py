@@ -19,8 +19,7 @@ from bayescal._calibration.summary import null_vectors, untold
 from bayescal._core.result_table import Printed
 from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS, AXES, DIRECTION, RATE, TURNED, magnitude
-from bayescal._inference.laplace import Mode, flat_scales
-from bayescal._inference.linear_model import LinearModel, linear_model
+from bayescal._inference.linear_model import LinearModel, about_priors
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
@@ -118,12 +117,9 @@ def undetermined(model: Model, readings: Measurements) -> Undetermined:
     reference = reference_of(readings)
 
     def linear(rows: Measurements) -> LinearModel:
-        """About the means of the priors."""
         frame = build_frame(rows, reference, levels, readings)
-        problem = Problem(layout, Record(model.instrument, frame, np.asarray(rows["output"])))
-        v, x = np.zeros(len(layout.hypers)), problem.start
-        flat = flat_scales(problem, x, v)
-        return linear_model(problem, Mode(x, v, np.eye(len(v)), 0.0, 0.0, 0.0, flat, False))
+        record = Record(model.instrument, frame, np.asarray(rows["output"]))
+        return about_priors(Problem(layout, record))
 
     planned, vector = linear(readings), model.instrument.vector
     in_moves = readings.has(TURNED[0])  # what it takes is a log with further moves, about any axis

@@ -354,3 +354,37 @@ def test_unknown_dependence_on_labels_is_refused(readings, name) -> None:
 def test_no_line_ends_in_another_error_than_a_refusal(readings, text) -> None:
     with contextlib.suppress(bc.InputError):
         bc.effect(f"own: s * ({text})", readings=readings, instrument=GYROSCOPE)
+@pytest.mark.parametrize(
+    ("line", "shape", "low", "high"),
+    [
+        ("kink: c*tanh((temperature - 52)/w); c = 0.2 deg/s; w = 0.3 to 10 degC", "w", 0.3, 10.0),
+        ("kink: c*exp(-(temperature - 52)/w); c = 0.2 deg/s; w = 9 to 18 degF", "w", 5.0, 10.0),
+        ("kink: c*tanh((temperature - 52)/w); c = 0.2 deg/s; w = 1 to 3 K", "w", 1.0, 3.0),
+        ("step: c*step(temperature - m); c = 0.2 deg/s; m = 50 to 122 degF", "m", 10.0, 50.0),
+        (
+            "bend: c*max(temperature, m); c = 0.2 deg/s/degC; m = 283.15 to 323.15 K",
+            "m",
+            10.0,
+            50.0,
+        ),
+        ("step: c*step(temperature - m); c = 0.2 deg/s; m = -20 to 60 degC", "m", -20.0, 60.0),
+    ],
+)
+def test_temperature_among_the_shapes_is_a_difference_or_a_place(line, shape, low, high) -> None:
+    readings = mems_gyro.simulate({}, seed=1)
+    made = bc.effect(line, readings=readings, instrument=mems_gyro.INSTRUMENT)
+    (own,) = (s for s in made.shapes if s.name == shape)
+    assert (own.low, own.high) == pytest.approx((low, high))
+
+
+def test_kink_at_a_temperature_is_fitted_saved_and_loaded(tmp_path: Path) -> None:
+    line = "kink: c*tanh((temperature - 52)/w); c = 0.2 deg/s; w = 0.3 to 10 degC"
+    readings = mems_gyro.simulate({}, seed=1)
+    kink = 0.3 * np.tanh((readings["temperature"] - 52) / 2.0)
+    readings = readings.with_column("output", readings["output"] + kink)
+    made = bc.effect(line, readings=readings, instrument=mems_gyro.INSTRUMENT)
+    fitted = bc.fit(mems_gyro.INSTRUMENT.baseline() + made, readings, bc.LeastSquares(draws=200))
+    again = bc.load(fitted.save(tmp_path / "c.nc"))
+    for name, truth in (("bias.kink", 0.3), ("bias.kink.w", 2.0)):
+        draws = again.samples(name)
+        assert abs(draws.mean() - truth) < 4 * draws.std()

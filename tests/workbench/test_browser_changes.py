@@ -56,29 +56,6 @@ def test_an_effect_is_resized_and_taken_out(seen: Seen) -> None:
     seen.clean()
 
 
-def test_a_region_is_described_and_its_draft_added(seen: Seen) -> None:
-    seen.tab("Describe")
-    seen.page.get_by_label("column", exact=True).select_option("board_temperature")
-    low = seen.page.get_by_label("from [")
-    low.fill("60")
-    low.press("Tab")
-    seen.press("Select")
-    seen.page.get_by_text("readings selected").first.wait_for()
-    seen.press("Describe it")
-    seen.page.get_by_text(re.compile(r"In the \d+ selected readings")).wait_for()
-    code, load = seen.page.get_by_label("Draft of an effect"), "Load the effect"
-    code.fill(re.sub(r'"bias\.\w+"', '"bias.mine"', code.input_value()))
-    code.press("Tab")
-    assert seen.page.get_by_role("button", name=load).is_disabled(), "only when the user said so"
-    seen.tab("I have read it: run it")
-    seen.page.get_by_role("button", name=load, disabled=False).click()
-    seen.page.locator('[data-row="bias.mine"]').wait_for()
-    seen.tab("The error")
-    before = float(seen.steps()[-1][1])
-    assert float(seen.add("bias.mine").steps()[-1][1]) < before
-    seen.clean()
-
-
 def test_experiments_are_ranked_where_two_effects_are_confounded(seen: Seen) -> None:
     seen.tab("Next experiment")
     told = seen.page.get_by_text(re.compile("To tell apart|Nothing is confounded here"))

@@ -18,13 +18,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from bayescal import (
     BayescalError,
     Budget,
     Discovery,
-    Draft,
     Effect,
     InputError,
     Measurements,
@@ -37,7 +34,6 @@ from bayescal import (
     budget,
     compare,
     compensator,
-    describe,
     discover,
     report,
     set_aside,
@@ -406,16 +402,6 @@ class Session:
         """End `find_all` with the best so far."""
         if self._search is not None:
             self._search.interrupt.requested = True
-
-    def describe(self, rows: Sequence[int] | np.ndarray, against: str = "") -> Draft:
-        """What selected readings (numbers from 0) show that the current model lacks, with the draft of an effect.
-
-        `against` is the covariate that they were selected along; empty: whichever explains them best.
-        """
-        state = self.current
-        with self._beside:
-            previews = self._previews_of(state)
-            return describe(state.calibration, rows, against, previews=previews)
 
     def typed(self, line: str) -> Effect:
         """The effect of a typed formula, as `bc.effect` takes it.

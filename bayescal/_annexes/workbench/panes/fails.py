@@ -686,4 +686,3 @@ class Fails(Pane):
             mean = f"{self._now()[rows].mean():+.3g} {self.shown.unit}".replace("-", "−")
             said = f"{rows.size:,} readings selected, mean residual {mean}"
         self.brushed.object = said
-        self.bench.tabs.describe.selected(rows)

@@ -1,0 +1,62 @@
+"""Pairs and triples of effects that the usual test of each instrument cannot tell apart: a page.
+
+python -m benchmarks equivalent
+"""
+
+from __future__ import annotations
+
+import bayescal as bc
+from bayescal._model.frame import reference_of
+from bayescal._search.discover import structures_over
+from bayescal._search.equivalence import equivalents, separating_experiments
+from benchmarks.hidden_effects.bank import INSTRUMENTS, instrument_named
+from benchmarks.markdown import table
+from benchmarks.record import DOCS
+
+ALL = (*INSTRUMENTS, "accelerometer_dividing_head", "accelerometer_triad", "gyro_triad")
+ALL = (*ALL, "magnetometer_triad")
+SEED = 1
+HEAD = """# Effects that a test cannot tell apart
+
+Rendered by `python -m benchmarks equivalent`, of one campaign (seed {seed}) of each instrument's simulator as it is.
+
+An effect's columns, whitened by the noise floor and in plausible sizes, are projected on those of the first model,
+and of one or two other effects. Where these leave less than a hundredth of its squares, and less than half a nat
+(½·log(1 + K), K the information in units of its prior), the readings cannot tell it from what spans it. What cannot be
+told from coefficients of the first model, *in* the table, is in every model with its prior, and these coefficients are
+as uncertain as that leaves them; what cannot be told from effects that are found enters with them. `bayescal calibrate`
+says every set before what it finds, and those of its model at the gate or among the notes.
+
+*Test that tells*: of the experiments that the instrument lists, the one that leaves most of the first effect, in nats
+at its plausible size; more than half a one.
+
+"""
+
+
+def main() -> None:
+    """Render the page."""
+    rows = [row for name in ALL for row in _rows(name)]
+    told = {name for name, *_ in rows}
+    head = ["instrument", "effect", "cannot be told from", "test that tells", "nats"]
+    none = ", ".join(f"`{name}`" for name in ALL if name not in told)
+    body = HEAD.format(seed=SEED) + table(head, rows)
+    (DOCS / "equivalent_effects.md").write_text(f"{body}\nNone: {none}.\n", "utf-8")
+
+
+def _rows(name: str) -> list[list[str]]:
+    instrument = instrument_named(name)
+    readings = instrument.simulate(seed=SEED)
+    model: bc.Model = instrument.for_readings(readings).baseline()
+    structures, _ = structures_over(model, readings, reference_of(readings))
+    tests, rows = separating_experiments(structures), []
+    for one in equivalents(structures.spans):
+        first, *others = (f"`{n}`" for n in one.effects)
+        beside = " + ".join(others) or ", ".join(f"`{n}` (in)" for n in one.coefficients)
+        test = tests[one]
+        nats = f"{test['nats']:.1f}" if "nats" in test else "–"
+        rows.append([name, first, beside, test.get("experiment", "none listed"), nats])
+    return rows
+
+
+if __name__ == "__main__":
+    main()
