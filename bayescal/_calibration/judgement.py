@@ -211,7 +211,9 @@ def of_noise(
 def _left_over(calibration: Calibration, check: Check, missing: Mapping[str, str]) -> list[Claim]:
     """What the residuals still depend on; and readings too few to tell noise from unknowns."""
     there = inclusion(calibration)  # of an average over structures as many as there are on average
-    free = round(sum(there[b.effect.name] for b in calibration.layout.blocks))
+    nuisances = {e.name for e in calibration.model.instrument.nuisances}
+    names = [b.effect.name for b in calibration.layout.blocks]
+    free = round(sum(there[name] for name in names if name not in nuisances))
     size = len(calibration.readings)
     if size < free + 3:
         return [Claim("readings.too_few", count=size, free=free)]

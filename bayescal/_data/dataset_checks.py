@@ -20,7 +20,13 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._core.settings import settings
-from bayescal._data.column import ARRAYS, MAY_BE_EMPTY, ConvertedColumns, file_names
+from bayescal._data.column import (
+    ARRAYS,
+    ASSUMED_GRAVITY,
+    MAY_BE_EMPTY,
+    ConvertedColumns,
+    file_names,
+)
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.unit_conversion import base_unit, convert, unit_label
 from bayescal._tables.raw_table import Objection, Objections, Table, option
@@ -713,7 +719,11 @@ def flags_of(
         for one in oddities(columns, thermometers, output)
     ]
     for name, values in columns.items():
-        number = values.dtype.kind == "f" and name not in (*converted.filled, MAGNITUDE)
+        number = values.dtype.kind == "f" and name not in (
+            *converted.filled,
+            MAGNITUDE,
+            ASSUMED_GRAVITY,
+        )
         if number and len(values) > 1 and (values == values[0]).all():
             flags.append(f"{names}: column {name!r} is constant ({values[0]:g})")
         elif number and (stuck := stuck_rows(values, name in thermometers)) is not None:

@@ -55,7 +55,6 @@ from bayescal._annexes.fleet.fit_devices import (
     common_reference,
     fit_devices,
     fit_together,
-    sized_for,
     tailored_to_first,
     temperature_sums,
 )
@@ -634,32 +633,32 @@ def _temperature_sums(request: Request, partition: Partition) -> list[tuple[str,
         return temperature_sums(read_partition(partition, request)[0])
 
 
-def _sized_model(request: Request, partition: Partition) -> Model | None:
-    """The model, with what it takes from readings taken from the partition's first device that has it."""
+def _tailored_model(request: Request, partition: Partition) -> Model | None:
+    """The model tailored to the partition's first device that it can be tailored to; None where there is none."""
     with use_settings(request.settings):
-        model, first = tailored_to_first(request.model, read_partition(partition, request)[0])
-        return None if first is None else sized_for(model, first, request.fit_options.reference)
+        devices = read_partition(partition, request)[0]
+        return tailored_to_first(request.model, devices) if len(devices.blocks) else None
 
 
 def _with_common(
     request: Request, partitions: Sequence[Partition], engine: Engine, pooled: bool
 ) -> Request:
-    """The request with what has to be the same in all partitions: T0 of a population, unit, open sizes."""
+    """The request with what has to be the same in all partitions: T0 of a population, the unit."""
     if pooled and "T0" not in request.fit_options.reference:
         tell("reading all temperatures, for a common T0 (a reference given spares that)")
         sums = engine.every(_temperature_sums, [(request, p) for p in partitions])
         common = common_reference([one for some in sums for one in some])
         request = replace(request, fit_options=request.fit_options.with_common(common))
     model = request.model
-    if model.instrument.tailor is None and not any(e.open for e in model.effects):
+    if model.instrument.tailor is None:
         return request
     reason = ""
     for partition in partitions:
-        for outcome in engine.each(_sized_model, [(request, partition)]):
+        for outcome in engine.each(_tailored_model, [(request, partition)]):
             if outcome.value is not None:
                 return replace(request, model=outcome.value)
             reason = reason or outcome.error
-    if reason and model.instrument.tailor is not None:
+    if reason:
         raise InputError(_NONE + reason)
     return request
 
@@ -870,7 +869,7 @@ def fit_batch(
         InputError: no device that can be used, files that cannot be read, a client without `out`, a cluster gone.
         ModelError: a method that cannot be mapped, or a population of something that is no coefficient.
     """
-    options = FitOptions.of(model, method, seed, chunk, reference)
+    options = FitOptions.of(method, seed, chunk, reference)
     chosen(model, population)  # a wrong name is refused before anything is read
     paths = _paths(readings)
     if out is not None:
@@ -886,7 +885,7 @@ def fit_batch(
         raise InputError("workers and searches write by partition: give out=, a folder")
     needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
     devices = split_devices(paths, model.instrument, needs=needs) if paths else _given(readings)
-    model, _ = tailored_to_first(model, devices)
+    model = tailored_to_first(model, devices)
     return fit_devices(model, devices, options, chosen(model, population))
 
 
