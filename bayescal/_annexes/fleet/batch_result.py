@@ -22,7 +22,7 @@ import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 
 from bayescal import InputError
-from bayescal._annexes.fleet.odd_devices import Values, odd_values
+from bayescal._annexes.fleet.odd_devices import FAMILY_WISE_ERROR, Values, odd_devices
 from bayescal._annexes.fleet.population import Population
 from bayescal.workshop import as_json, parsed_json, read_json, replacing_for_user, write_json
 
@@ -80,7 +80,10 @@ _AMPLITUDE = re.compile(r"^(unknown\(.*\))\.amplitude$", re.DOTALL)
 def odd_in_words(odd: Mapping[str, list[str]], devices: int) -> list[str]:
     """Devices that are not like the others, a line each; nothing where there are none."""
     told = {name: "; ".join(said) for name, said in odd.items()}
-    head = [f"{len(odd)} of {devices} devices are not like the others:"] if odd else []
+    head = [
+        f"{len(odd)} of {devices} devices are not like the others (by chance in {FAMILY_WISE_ERROR:.0%} of fleets):"
+    ]
+    head = head if odd else []
     return head + first_few(told, len(told), more=f", all in {WHOLE}")
 
 
@@ -170,6 +173,7 @@ class BatchResult:
         population: what the devices have in common, if it was asked for.
         about: instrument, effects, method, seed and notes.
         facts: by device, how many readings were fitted, and their T0, °C; NaN where that is not known.
+        odd: devices that are not like the others, and in what; of a partition of a fleet it is not asked.
     """
 
     devices: tuple[str, ...]
@@ -179,13 +183,13 @@ class BatchResult:
     population: Population | None
     about: dict[str, Any]
     facts: pd.DataFrame
+    odd: dict[str, list[str]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.devices)
 
-    @cached_property
-    def odd(self) -> dict[str, list[str]]:
-        """Devices that are not like the others, and in what: a value beyond chance, that all of them have."""
+    def compared(self, facts: pd.DataFrame) -> dict[str, list[str]]:
+        """Return the devices that are not like the others, and in what, by the unknowns that all of them have."""
         good = [(part, self.ok[part.devices]) for part in self.parts]
         inside = [(part, own) for part, own in good if own.any()]
         common = [n for n in inside[0][0].names if "[" not in n] if inside else []
@@ -200,7 +204,7 @@ class BatchResult:
                 at[0][0].units[at[0][2]],
             )
 
-        return odd_values(common, values, self.facts.loc[self.ok])
+        return odd_devices(common, values, facts.loc[self.ok])
 
     def __iter__(self) -> Iterator[DeviceResult]:
         return (self[i] for i in range(len(self)))
@@ -271,7 +275,7 @@ class BatchResult:
             )
         table, population = self._rows(), self.population and self.population.data()
         facts = {name: self.facts[name].tolist() for name in self.facts}
-        told = {"about": self.about, "population": population, "facts": facts}
+        told = {"about": self.about, "population": population, "facts": facts, "odd": self.odd}
         head = json.dumps(as_json({"schema": FORMAT, **told}), allow_nan=False)
         sealed = {"bayescal": head, "bayescal_sha256": _digest(table, head.encode())}
         with replacing_for_user(path) as partial:
@@ -352,6 +356,7 @@ def load_batch(path: str | Path) -> BatchResult:
             population=population and Population.of_data(population),
             about=head["about"],
             facts=facts_of(devices, head.get("facts", {})),
+            odd=head.get("odd", {}),
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path.name} was changed after it was saved: {error}. {AGAIN}") from None
@@ -386,6 +391,7 @@ FLEET_FORMAT = "bayescal.fleet/1"
 WHOLE = "fleet.json"
 ALONE = "devices"  # folder of each device's own results
 POOLED = "pooled"  # and of those under the population
+COMPARED = "compared"  # and of those by the one model that they are compared by
 EFFECTS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
 
 
@@ -399,7 +405,7 @@ class FleetResult:
             which it was looked for what the model lacks (`find`).
         doubted: some devices whose fit is not to be relied on, and why.
         missing: file → why its devices are not among the results; the same call goes on from there.
-        odd: devices that are not like the others, and in what: a value beyond chance, an effect that few have.
+        odd: devices that are not like the others, and in what.
         table: one row a coefficient: mean over the devices that are fitted, standard deviation between them, typical
             (root mean square) standard uncertainty, unit.
         population: what the devices have in common, if it was asked for.

@@ -31,6 +31,7 @@ import pyarrow.parquet as pq
 from bayescal import InputError, Measurements, Model, Settings, __version__, use_settings
 from bayescal._annexes.fleet.batch_result import (
     ALONE,
+    COMPARED,
     POOLED,
     WHOLE,
     BatchResult,
@@ -48,7 +49,13 @@ from bayescal._annexes.fleet.devices import (
     split_table,
 )
 from bayescal._annexes.fleet.engine import Engine
-from bayescal._annexes.fleet.find_devices import DeviceStructure, Find, effects_table, find_and_fit
+from bayescal._annexes.fleet.find_devices import (
+    DeviceStructure,
+    Find,
+    common_model,
+    effects_table,
+    find_and_fit,
+)
 from bayescal._annexes.fleet.fit_devices import (
     CHUNK,
     FitOptions,
@@ -59,7 +66,7 @@ from bayescal._annexes.fleet.fit_devices import (
     temperature_sums,
 )
 from bayescal._annexes.fleet.model_texts import model_texts, shown
-from bayescal._annexes.fleet.odd_devices import Values, odd_effects, odd_values
+from bayescal._annexes.fleet.odd_devices import Values, odd_devices
 from bayescal._annexes.fleet.partial_pooling import learn_population
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
 from bayescal._core.progress import EVERY
@@ -554,11 +561,14 @@ def fit_fleet(
         learned = learn_population(files, folder / POOLED, named, fit_options.seed, engine)
     doubted = {name: why for one in done for name, why in one.doubted.items()}
     structures = {name: each for one in done for name, each in one.structures.items()}
-    effects, shares = effects_table([*structures.values()], fit_options.seed)
-    table, fitted = _table(files), sum(one.fitted for one in done)
-    odd = odd_effects([*structures], shares)
-    for name, said in _odd_values(files, table, fitted).items():
-        odd.setdefault(name, []).extend(said)
+    effects = effects_table([*structures.values()], fit_options.seed)
+    fitted, facts = sum(one.fitted for one in done), _facts(files)
+    odd = _odd(
+        run,
+        files,
+        facts,
+        common_model(request.model, [*structures.values()], effects, find.effects if find else ()),
+    )
     fleet = FleetResult(
         out,
         devices=sum(one.devices for one in done),
@@ -568,7 +578,7 @@ def fit_fleet(
         doubted=dict(list(doubted.items())[:DOUBTED]),
         missing=run.missing,
         odd=odd,
-        table=table,
+        table=_table(files),
         population=learned,
         effects=effects,
         about={
@@ -607,25 +617,66 @@ def _table(files: Sequence[Path]) -> pd.DataFrame:
     )
 
 
-def _odd_values(files: Sequence[Path], table: pd.DataFrame, fitted: int) -> dict[str, list[str]]:
-    """`odd_values` of the devices that are fitted; one unknown after the other, for a process holds not all."""
-    names = table["coefficient"][
-        table["devices"].eq(fitted) & ~table["coefficient"].str.contains(r"\[")
-    ]
-    dataset, facts = pads.dataset(files), list[pd.DataFrame]()
+def _facts(files: Sequence[Path]) -> pd.DataFrame:
+    """Return how many readings the devices of some partitions have, and about which temperature."""
+    facts = list[pd.DataFrame]()
     for file in files:
         head = parsed_json((pq.read_schema(file).metadata or {})[b"bayescal"])
         order = pq.read_table(file, columns=["device"])["device"].unique().to_pylist()
         facts.append(facts_of(order, head.get("facts", {})))
+    return pd.concat(facts)
+
+
+def _odd(
+    run: _Run, files: Sequence[Path], facts: pd.DataFrame, model: Model
+) -> dict[str, list[str]]:
+    """Return the devices that are not like the others, by one model at one temperature.
+
+    Where results are of other models or temperatures, partitions are fitted once more. One unknown is read after the
+    other, for a process holds not all.
+    """
+    request, options = run.request, run.request.fit_options.compared_at(facts["T0"])
+    if options or model is not request.model:
+        request = replace(request, model=model, fit_options=options or request.fit_options)
+        folder = run.folder.parent / COMPARED
+        folder.mkdir(exist_ok=True)
+        tasks = [
+            (request, run.partitions[one.number], folder, one.elsewhere) for one in run.in_order
+        ]
+        files = run.engine.every(_compare_partition, tasks)
+    dataset, good = pads.dataset(files), pads.field("ok")
+    ok = dataset.to_table(["device"], filter=good)["device"].unique().to_pylist()
+    count = (
+        dataset.to_table(["coefficient"], filter=good)
+        .group_by("coefficient")
+        .aggregate([("coefficient", "count")])
+    )
+    names = [
+        n
+        for n, c in zip(
+            count["coefficient"].to_pylist(), count["coefficient_count"].to_pylist(), strict=True
+        )
+        if c == len(ok) and "[" not in n
+    ]
 
     def values(name: str) -> Values:
-        of = pads.field("ok") & (pads.field("coefficient") == name)
+        of = good & (pads.field("coefficient") == name)
         rows = dataset.to_table(["device", "mean", "sd", "unit"], filter=of, use_threads=False)
         numbers = rows["mean"].to_numpy(), rows["sd"].to_numpy()
         return Values(rows["device"].to_pylist(), *numbers, rows["unit"][0].as_py())
 
-    ok = dataset.to_table(["device"], filter=pads.field("ok"))["device"].unique().to_pylist()
-    return odd_values([*names], values, pd.concat(facts).loc[ok])
+    return odd_devices(names, values, facts.loc[ok])
+
+
+def _compare_partition(
+    request: Request, partition: Partition, folder: Path, elsewhere: Mapping[str, str]
+) -> Path:
+    """Fit the devices of a partition to be compared with those of others; the file of these results."""
+    with ONE, use_settings(request.settings):
+        devices, _ = read_partition(partition, request, elsewhere)
+        groups = [(request.model, devices)]
+        result = fit_together(devices.names, devices.refused, groups, request.fit_options)
+        return result.save(folder / partition.file)
 
 
 def _temperature_sums(request: Request, partition: Partition) -> list[tuple[str, float, int]]:

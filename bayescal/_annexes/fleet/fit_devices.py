@@ -2,16 +2,16 @@
 
 A device is fitted by `fit`: its result is the mean and covariance of that posterior, and what stands against it. Least
 squares of plain devices, against which nothing can stand, has a closed form but for one number, the noise, that gives
-the same: the expected output is affine in the coefficients, their priors are fixed, the noise is white. The readings enter through R of the QR factors of [J_flat, J·s, r] alone (s: prior standard deviations), and
-through the singular values d of its block of proper columns. The restricted likelihood of the noise σ is then a sum of
-p terms,
+the same: the expected output is affine in the coefficients, their priors are fixed, the noise is white. The readings
+enter through R of the QR factors of [J_flat, J·s, r] alone (s: prior standard deviations), and through the singular
+values d of its block of proper columns. The restricted likelihood of the noise σ is then a sum of p terms,
 
     −2 log L(σ) = (n − f) log σ² + ρ²/σ² + Σ log(1 + d²/σ²) + c²/(σ² + d²)
 
 with ρ what no column explains, c the readings along the singular vectors and f the number of flat coefficients. Its
-maximum is that of `LeastSquares`, and so are the coefficients at it and their covariance. A device is no plain one where
-it has several maxima or a coefficient stands far from its prior's mean (the noise may take up what a prior forbids),
-where outputs are so far from the model's mean that digits are lost, and where a size may be in a wrong unit.
+maximum is that of `LeastSquares`, and so are the coefficients at it and their covariance. A device is no plain one
+where it has several maxima or a coefficient stands far from its prior's mean (the noise may take up what a prior
+forbids), where outputs are so far from the model's mean that digits are lost, and where a unit may be wrong.
 Source: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
 
 There frames of many devices are stacked, so that one compiled program sees them all. A table without time and without
@@ -397,6 +397,15 @@ class FitOptions:
         """With further constants, where none were given."""
         return replace(self, reference={**reference, **self.reference})
 
+    def compared_at(self, t0: pd.Series) -> FitOptions | None:
+        """Return how devices are fitted to be compared, at one temperature; None where they are so already."""
+        known = t0.dropna()
+        if "T0" in self.reference or known.nunique() < 2:
+            return None
+        return replace(
+            self.with_common({"T0": float(known.median().round())}), method=LeastSquares()
+        )
+
     def data(self, model: Model) -> dict[str, Any]:
         """What was fitted, as a result says it."""
         return {
@@ -424,7 +433,10 @@ def fit_devices(
         options = options.with_common(common_reference(temperature_sums(devices)))
     groups = [(model, devices)]
     result = fit_together(devices.names, devices.refused, groups, options, each=False)
-    return pooled(result, named, options.seed) if named else result
+    alike = options.compared_at(result.facts["T0"])
+    other = alike and fit_together(devices.names, devices.refused, groups, alike)
+    odd = (other or result).compared(result.facts)
+    return replace(pooled(result, named, options.seed) if named else result, odd=odd)
 
 
 def fit_together(
