@@ -235,9 +235,9 @@ class BatchResult:
 
         A device that was refused has one row without a coefficient. Devices in the order in which they came.
         """
-        return self._rows().select(COLUMNS).to_pandas()
+        return self.rows().select(COLUMNS).to_pandas()
 
-    def _rows(self) -> pa.Table:
+    def rows(self) -> pa.Table:
         """The table as it is saved, with each unknown's row of the covariance."""
         devices, reasons = (pa.array(own, pa.string()) for own in (self.devices, self.reasons))
 
@@ -273,7 +273,7 @@ class BatchResult:
             raise InputError(
                 f"a batch is saved as Parquet: name the file ….parquet, not {path.name!r}"
             )
-        table, population = self._rows(), self.population and self.population.data()
+        table, population = self.rows(), self.population and self.population.data()
         facts = {name: self.facts[name].tolist() for name in self.facts}
         told = {"about": self.about, "population": population, "facts": facts, "odd": self.odd}
         head = json.dumps(as_json({"schema": FORMAT, **told}), allow_nan=False)
@@ -391,7 +391,6 @@ FLEET_FORMAT = "bayescal.fleet/1"
 WHOLE = "fleet.json"
 ALONE = "devices"  # folder of each device's own results
 POOLED = "pooled"  # and of those under the population
-COMPARED = "compared"  # and of those by the one model that they are compared by
 EFFECTS = ["effect", "devices", "possible", "in fleet", "expected", "share", "low", "high"]
 
 

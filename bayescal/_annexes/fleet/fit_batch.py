@@ -31,7 +31,6 @@ import pyarrow.parquet as pq
 from bayescal import InputError, Measurements, Model, Settings, __version__, use_settings
 from bayescal._annexes.fleet.batch_result import (
     ALONE,
-    COMPARED,
     POOLED,
     WHOLE,
     BatchResult,
@@ -636,28 +635,16 @@ def _odd(
     other, for a process holds not all.
     """
     request, options = run.request, run.request.fit_options.compared_at(facts["T0"])
+    dataset: pads.Dataset = pads.dataset(files)
     if options or model is not request.model:
         request = replace(request, model=model, fit_options=options or request.fit_options)
-        folder = run.folder.parent / COMPARED
-        folder.mkdir(exist_ok=True)
-        tasks = [
-            (request, run.partitions[one.number], folder, one.elsewhere) for one in run.in_order
-        ]
-        files = run.engine.every(_compare_partition, tasks)
-    dataset, good = pads.dataset(files), pads.field("ok")
+        each = [(request, run.partitions[one.number], one.elsewhere) for one in run.in_order]
+        dataset = pads.dataset(pa.concat_tables(run.engine.every(_rows_to_compare, each)))
+    good = pads.field("ok")
     ok = dataset.to_table(["device"], filter=good)["device"].unique().to_pylist()
-    count = (
-        dataset.to_table(["coefficient"], filter=good)
-        .group_by("coefficient")
-        .aggregate([("coefficient", "count")])
-    )
-    names = [
-        n
-        for n, c in zip(
-            count["coefficient"].to_pylist(), count["coefficient_count"].to_pylist(), strict=True
-        )
-        if c == len(ok) and "[" not in n
-    ]
+    held = dataset.to_table(["coefficient"], filter=good)["coefficient"].value_counts()
+    count = {one["values"]: one["counts"] for one in held.to_pylist()}
+    names = [n for n, times in count.items() if times == len(ok) and "[" not in n]
 
     def values(name: str) -> Values:
         of = good & (pads.field("coefficient") == name)
@@ -668,15 +655,15 @@ def _odd(
     return odd_devices(names, values, facts.loc[ok])
 
 
-def _compare_partition(
-    request: Request, partition: Partition, folder: Path, elsewhere: Mapping[str, str]
-) -> Path:
-    """Fit the devices of a partition to be compared with those of others; the file of these results."""
+def _rows_to_compare(
+    request: Request, partition: Partition, elsewhere: Mapping[str, str]
+) -> pa.Table:
+    """Fit the devices of a partition to be compared with those of others."""
     with ONE, use_settings(request.settings):
         devices, _ = read_partition(partition, request, elsewhere)
         groups = [(request.model, devices)]
         result = fit_together(devices.names, devices.refused, groups, request.fit_options)
-        return result.save(folder / partition.file)
+        return result.rows().drop_columns(["covariance"])
 
 
 def _temperature_sums(request: Request, partition: Partition) -> list[tuple[str, float, int]]:

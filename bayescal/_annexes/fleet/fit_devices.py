@@ -268,6 +268,7 @@ def frames(model: Model, block: DeviceBlock, reference: Reference) -> Iterator[D
     for i in range(len(block.names)):
         readings = block.measurements(i)
         with suppress(BayescalError):  # whoever fits it says why
+            model.require(readings)
             layout = bind(model, readings)[0]
             frame = build_frame(readings, {**reference_of(readings), **reference})
             frame = jax.tree.map(np.asarray, frame)

@@ -116,7 +116,7 @@ def predicted(
     digits = np.finfo(float).eps * float(np.max(np.abs(values)))
     variance = np.maximum(variance, max(digits**2, 1e-200))
     away = np.abs(values - np.median(values))
-    alike = away <= np.median(away)
+    alike = away <= np.sort(away)[max(FEWEST, len(values) // 2 + 1) - 1]
     for _ in range(ROUNDS):
         mean, between, weight = population(values[alike], variance[alike])
         # Of one among them its own part is taken off: of the mean, and by a step of Newton of τ².
