@@ -22,7 +22,7 @@ import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 
 from bayescal import InputError
-from bayescal._annexes.fleet.odd_devices import FAMILY_WISE_ERROR, Values, odd_devices
+from bayescal._annexes.fleet.odd_devices import FAMILY_WISE_ERROR
 from bayescal._annexes.fleet.population import Population
 from bayescal.workshop import as_json, parsed_json, read_json, replacing_for_user, write_json
 
@@ -187,24 +187,6 @@ class BatchResult:
 
     def __len__(self) -> int:
         return len(self.devices)
-
-    def compared(self, facts: pd.DataFrame) -> dict[str, list[str]]:
-        """Return the devices that are not like the others, and in what, by the unknowns that all of them have."""
-        good = [(part, self.ok[part.devices]) for part in self.parts]
-        inside = [(part, own) for part, own in good if own.any()]
-        common = [n for n in inside[0][0].names if "[" not in n] if inside else []
-        common = [n for n in common if all(n in part.names for part, _ in inside)]
-
-        def values(name: str) -> Values:
-            at = [(part, own, part.names.index(name)) for part, own in inside]
-            return Values(
-                [self.devices[d] for part, own, _ in at for d in part.devices[own]],
-                np.concatenate([part.mean[own, i] for part, own, i in at]),
-                np.concatenate([part.sd[own, i] for part, own, i in at]),
-                at[0][0].units[at[0][2]],
-            )
-
-        return odd_devices(common, values, facts.loc[self.ok])
 
     def __iter__(self) -> Iterator[DeviceResult]:
         return (self[i] for i in range(len(self)))

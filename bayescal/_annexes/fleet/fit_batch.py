@@ -65,7 +65,7 @@ from bayescal._annexes.fleet.fit_devices import (
     temperature_sums,
 )
 from bayescal._annexes.fleet.model_texts import model_texts, shown
-from bayescal._annexes.fleet.odd_devices import Values, odd_devices
+from bayescal._annexes.fleet.odd_devices import odd_devices
 from bayescal._annexes.fleet.partial_pooling import learn_population
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
 from bayescal._core.progress import EVERY
@@ -631,8 +631,7 @@ def _odd(
 ) -> dict[str, list[str]]:
     """Return the devices that are not like the others, by one model at one temperature.
 
-    Where results are of other models or temperatures, partitions are fitted once more. One unknown is read after the
-    other, for a process holds not all.
+    Where results are of other models or temperatures, partitions are fitted once more.
     """
     request, options = run.request, run.request.fit_options.compared_at(facts["T0"])
     dataset: pads.Dataset = pads.dataset(files)
@@ -640,19 +639,7 @@ def _odd(
         request = replace(request, model=model, fit_options=options or request.fit_options)
         each = [(request, run.partitions[one.number], one.elsewhere) for one in run.in_order]
         dataset = pads.dataset(pa.concat_tables(run.engine.every(_rows_to_compare, each)))
-    good = pads.field("ok")
-    ok = dataset.to_table(["device"], filter=good)["device"].unique().to_pylist()
-    held = dataset.to_table(["coefficient"], filter=good)["coefficient"].value_counts()
-    count = {one["values"]: one["counts"] for one in held.to_pylist()}
-    names = [n for n, times in count.items() if times == len(ok) and "[" not in n]
-
-    def values(name: str) -> Values:
-        of = good & (pads.field("coefficient") == name)
-        rows = dataset.to_table(["device", "mean", "sd", "unit"], filter=of, use_threads=False)
-        numbers = rows["mean"].to_numpy(), rows["sd"].to_numpy()
-        return Values(rows["device"].to_pylist(), *numbers, rows["unit"][0].as_py())
-
-    return odd_devices(names, values, facts.loc[ok])
+    return odd_devices(dataset, facts)
 
 
 def _rows_to_compare(

@@ -30,6 +30,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+import pyarrow.dataset as pads
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
@@ -46,6 +47,7 @@ from bayescal import (
 )
 from bayescal._annexes.fleet.batch_result import BatchPart, BatchResult
 from bayescal._annexes.fleet.devices import DEVICE, DeviceBlock, Devices, joined
+from bayescal._annexes.fleet.odd_devices import odd_devices
 from bayescal._annexes.fleet.partial_pooling import pooled
 from bayescal._annexes.fleet.population import Named
 from bayescal._calibration.claim import Claim
@@ -215,29 +217,13 @@ STEP = 1.25  # from one padded number of readings to the next
 NUMBERS = 2_000_000  # readings in one stack at most
 
 
-class DeviceFrame(NamedTuple):
-    """One device as the closed form takes it.
-
-    Attributes:
-        device: its index in the block.
-        layout: where its unknowns stand.
-        frame: what the effects see.
-        y: outputs, (n,).
-    """
-
-    device: int
-    layout: Layout
-    frame: Frame
-    y: np.ndarray
-
-
 class DeviceStack(NamedTuple):
-    """Devices of one shape, as `DeviceFrame` with a leading axis.
+    """Devices of one shape, as the closed form takes them.
 
     Attributes:
         devices: their indices in the block, (b,).
-        layout: common to all.
-        frame: stacked frames; leaves (b, …).
+        layout: where the unknowns of each stand.
+        frame: what the effects see; leaves (b, …).
         y: outputs, (b, n).
         real: 1 where a reading is one, 0 where it is padding, (b, n).
     """
@@ -263,16 +249,17 @@ class DeviceStack(NamedTuple):
         return jax.tree.map(lambda a: np.asarray(a)[:few], found)
 
 
-def frames(model: Model, block: DeviceBlock, reference: Reference) -> Iterator[DeviceFrame]:
-    """Yield the devices of a block that the model can be bound to."""
+def devices_alone(model: Model, block: DeviceBlock, reference: Reference) -> Iterator[DeviceStack]:
+    """Yield the devices of a block that the model can be bound to, one by one."""
     for i in range(len(block.names)):
         readings = block.measurements(i)
         with suppress(BayescalError):  # whoever fits it says why
             model.require(readings)
             layout = bind(model, readings)[0]
             frame = build_frame(readings, {**reference_of(readings), **reference})
-            frame = jax.tree.map(np.asarray, frame)
-            yield DeviceFrame(i, layout, frame, np.asarray(readings["output"]))
+            frame = jax.tree.map(lambda a: np.asarray(a)[None], frame)
+            y = np.asarray(readings["output"])[None]
+            yield DeviceStack(np.array([i]), layout, frame, y, np.ones_like(y))
 
 
 def stacks(
@@ -283,21 +270,20 @@ def stacks(
     if labels <= {DEVICE} and not {"time", "temperature_point"} & block.values.keys():
         yield from _stacks_of_numbers(model, block, reference, most)
         return
-    waiting: dict[tuple, list[DeviceFrame]] = {}
-    for one in frames(model, block, reference):
+    waiting: dict[tuple, list[DeviceStack]] = {}
+    for one in devices_alone(model, block, reference):
         kind = (str(jax.tree.map(jnp.shape, one.frame)), one.layout.counts)
         waiting.setdefault(kind, []).append(one)
-        if len(waiting[kind]) >= min(most, NUMBERS // max(1, len(one.y))):
-            yield _stacked(waiting.pop(kind))
-    for rest in waiting.values():
-        yield _stacked(rest)
+        if len(waiting[kind]) >= min(most, NUMBERS // max(1, one.y.size)):
+            yield _joined(waiting.pop(kind))
+    yield from map(_joined, waiting.values())
 
 
-def _stacked(made: Sequence[DeviceFrame]) -> DeviceStack:
-    devices, layouts, each, ys = zip(*made, strict=True)
-    y = np.stack(ys)
-    frame = jax.tree.map(lambda *a: np.stack(a), *each)
-    return DeviceStack(np.array(devices), layouts[0], frame, y, np.ones_like(y))
+def _joined(some: Sequence[DeviceStack]) -> DeviceStack:
+    devices, layouts, each, ys, real = zip(*some, strict=True)
+    frame = jax.tree.map(lambda *a: np.concatenate(a), *each)
+    at, y, real = map(np.concatenate, (devices, ys, real))
+    return DeviceStack(at, layouts[0], frame, y, real)
 
 
 def _stacks_of_numbers(
@@ -436,7 +422,7 @@ def fit_devices(
     result = fit_together(devices.names, devices.refused, groups, options, each=False)
     alike = options.compared_at(result.facts["T0"])
     other = alike and fit_together(devices.names, devices.refused, groups, alike)
-    odd = (other or result).compared(result.facts)
+    odd = odd_devices(pads.dataset((other or result).rows()), result.facts)
     return replace(pooled(result, named, options.seed) if named else result, odd=odd)
 
 
@@ -554,26 +540,25 @@ class _Fits:
         """Fit every device of a block that can be fitted: plain ones all at once, the others one by one."""
         alone = np.ones(len(block.names), dtype=bool)
         given = model, block, self.options.reference
-        first = (
-            next(frames(*given), None) if isinstance(self.options.method, LeastSquares) else None
-        )
-        if first is not None and self._may_be_plain(model, block, first):
+        if isinstance(self.options.method, LeastSquares) and self._may_be_plain(*given):
             for stack in stacks(*given, self.options.chunk):
                 found = stack.solved()
-                plain = found.plain
-                alone[stack.devices[plain]] = False
+                alone[stack.devices[found.plain]] = False
                 self._keep_plain(model, block, stack, found)
         for i in np.flatnonzero(alone).tolist():
             self._fit_alone(model, block.names[i], block.measurements(i))
 
     @staticmethod
-    def _may_be_plain(model: Model, block: DeviceBlock, first: DeviceFrame) -> bool:
+    def _may_be_plain(model: Model, block: DeviceBlock, reference: Reference) -> bool:
         """Return whether nothing but the model's own effects may have acted on the outputs, and these linearly."""
+        first = next(devices_alone(model, block, reference), None)
         known = {c.name for c in model.instrument.columns} | model.columns
         numbers = {name for name, unit in block.units.items() if unit is not None}
-        shown = model.with_nuisances(block.measurements(first.device))
-        frame = jax.tree.map(jnp.asarray, first.frame)
-        return numbers <= known and shown is model and has_closed_form(first.layout, frame)
+        if first is None or not numbers <= known:
+            return False
+        shown = model.with_nuisances(block.measurements(int(first.devices[0])))
+        frame = jax.tree.map(lambda a: jnp.asarray(a[0]), first.frame)
+        return shown is model and has_closed_form(first.layout, frame)
 
     def _keep_plain(
         self, model: Model, block: DeviceBlock, stack: DeviceStack, found: ClosedFormFit

@@ -19,11 +19,11 @@ Bull. 2 (1946) 110; E. B. Wilson and M. M. Hilferty, Proc. Natl. Acad. Sci. 17 (
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+import pyarrow.dataset as pads
 from jaxtyping import Float
 from scipy import stats
 from scipy.optimize import brentq
@@ -38,31 +38,20 @@ NOISE = "noise."  # what begins so is a standard deviation
 SAME_TEMPERATURE = 1.0  # °C, standard deviation of reference temperatures that are no different
 
 
-class Values(NamedTuple):
-    """One unknown of several devices.
-
-    Attributes:
-        devices: their names.
-        mean, sd: of the unknown, in `unit`; sd is NaN where it was held at its estimate.
-        unit: of both.
-    """
-
-    devices: Sequence[str]
-    mean: np.ndarray
-    sd: np.ndarray
-    unit: str
-
-
-def odd_devices(
-    names: Sequence[str], values: Callable[[str], Values], facts: pd.DataFrame
-) -> dict[str, list[str]]:
+def odd_devices(results: pads.Dataset, facts: pd.DataFrame) -> dict[str, list[str]]:
     """Return the devices of which a quantity is not like the others', and what is said of each.
 
+    One unknown is read after the other, for a process may not hold all.
+
     Args:
-        names: of unknowns that all devices have.
-        values: gives them by name.
+        results: rows of `device`, `coefficient`, `mean`, `sd`, `unit` and `ok`, of one model.
         facts: one row a device, by its name: how many readings it has, and its reference temperature T0, °C.
     """
+    good = pads.field("ok")
+    facts = facts.loc[results.to_table(["device"], filter=good)["device"].unique().to_pylist()]
+    held = results.to_table(["coefficient"], filter=good)["coefficient"].value_counts().to_pylist()
+    names = [one["values"] for one in held if one["counts"] == len(facts)]
+    names = [name for name in names if "[" not in name]
     least = FAMILY_WISE_ERROR / max(1, len(facts) * (len(names) + 1))
     odd: dict[str, list[str]] = {}
     t0 = facts["T0"].dropna()
@@ -72,11 +61,12 @@ def odd_devices(
         said = f"measured about {number(own)} °C, the others about {number(middle)} °C"
         odd[device] = [f"{said}: its values are not compared"]
     for name in names:
-        own = values(name)
-        here = [i for i, device in enumerate(own.devices) if device not in elsewhere]
-        devices, mean = [own.devices[i] for i in here], own.mean[here]
-        readings = facts["readings"].loc[devices].to_numpy()
-        variance, power = np.nan_to_num(own.sd[here]) ** 2, 1.0
+        of = good & (pads.field("coefficient") == name)
+        rows = results.to_table(["device", "mean", "sd", "unit"], filter=of, use_threads=False)
+        own = rows.to_pandas().set_index("device").drop(elsewhere, errors="ignore")
+        devices, mean = own.index, own["mean"].to_numpy()
+        readings = facts["readings"].loc[devices].fillna(0).to_numpy()
+        variance, power = own["sd"].fillna(0.0).to_numpy() ** 2, 1.0
         freedom = np.maximum(readings - len(names) + 1, 1.0)
         if name.startswith(NOISE):
             power, mean = 2 / 3, np.abs(mean)
@@ -84,7 +74,9 @@ def odd_devices(
         p, middle = predicted(mean**power if power < 1 else mean, variance, freedom, least)
         usual = number(abs(middle) ** (1 / power) if power < 1 else middle)
         for i in np.flatnonzero(p < least).tolist():
-            said = f"{name} {number(mean[i])}, of the others {usual} {unit_label(own.unit)}"
+            said = (
+                f"{name} {number(mean[i])}, of the others {usual} {unit_label(own['unit'].iloc[0])}"
+            )
             odd.setdefault(devices[i], []).append(said.rstrip())
     return odd
 
