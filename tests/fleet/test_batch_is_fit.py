@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -23,7 +25,7 @@ def line(seed: int, offset: float = 0.0, count: int = 25, **more: np.ndarray) ->
 
 
 def assert_as_alone(
-    model: bc.Model, device: bc.DeviceResult, readings: bc.Measurements, method: bc.Method
+    model: bc.Model, device: Any, readings: bc.Measurements, method: Any
 ) -> bc.Calibration:
     """Compare a device with its own fit: means to 10⁻⁶ of a standard uncertainty, and these to 10⁻⁶."""
     alone = bc.fit(model, readings, method, strict=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,10 +21,10 @@ RELATIVE = 0.052 / 12**0.5 / 9.80665  # rectangular over 9.780 to 9.832 m/s²
 EARTH = (9.780, 9.80665, 9.832)  # m/s², at the equator, by convention, at a pole
 
 
-def poses(gravity: float, seed: int = 3, **how: float) -> bc.Measurements:
+def poses(gravity: float, seed: int = 3, **how: Any) -> bc.Measurements:
     """Poses of the simulated triad, in m/s²."""
     made = accelerometer_triad.simulate(seed=seed)
-    columns = {f"output_{a}": gravity * made[f"output_{a}"] for a in AXES}
+    columns: dict[str, Any] = {f"output_{a}": gravity * made[f"output_{a}"] for a in AXES}
     units = dict.fromkeys(columns, "m/s^2")
     return bc.Measurements.from_arrays(INSTRUMENT, units=units, **how, **columns)
 
@@ -55,7 +56,8 @@ def test_a_stated_gravity_leaves_nothing_uncertain() -> None:
 
 def test_outputs_in_g_and_a_magnitude_in_the_outputs_own_unit_leave_nothing_uncertain() -> None:
     made = accelerometer_triad.simulate(seed=3)
-    columns = {f"output_{a}": 9.79 * made[f"output_{a}"] for a in AXES} | {"magnitude": 9.79}
+    columns: dict[str, Any] = {f"output_{a}": 9.79 * made[f"output_{a}"] for a in AXES}
+    columns["magnitude"] = 9.79
     stated = bc.Measurements.from_arrays(
         INSTRUMENT, units=dict.fromkeys(columns, "m/s^2"), **columns
     )
@@ -69,11 +71,11 @@ def test_outputs_in_g_and_a_magnitude_in_the_outputs_own_unit_leave_nothing_unce
 )
 def test_one_axis_against_gravity_is_as_uncertain(module) -> None:
     made, instrument = module.simulate(seed=1), module.INSTRUMENT
-    columns = {name: made[name] for name in made.columns}
+    columns: dict[str, Any] = {name: made[name] for name in made.columns}
     columns["output"] = 1e-6 * 9.79 * made["output"]
     units = {name: unit for name in columns if (unit := made.unit(name))} | {"output": "m/s^2"}
 
-    def sd(**how: float) -> float:
+    def sd(**how: Any) -> float:
         readings = bc.Measurements.from_arrays(instrument, units=units, **how, **columns)
         fitted = bc.fit(instrument.baseline(), readings, bc.LeastSquares())
         return float(fitted.samples("scale.constant").std())

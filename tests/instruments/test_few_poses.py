@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ def triad(
 
 
 def fitted(outputs: np.ndarray) -> bc.Calibration:
-    columns = {f"output_{a}": outputs[:, i] for i, a in enumerate(AXES)}
+    columns: dict[str, Any] = {f"output_{a}": outputs[:, i] for i, a in enumerate(AXES)}
     return bc.fit(
         INSTRUMENT.baseline(), bc.Measurements.from_arrays(INSTRUMENT, **columns), bc.LeastSquares()
     )
@@ -76,7 +77,7 @@ def test_the_command_names_the_poses_to_add(
     for axis, true in zip(AXES, offset, strict=True):
         draws = result.samples(f"bias.constant[{axis}]")
         assert abs(draws.mean() - true) < 3 * draws.std()
-    columns = {f"output_{a}": outputs[:, i] for i, a in enumerate(AXES)}
+    columns: dict[str, Any] = {f"output_{a}": outputs[:, i] for i, a in enumerate(AXES)}
     readings = bc.Measurements.from_arrays(INSTRUMENT, **columns)
     add = bc.undetermined(INSTRUMENT.baseline(), readings).add
     assert len(add) == added and all(str(pose) in done.err for pose in add)

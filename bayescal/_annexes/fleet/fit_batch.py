@@ -633,7 +633,7 @@ def _odd(
 
     Where results are of other models or temperatures, partitions are fitted once more.
     """
-    request, options = run.request, run.request.fit_options.compared_at(facts["T0"])
+    request, options = run.request, run.request.fit_options.compared_at(facts)
     dataset: pads.Dataset = pads.dataset(files)
     if options or model is not request.model:
         request = replace(request, model=model, fit_options=options or request.fit_options)

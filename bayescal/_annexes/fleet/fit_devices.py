@@ -384,9 +384,9 @@ class FitOptions:
         """With further constants, where none were given."""
         return replace(self, reference={**reference, **self.reference})
 
-    def compared_at(self, t0: pd.Series) -> FitOptions | None:
+    def compared_at(self, facts: pd.DataFrame) -> FitOptions | None:
         """Return how devices are fitted to be compared, at one temperature; None where they are so already."""
-        known = t0.dropna()
+        known = facts.loc[:, "T0"].dropna()
         if "T0" in self.reference or known.nunique() < 2:
             return None
         return replace(
@@ -420,7 +420,7 @@ def fit_devices(
         options = options.with_common(common_reference(temperature_sums(devices)))
     groups = [(model, devices)]
     result = fit_together(devices.names, devices.refused, groups, options, each=False)
-    alike = options.compared_at(result.facts["T0"])
+    alike = options.compared_at(result.facts)
     other = alike and fit_together(devices.names, devices.refused, groups, alike)
     odd = odd_devices(pads.dataset((other or result).rows()), result.facts)
     return replace(pooled(result, named, options.seed) if named else result, odd=odd)
@@ -573,7 +573,8 @@ class _Fits:
             unknowns.append((NOISE, model.instrument.unit))
             mean = np.column_stack([mean, found.noise[plain]])
             covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
-        self._keep(names, *zip(*unknowns, strict=True), mean, covariance)
+        called, units = zip(*unknowns, strict=True)
+        self._keep(names, called, units, mean, covariance)
 
     def _fit_alone(self, model: Model, name: str, readings: Measurements) -> None:
         """Fit one device by `fit`: the moments of its posterior, and what stands against it."""
@@ -586,7 +587,7 @@ class _Fits:
         except BayescalError as error:
             self.reasons[name] = str(error)
             return
-        self.facts[name] = len(readings), found.reference.get("T0", np.nan)
+        self.facts[name] = len(readings), float(found.reference.get("T0", np.nan))  # pyright: ignore
         names, units, draws = list[str](), list[str](), list[np.ndarray]()
         for unknown, own in found.posterior.items():
             values, members = found.samples(str(unknown)), own.dims[2:]

@@ -56,7 +56,7 @@ def odd_devices(results: pads.Dataset, facts: pd.DataFrame) -> dict[str, list[st
     odd: dict[str, list[str]] = {}
     t0 = facts["T0"].dropna()
     p, middle = predicted(t0.to_numpy(), np.full(len(t0), SAME_TEMPERATURE**2), np.inf, least)
-    elsewhere = {str(t0.index[i]): float(t0.iloc[i]) for i in np.flatnonzero(p < least)}
+    elsewhere = {str(device): float(at) for device, at in t0[p < least].items()}
     for device, own in elsewhere.items():
         said = f"measured about {number(own)} °C, the others about {number(middle)} °C"
         odd[device] = [f"{said}: its values are not compared"]
@@ -64,7 +64,7 @@ def odd_devices(results: pads.Dataset, facts: pd.DataFrame) -> dict[str, list[st
         of = good & (pads.field("coefficient") == name)
         rows = results.to_table(["device", "mean", "sd", "unit"], filter=of, use_threads=False)
         own = rows.to_pandas().set_index("device").drop(elsewhere, errors="ignore")
-        devices, mean = own.index, own["mean"].to_numpy()
+        devices, mean = own.index.tolist(), own["mean"].to_numpy()
         readings = facts["readings"].loc[devices].fillna(0).to_numpy()
         variance, power = own["sd"].fillna(0.0).to_numpy() ** 2, 1.0
         freedom = np.maximum(readings - len(names) + 1, 1.0)
@@ -77,7 +77,7 @@ def odd_devices(results: pads.Dataset, facts: pd.DataFrame) -> dict[str, list[st
             said = (
                 f"{name} {number(mean[i])}, of the others {usual} {unit_label(own['unit'].iloc[0])}"
             )
-            odd.setdefault(devices[i], []).append(said.rstrip())
+            odd.setdefault(str(devices[i]), []).append(said.rstrip())
     return odd
 
 
@@ -144,6 +144,6 @@ def population(
 
     most = 2 * float(np.ptp(values)) ** 2 + float(np.min(variance))
     least = 1e-12 * most
-    between = least if slope(least) <= 0 else brentq(slope, least, most)
+    between = least if slope(least) <= 0 else float(brentq(slope, least, most))  # pyright: ignore
     middle, weight = mean(between)
     return middle, between, weight
