@@ -568,7 +568,7 @@ class _Fits:
         t0 = np.broadcast_to(stack.frame.reference.get("T0", np.nan), plain.shape)[plain]
         self.facts |= zip(names, zip(stack.real.sum(axis=1)[plain], t0, strict=True), strict=True)
         unknowns = [(b.name, b.coefficient.unit) for b in layout.x_blocks]
-        mean, covariance = found.x[plain], found.covariance[plain]
+        mean, covariance = (np.asarray(a)[plain] for a in (found.x, found.covariance))
         if NOISE not in dict(model.fixed):
             unknowns.append((NOISE, model.instrument.unit))
             mean = np.column_stack([mean, found.noise[plain]])

@@ -56,7 +56,9 @@ def odd_devices(results: pads.Dataset, facts: pd.DataFrame) -> dict[str, list[st
     odd: dict[str, list[str]] = {}
     t0 = facts["T0"].dropna()
     p, middle = predicted(t0.to_numpy(), np.full(len(t0), SAME_TEMPERATURE**2), np.inf, least)
-    elsewhere = {str(device): float(at) for device, at in t0[p < least].items()}
+    elsewhere = {
+        str(device): at for device, at, here in zip(t0.index, t0, p < least, strict=True) if here
+    }
     for device, own in elsewhere.items():
         said = f"measured about {number(own)} °C, the others about {number(middle)} °C"
         odd[device] = [f"{said}: its values are not compared"]
