@@ -26,7 +26,6 @@ from bayescal._annexes.fleet.batch_result import EFFECTS, BatchResult
 from bayescal._annexes.fleet.devices import Devices
 from bayescal._annexes.fleet.fit_devices import FitOptions, fit_together
 from bayescal._core.settings import settings
-from bayescal._model.effect import with_forms
 from bayescal._model.frame import Reference, reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
@@ -262,7 +261,7 @@ def common_model(
         own: candidates of the user's own.
     """
     there = {*table.loc[table["in fleet"] >= settings().found_probability, "effect"]}
-    named = {e.name: e for e in with_forms(own)}
+    named = {e.name: e for one in own for e in (one, *one.forms)}
     count = Counter(name for one in structures for name in one.effects)
     for name, _ in count.most_common():  # of a family its most frequent form
         effect = named.get(name) or model.instrument.effect(name)

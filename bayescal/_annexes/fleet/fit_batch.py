@@ -864,8 +864,8 @@ def fit_batch(
         result["A17"], result.table()  # device, coefficient, mean, sd, unit, ok, reason
         fleet = bc.fit_batch(model, "fleet/", out="fleet_result", client=distributed.Client("tcp://10.0.0.5:8786"))
 
-    Estimates and uncertainties are those of `fit` with the same method. A device whose readings cannot be used, or
-    whose fit does not converge, gets a reason and changes nothing for the others.
+    Estimates, uncertainties and objections are those of `fit` with the same method and seed. A device whose readings
+    cannot be used, or against whose fit something stands, gets a reason and changes nothing for the others.
     **Population.** Coefficients named there are drawn from a normal distribution over the devices, whose mean and
     standard deviation are learned; every device moves toward it by as much as its own readings leave open. Exact for a
     linear model with Gaussian noise that is known; else each device is represented by its mean and covariance.
@@ -878,7 +878,7 @@ def fit_batch(
         model: what is fitted; what its instrument takes from readings (unit, sizes) is taken from the first device.
         readings: `split_devices(…)`, paths of files with a column `device`, or measurements, one a device (a mapping
             names them). With `out`: paths, of folders too.
-        method: `LeastSquares()` if not given; or `Marginal()`, by importance sampling alone.
+        method: `LeastSquares()` if not given. `Marginal()` samples without chains: a device that needs them is told.
         population: True for all coefficients that a device has one of, or names, or names with priors of their standard
             deviations between devices.
         seed: of every random number.
@@ -892,7 +892,7 @@ def fit_batch(
 
     Raises:
         InputError: no device that can be used, files that cannot be read, a client without `out`, a cluster gone.
-        ModelError: a method that cannot be mapped, or a population of something that is no coefficient.
+        ModelError: a population of something that is no coefficient.
     """
     options = FitOptions.of(method, seed, chunk, reference)
     chosen(model, population)  # a wrong name is refused before anything is read

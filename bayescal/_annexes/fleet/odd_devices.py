@@ -32,7 +32,7 @@ from bayescal.workshop import number, unit_label
 
 # Probability that a fleet of like devices has one that is named; shared by all devices and quantities (C. Bonferroni).
 FAMILY_WISE_ERROR = 0.01
-FEWEST = 4  # devices, of fewer none is compared
+FEWEST_DEVICES = 4  # devices, of fewer none is compared
 ROUNDS = 50  # until nothing changes, at most
 NOISE = "noise."  # what begins so is a standard deviation
 SAME_TEMPERATURE = 1.0  # °C, standard deviation of reference temperatures that are no different
@@ -56,9 +56,8 @@ def odd_devices(results: pads.Dataset, facts: pd.DataFrame) -> dict[str, list[st
     odd: dict[str, list[str]] = {}
     t0 = facts["T0"].dropna()
     p, middle = predicted(t0.to_numpy(), np.full(len(t0), SAME_TEMPERATURE**2), np.inf, least)
-    elsewhere = {
-        str(device): at for device, at, here in zip(t0.index, t0, p < least, strict=True) if here
-    }
+    far = t0.loc[p < least]
+    elsewhere = dict(zip(map(str, far.index), far, strict=True))
     for device, own in elsewhere.items():
         said = f"measured about {number(own)} °C, the others about {number(middle)} °C"
         odd[device] = [f"{said}: its values are not compared"]
@@ -105,12 +104,12 @@ def predicted(
         least: p below which a value is none of these.
     """
     p, mean = np.ones(len(values)), float("nan")
-    if len(values) < FEWEST:
+    if len(values) < FEWEST_DEVICES:
         return Predicted(p, mean)
     digits = np.finfo(float).eps * float(np.max(np.abs(values)))
     variance = np.maximum(variance, max(digits**2, 1e-200))
     away = np.abs(values - np.median(values))
-    alike = away <= np.sort(away)[max(FEWEST, len(values) // 2 + 1) - 1]
+    alike = away <= np.sort(away)[max(FEWEST_DEVICES, len(values) // 2 + 1) - 1]
     for _ in range(ROUNDS):
         mean, between, weight = population(values[alike], variance[alike])
         # Of one among them its own part is taken off: of the mean, and by a step of Newton of τ².
@@ -124,7 +123,7 @@ def predicted(
         t = np.abs(away) / np.sqrt(total + 1 / (weight.sum() - own))
         p = 2 * stats.t.sf(t, total**2 / known)
         now = p >= least
-        if now.sum() < FEWEST or (now == alike).all():
+        if now.sum() < FEWEST_DEVICES or (now == alike).all():
             break
         alike = now
     return Predicted(p, mean)
