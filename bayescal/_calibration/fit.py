@@ -68,6 +68,7 @@ def fit(
     spare_memory_maps()
     method = Marginal() if method is None else method
     model.require(readings)
+    model = model.with_nuisances(readings)
     _refuse_stuck(readings)
     reference = with_origin(model, readings, _reference(readings, reference))
     record = record_of(model.instrument, readings, reference)

@@ -243,7 +243,9 @@ def too_few(calibration: Fitted) -> list[Claim]:
     """Return the claim that the readings are too few to tell a noise that nobody stated from the unknowns."""
     layout, there = calibration.layout, inclusion(calibration)
     # Of an average over structures as many as there are on average.
-    free = round(sum(there[b.effect.name] for b in layout.blocks if b.place in ("x", "phi")))
+    nuisances = {e.name for e in calibration.model.instrument.nuisances}
+    names = [b.effect.name for b in layout.blocks if b.place in ("x", "phi")]
+    free = round(sum(there[name] for name in names if name not in nuisances))
     size = len(calibration.readings)
     if size >= free + FEWEST_FREEDOM or not layout.positions("noise"):
         return []

@@ -194,7 +194,7 @@ HELP = {
     "keep_spikes": "Keep single readings far from both neighbours, and those of a wrong thermometer.",
     "limit": "Also decide whether it conforms, as `bayescal decide`; of one result.",
     "local_field": "Local magnetic field, '48.2 uT', that magnetometers are turned in; ratios of scales without it.",
-    "local_gravity": "Local gravity, m/s², for files in m/s²; 9.80665 if not given.",
+    "local_gravity": "Local gravity, m/s², for files in m/s²; 9.80665, with its uncertainty on Earth, if not given.",
     "mapping": "TOML file that --save-mapping wrote; options on the command line take precedence.",
     "max_effects": "Most effects that may be missing.",
     "member": "device=A17: which device is used; repeat for more.",
@@ -315,8 +315,6 @@ class ColumnOptions:
         Raises:
             InputError: an option is not of its form, or the mapping cannot be used.
         """
-        from bayescal._data.unit_conversion import STANDARD_GRAVITY  # loads NumPy
-
         saved = {} if self.mapping is None else load_mapping(self.mapping)
         given = {n: v for n, v in vars(self).items() if v is not None and "mapping" not in n}
         columns = said_values(given.pop("columns", None), "--columns")
@@ -327,7 +325,7 @@ class ColumnOptions:
             "begin": {f: t for f, _, t in (b.rpartition("=") for b in given.pop("begin", ()))},
         }
         saved |= {name: saved.get(name, {}) | values for name, values in own.items()}
-        usual = {"local_gravity": STANDARD_GRAVITY, "missing": "refuse", "decimal": ""}
+        usual = {"missing": "refuse", "decimal": ""}
         return {**usual, **saved, **given}
 
     def keep(self) -> None:

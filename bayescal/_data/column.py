@@ -17,6 +17,8 @@ PLACEHOLDER_RANGES = 3.0  # ranges of the others, beyond which a −999 or 9999 
 
 UNCERTAINTY = "output_uncertainty"  # known standard uncertainty of each reading
 MAY_BE_EMPTY = "temperature_point"  # empty on a ramp
+# 1 where the output was divided by a local gravity that nobody stated; 0 elsewhere.
+ASSUMED_GRAVITY = "assumed_gravity"
 ARRAYS = "the given arrays"  # in place of files
 TAKEN = (ROW, "cell")  # names of groupings: each reading, and run × temperature point
 
@@ -99,11 +101,13 @@ class NominalScale:
         unit: of the raw output and of `offset`.
         gain: raw units per output unit, such as V per °/s.
         offset: raw output at zero.
+        by_gravity: whether the gain was stated per m/s² and converted by the local gravity.
     """
 
     unit: str
     gain: float
     offset: float = 0.0
+    by_gravity: bool = False
 
     def __post_init__(self) -> None:
         """Refuse a scale that nothing can be divided by.
@@ -159,6 +163,7 @@ class ConvertedColumns:
         kept: indices of the rows of the file that were kept; None for all.
         unread: names of columns that are in the file, and could not be read.
         beside: names of columns that are other channels of the unit whose output this is.
+        by_gravity: names of columns that were converted by the local gravity.
     """
 
     tables: tuple[Table, ...] = ()
@@ -171,6 +176,7 @@ class ConvertedColumns:
     kept: np.ndarray | None = None
     unread: set[str] = field(default_factory=set)
     beside: set[str] = field(default_factory=set)
+    by_gravity: set[str] = field(default_factory=set)
 
 
 def file_names(files: Sequence[str]) -> str:

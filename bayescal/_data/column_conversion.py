@@ -12,6 +12,7 @@ import numpy as np
 from bayescal._core.errors import InputError
 from bayescal._core.flag import Flag
 from bayescal._data.column import (
+    ASSUMED_GRAVITY,
     MAY_BE_EMPTY,
     Column,
     ConvertedColumns,
@@ -142,6 +143,15 @@ def _converted(
             converted.filled.add(name)
     for name in (n for n in extra if n in found):
         reader(name).read_if_sound(cells[positions[name]])
+    outputs = getattr(instrument, "outputs", ()) or (output_name(instrument),)
+    assumed = options.local_gravity is None and converted.by_gravity.intersection(outputs)
+    if assumed and ASSUMED_GRAVITY in expected and MAGNITUDE not in converted.by_gravity:
+        converted.values[ASSUMED_GRAVITY] = np.ones(table.rows)
+        converted.units[ASSUMED_GRAVITY] = "1"
+        converted.filled.add(ASSUMED_GRAVITY)
+        said = f"{options.gravity:g} m/s² was taken for local gravity, which nobody stated (--local-gravity)"
+        why = "scale factors are as uncertain as it is on Earth, 9.780 to 9.832 m/s²"
+        converted.flags.append(Flag(f"{table.file}: {said}: {why}", "gravity.assumed", *outputs))
     if (output := output_name(instrument)) in converted.values:
         own = file.header(output).name
         others = {n: u for n, u in converted.units.items() if n in extra}
@@ -231,7 +241,7 @@ class ColumnReader:
 
     def read_if_sound(self, cells: Cells) -> None:
         """A column that no instrument asked for: left out, with a flag, unless every cell is a number."""
-        name, fixed, gravity = self.column.name, self.column.unit, self.file.options.local_gravity
+        name, fixed, gravity = self.column.name, self.column.unit, self.file.options.gravity
         unit = unit_of(self.header, name, self.file.options)
         assert unit is not None and fixed is not None  # `extra_columns` keeps no other
         values = convert(cells.values, unit, fixed, local_gravity=gravity)
@@ -479,11 +489,12 @@ class ColumnReader:
 
     def _convert(self, values: np.ndarray, unit: str) -> np.ndarray | None:
         """Numbers in `unit` in the column's, or by the nominal scale; None, and a problem, if neither can be."""
-        target, gravity = self.column.unit or "1", self.file.options.local_gravity
+        target, gravity = self.column.unit or "1", self.file.options.gravity
         difference = self.column.name == "output_uncertainty"
         scale = self.file.options.nominal_scale or self.file.instrument.nominal_scale
         if same_dimension(unit, target):
             if needs_gravity(unit, target):
+                self.converted.by_gravity.add(self.column.name)
                 self._flag(f"turned into local g by {gravity:g} m/s²")
             try:
                 return convert(values, unit, target, local_gravity=gravity, difference=difference)
@@ -507,6 +518,8 @@ class ColumnReader:
                 f"turned into {pretty(target)} by the nominal scale{of}: "
                 f"{reading}/{scale.gain:g}, reading in {pretty(scale.unit)}{other}"
             )
+            if scale.by_gravity:
+                self.converted.by_gravity.add(self.column.name)
             raw = convert(values, unit, scale.unit, local_gravity=gravity, difference=difference)
             return scale.apply(raw, difference=difference)
         also = (
@@ -582,7 +595,7 @@ class ColumnReader:
         target = self.column.unit or "1"
         if not same_dimension(unit, target):
             return False
-        values = convert(raw, unit, target, local_gravity=self.file.options.local_gravity)
+        values = convert(raw, unit, target, local_gravity=self.file.options.gravity)
         return bool(np.all(np.isnan(values) | ((values >= low) & (values <= high))))
 
 

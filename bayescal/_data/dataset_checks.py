@@ -14,7 +14,13 @@ import numpy as np
 
 from bayescal._core.errors import InputError
 from bayescal._core.settings import settings
-from bayescal._data.column import ARRAYS, MAY_BE_EMPTY, ConvertedColumns, file_names
+from bayescal._data.column import (
+    ARRAYS,
+    ASSUMED_GRAVITY,
+    MAY_BE_EMPTY,
+    ConvertedColumns,
+    file_names,
+)
 from bayescal._data.counter_wrap import SIGN, lost_its_sign, unwrap_option, wrap_period
 from bayescal._data.pose_rows import MAGNITUDE
 from bayescal._data.records import (
@@ -310,7 +316,11 @@ def flags_of(
         for one in odd
     ]
     for name, values in columns.items():
-        number = values.dtype.kind == "f" and name not in (*converted.filled, MAGNITUDE)
+        number = values.dtype.kind == "f" and name not in (
+            *converted.filled,
+            MAGNITUDE,
+            ASSUMED_GRAVITY,
+        )
         if number and len(values) > 1 and (values == values[0]).all():
             flags.append(f"{names}: column {name!r} is constant ({values[0]:g})")
         elif number and (stuck := stuck_rows(values, name in thermometers)) is not None:

@@ -46,6 +46,7 @@ from bayescal._data.unit_conversion import (
     base_unit,
     convert,
     fixed_unit,
+    needs_gravity,
     parse,
     pretty,
     quantity,
@@ -97,7 +98,7 @@ class ReadOptions:
         columns: our name → the file's; of several, which name the same in different files, the first.
         others_called: our name → those several.
         units: the file's name, or ours → unit.
-        local_gravity: m/s².
+        local_gravity: m/s²; None where nobody stated it.
         local_field: magnitude of the magnetic field, in the unit of the instrument's column `magnitude`; None where
             it is not known.
         nominal_scale: in place of the instrument's.
@@ -119,7 +120,7 @@ class ReadOptions:
     columns: Mapping[str, str] = field(default_factory=dict)
     others_called: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
-    local_gravity: float = STANDARD_GRAVITY
+    local_gravity: float | None = None
     local_field: float | None = None
     nominal_scale: NominalScale | None = None
     missing: str = "refuse"
@@ -174,8 +175,13 @@ class ReadOptions:
         begins = ({"": begin} if begin else {}) if isinstance(begin, str) else dict(begin)
         more = {"local_field": field, "ignore": tuple(ignore), "begin": begins}
         made = cls(**given, **more, others_called=several)
-        scale = _scale_in_words(instrument, nominal_scale, nominal_zero, made.local_gravity)
+        scale = _scale_in_words(instrument, nominal_scale, nominal_zero, made.gravity)
         return replace(made, nominal_scale=scale)
+
+    @property
+    def gravity(self) -> float:
+        """Local gravity as it is taken, m/s²: standard gravity where nobody stated it."""
+        return STANDARD_GRAVITY if self.local_gravity is None else self.local_gravity
 
     @property
     def headers(self) -> tuple[str, ...]:
@@ -251,7 +257,8 @@ def _scale_from(instrument: InstrumentLike, text: str, local_gravity: float) -> 
         for whole in (said, f"{above}/({below})"):  # as it stands, and "mV/°/s" as it is meant
             if alike(whole, wanted) and not alike(raw, unit):
                 per = float(convert(gain, whole, wanted, local_gravity=local_gravity))
-                return NominalScale(raw, 1 / per if inverse and per else per)
+                by_gravity = needs_gravity(whole, wanted)
+                return NominalScale(raw, 1 / per if inverse and per else per, by_gravity=by_gravity)
     raise InputError(
         f"nominal_scale={text!r} (--nominal-scale) is not a raw unit per {unit}: give what one unit of output is of "
         f"the raw output, such as {example!r}"
@@ -391,6 +398,10 @@ class MatchedFile:
                 else:
                     positions[name] = exact[other]
                     free.discard(exact[other])
+        for name, position in self._three_axes(headers, free, said).items():
+            positions[name] = position
+            free.discard(position)
+            take(position, replace(headers[position], name=name), name)
         for i in sorted(free):
             ours = labels_in(headers[i])
             if (
@@ -430,6 +441,23 @@ class MatchedFile:
                 came, meant = f"carries the unit {unit}", f"a label (text) as {name!r}"
                 cure = "Remove the unit, or rename the column"
                 self.problem(self.header(name).raw, came, meant, cure)
+
+    def _three_axes(
+        self, headers: Sequence[Header], free: Collection[int], said: Collection[str]
+    ) -> dict[str, int]:
+        """Return where the outputs of three axes stand: the one triple of headers in their dimension, alike but for x,
+        y, z at the beginning or the end; empty where there is none, or several."""
+        outputs = getattr(self.instrument, "outputs", ())
+        if not outputs or {*self.positions, *said}.intersection(outputs):
+            return {}
+        triples = dict[str, dict[str, int]]()
+        for i in free:
+            name, unit = headers[i].name.lower(), unit_of(headers[i], "", self.options)
+            if name and unit and fits(unit, str(self.expected[outputs[0]].unit)):
+                for key, axis in ((f"{name[:-1]}?", name[-1]), (f"?{name[1:]}", name[0])):
+                    triples.setdefault(key, {})[axis] = i
+        whole = [found for found in triples.values() if found.keys() >= {*"xyz"}]
+        return {f"output_{axis}": whole[0][axis] for axis in "xyz"} if len(whole) == 1 else {}
 
     def _holds_labels(self, position: int, in_turn: bool = False) -> bool:
         """Whether the cells of a column are labels."""

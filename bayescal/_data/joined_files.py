@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayescal._core.errors import InputError
-from bayescal._data.column import MAY_BE_EMPTY, ConvertedColumns
+from bayescal._data.column import ASSUMED_GRAVITY, MAY_BE_EMPTY, ConvertedColumns
 from bayescal._tables.raw_table import Table
 
 
@@ -68,7 +68,10 @@ def _end_to_end(parts: Sequence[ConvertedColumns]) -> ConvertedColumns:
                 f"{without!r} lacks the column {name!r} that {with_it!r} has: label every file, or "
                 "none"
             )
-        if without and name == MAY_BE_EMPTY:
+        if without and name == ASSUMED_GRAVITY:
+            for table, part in zip(tables, parts, strict=True):
+                part.values.setdefault(name, np.zeros(table.rows))
+        elif without and name == MAY_BE_EMPTY:
             joined.flags.append(f"{without}: no {name!r}: its readings belong to no cell (a ramp)")
         elif without:
             joined.flags.append(f"column {name!r} left out: {with_it} has it, {without} has not")

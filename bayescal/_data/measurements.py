@@ -35,7 +35,7 @@ from bayescal._data.joined_files import joined
 from bayescal._data.pose_rows import MAGNITUDE, MAGNITUDE_READ, scalar_readings
 from bayescal._data.records import distinct
 from bayescal._data.thermometer_checks import Oddity, oddities
-from bayescal._data.unit_conversion import ANY, STANDARD_GRAVITY, parse
+from bayescal._data.unit_conversion import ANY, parse
 from bayescal._tables.cells import date_text, equally_long
 from bayescal._tables.raw_table import ROW, Objections, Table
 from bayescal._tables.write import write
@@ -126,7 +126,7 @@ class Measurements(Printed):
         /,
         *,
         units: Mapping[str, str] | None = None,
-        local_gravity: float = STANDARD_GRAVITY,
+        local_gravity: float | None = None,
         nominal_scale: NominalScale | str | None = None,
         nominal_zero: str | None = None,
         allow_one_temperature: bool = False,
@@ -141,7 +141,7 @@ class Measurements(Printed):
             arrays: columns whose names are no Python names, such as "humidity [%]".
             units: unit of a column that is not in the instrument's own (or has none: "any"), and of
                 further columns to keep.
-            local_gravity: m/s², for columns in m/s².
+            local_gravity: m/s², for columns in m/s²; as of `read`.
             nominal_scale, nominal_zero: in place of the instrument's, as of `read`.
             allow_one_temperature: accept one temperature, as for a prediction.
             missing: "refuse" readings that are NaN, or "drop" them.

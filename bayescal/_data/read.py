@@ -18,7 +18,6 @@ from bayescal._data.header_matching import (
     output_name,
 )
 from bayescal._data.measurements import Measurements, measured
-from bayescal._data.unit_conversion import STANDARD_GRAVITY
 from bayescal._tables.open_table import MAX_BYTES, check_files, open_table
 from bayescal._tables.raw_table import Objections, Table
 
@@ -46,7 +45,7 @@ def read(  # pyright: ignore[reportInconsistentOverload]
     outputs: Sequence[str] | None = None,
     columns: Mapping[str, str | Sequence[str]] | None = None,
     units: Mapping[str, str] | None = None,
-    local_gravity: float = STANDARD_GRAVITY,
+    local_gravity: float | None = None,
     local_field: str | None = None,
     nominal_scale: NominalScale | str | None = None,
     nominal_zero: str | None = None,
@@ -76,7 +75,8 @@ def read(  # pyright: ignore[reportInconsistentOverload]
         outputs: the file's names of several channels of one unit: each is read as the output, the others left out.
         columns: our name → the file's, where they differ: {"output": "gyro_x"}; several, where files differ.
         units: the file's name (or ours) → unit, where the header has none or a wrong one.
-        local_gravity: m/s², for columns in m/s²; internal accelerations are in local g.
+        local_gravity: m/s², for columns in m/s²; internal accelerations are in local g. Where it is not given, standard
+            gravity is taken, and scale factors that hang on it are as uncertain as that.
         local_field: magnitude of the magnetic field that magnetometers are turned in, such as "48.2 uT".
         nominal_scale: how a raw output (V, Hz) becomes the instrument's, in place of its own: "250 V/g".
         nominal_zero: the raw output at zero, such as "1.21 V".

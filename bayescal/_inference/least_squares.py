@@ -73,8 +73,9 @@ class LeastSquares(Method):
         reasons += [] if np.all(np.isfinite(found.covariance)) else [trust.SINGULAR]
         kind = "Gauss–Newton" if self.curvature == "gauss-newton" else "full-Hessian"
         notes = [
-            f"{kind} covariance; noise and between-group standard deviations held at their restricted-likelihood "
-            "estimates, so that intervals do not carry their uncertainty."
+            f"{kind} covariance; noise and between-group standard deviations held at their estimates (by restricted "
+            "likelihood where there are more readings than coefficients), so that intervals do not carry their "
+            "uncertainty."
         ]
         return Outcome(
             layout=layout,
@@ -226,7 +227,12 @@ class _Refinement:
         self.density = Density(problem, mode.x, mode.flat)
         layout, self.gaussian = problem.layout, problem.noise.gaussian
         # Of a law that is not Gaussian they stay where the marginal likelihood of the mode has them.
-        self.scales = layout.positions("noise", "group_sd") if self.gaussian else []
+        # So they do where coefficients of stated sizes explain any readings: the restricted likelihood of the noise has
+        # no maximum there, and its prior alone says how large it is.
+        stated = sum(b.size for b in layout.x_blocks if b.coefficient.group_sd is None)
+        undetermined = problem.record.size <= stated
+        scales = self.gaussian and not undetermined
+        self.scales = layout.positions("noise", "group_sd") if scales else []
         self.places = layout.moving
 
     def prior(self, v: Float[np.ndarray, "d"]) -> Prior:

@@ -73,6 +73,8 @@ class Instrument:
         response: expected output from slots and readings, each reading from its own slots alone.
         effects: of the baseline model.
         candidates: further effects that `discover` considers.
+        nuisances: effects of the test that every fit has where its readings show them, such as a local gravity that
+            nobody stated: coefficients are as uncertain as they leave them.
         noise: law of the baseline.
         noise_laws: further laws that a search weighs, beside those that are offered for any record.
         nominal_scale: how raw outputs (V, Hz) become input units.
@@ -99,6 +101,7 @@ class Instrument:
     response: Callable[[Slots, Frame], Float[Array, "n"]]
     effects: tuple[Effect, ...]
     candidates: tuple[Effect, ...] = ()
+    nuisances: tuple[Effect, ...] = ()
     noise: Noise = field(default_factory=Noise.usual)
     noise_laws: tuple[Noise, ...] = ()
     nominal_scale: NominalScale | None = None
@@ -230,7 +233,7 @@ class Instrument:
     @property
     def known(self) -> dict[str, Effect]:
         """Its own effects by name, forms after the effect that they are forms of."""
-        return {e.name: e for e in with_forms((*self.effects, *self.candidates))}
+        return {e.name: e for e in with_forms((*self.effects, *self.candidates, *self.nuisances))}
 
     def effect(self, name: str) -> Effect:
         """One of the instrument's own effects by canonical name, or "unknown(covariate)".

@@ -127,6 +127,11 @@ class Model(Printed):
             fixed=tuple((n, v) for n, v in self.fixed if n not in lost),
         )
 
+    def with_nuisances(self, readings: Measurements) -> Model:
+        """Return the model with those nuisances of its instrument that these readings show."""
+        own = self.instrument.nuisances
+        return self + [e for e in own if e.name not in self.names and testable(e, readings) is None]
+
     def effect(self, name: str) -> Effect:
         for effect in self.effects:
             if effect.name == name:

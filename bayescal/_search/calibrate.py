@@ -187,7 +187,8 @@ class Loop:
         if effect.is_placeholder:
             return effect.name in {e.name for e in placeholders(model, readings)}
         on_the_way = {e.name for e in instrument.effects} <= {*model.names}
-        catalogued = {*instrument.known} - {e.name for e in instrument.effects}
+        kept = (*instrument.effects, *instrument.nuisances)
+        catalogued = {*instrument.known} - {e.name for e in kept}
         free = (model - effect).fixed == model.fixed
         testable_here = testable(effect, readings) is None
         return on_the_way and effect.name in catalogued and free and testable_here

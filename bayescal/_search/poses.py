@@ -57,4 +57,4 @@ def poses(
         f"scatter {np.mean(ratios):.1f} times as much as those of independent samples would"
     )
     short = (f"{log.file}: {said_of(left_out)}",) if left_out else ()
-    return replace(made, sources=log.sources, flags=(*made.flags, said, *short))
+    return replace(made, sources=log.sources, flags=(*log.flags, *made.flags, said, *short))

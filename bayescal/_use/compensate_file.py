@@ -145,7 +145,7 @@ def compensate_file(
     path: str | Path,
     out: str | Path,
     *,
-    local_gravity: float = 9.80665,
+    local_gravity: float | None = None,
     missing: str = "drop",
     method: Method | None = None,
     noise: bool = True,

@@ -20,10 +20,12 @@ FROM_OTHERS = {("workbench", "imu"), ("workbench", "metrology")}
 # What annexes still have from behind the two faces, `bayescal` and `bayescal.workshop`: a list that gets shorter.
 BEHIND = {
     "fleet": """
+        _calibration.claim: Claim
+        _calibration.judgement: noiseless
         _core: deadline
         _core.folder_settings: obey_no_folder
         _core.importance_weights: smoothed
-        _core.jax_setup: configure_jax spare_memory_maps
+        _core.jax_setup: configure_jax
         _core.jit: compiled
         _core.parallel: over
         _core.progress: EVERY
@@ -32,16 +34,13 @@ BEHIND = {
         _data.column_conversion: convert_columns
         _data.dataset_checks: refuse_backward_time refuse_one_temperature
         _data.header_matching: ExpectedColumns InstrumentLike MatchedFile output_name unit_of unused_options
-        _inference: least_squares sampled_products trust
-        _inference.laplace: climb find_mode gaussian_fit
-        _inference.linear_model: sized
+        _inference: sampled_products trust
+        _inference.laplace: climb gaussian_fit
         _inference.method: Method
-        _inference.problem: Problem
-        _inference.record: Record record_of
-        _inference.sampling: PriorShare around_mode propose weighted_draws
+        _inference.sampling: PriorShare around_mode propose
         _model: forward
         _model.frame: GROUPS Reference build_frame reference_name reference_of rounded_means
-        _model.parameters: Layout Levels bind
+        _model.parameters: Layout bind member_name
         _search.discover: structures_over
         _search.library: Library
         _search.own_files: in_a_file

@@ -22,7 +22,7 @@ import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 
 from bayescal import InputError
-from bayescal._annexes.fleet.odd_devices import Values, odd_values
+from bayescal._annexes.fleet.odd_devices import FAMILY_WISE_ERROR
 from bayescal._annexes.fleet.population import Population
 from bayescal.workshop import as_json, parsed_json, read_json, replacing_for_user, write_json
 
@@ -80,7 +80,10 @@ _AMPLITUDE = re.compile(r"^(unknown\(.*\))\.amplitude$", re.DOTALL)
 def odd_in_words(odd: Mapping[str, list[str]], devices: int) -> list[str]:
     """Devices that are not like the others, a line each; nothing where there are none."""
     told = {name: "; ".join(said) for name, said in odd.items()}
-    head = [f"{len(odd)} of {devices} devices are not like the others:"] if odd else []
+    head = [
+        f"{len(odd)} of {devices} devices are not like the others (by chance in {FAMILY_WISE_ERROR:.0%} of fleets):"
+    ]
+    head = head if odd else []
     return head + first_few(told, len(told), more=f", all in {WHOLE}")
 
 
@@ -170,6 +173,7 @@ class BatchResult:
         population: what the devices have in common, if it was asked for.
         about: instrument, effects, method, seed and notes.
         facts: by device, how many readings were fitted, and their T0, °C; NaN where that is not known.
+        odd: devices that are not like the others, and in what; of a partition of a fleet it is not asked.
     """
 
     devices: tuple[str, ...]
@@ -179,28 +183,10 @@ class BatchResult:
     population: Population | None
     about: dict[str, Any]
     facts: pd.DataFrame
+    odd: dict[str, list[str]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.devices)
-
-    @cached_property
-    def odd(self) -> dict[str, list[str]]:
-        """Devices that are not like the others, and in what: a value beyond chance, that all of them have."""
-        good = [(part, self.ok[part.devices]) for part in self.parts]
-        inside = [(part, own) for part, own in good if own.any()]
-        common = [n for n in inside[0][0].names if "[" not in n] if inside else []
-        common = [n for n in common if all(n in part.names for part, _ in inside)]
-
-        def values(name: str) -> Values:
-            at = [(part, own, part.names.index(name)) for part, own in inside]
-            return Values(
-                [self.devices[d] for part, own, _ in at for d in part.devices[own]],
-                np.concatenate([part.mean[own, i] for part, own, i in at]),
-                np.concatenate([part.sd[own, i] for part, own, i in at]),
-                at[0][0].units[at[0][2]],
-            )
-
-        return odd_values(common, values, self.facts.loc[self.ok])
 
     def __iter__(self) -> Iterator[DeviceResult]:
         return (self[i] for i in range(len(self)))
@@ -231,9 +217,9 @@ class BatchResult:
 
         A device that was refused has one row without a coefficient. Devices in the order in which they came.
         """
-        return self._rows().select(COLUMNS).to_pandas()
+        return self.rows().select(COLUMNS).to_pandas()
 
-    def _rows(self) -> pa.Table:
+    def rows(self) -> pa.Table:
         """The table as it is saved, with each unknown's row of the covariance."""
         devices, reasons = (pa.array(own, pa.string()) for own in (self.devices, self.reasons))
 
@@ -269,9 +255,9 @@ class BatchResult:
             raise InputError(
                 f"a batch is saved as Parquet: name the file ….parquet, not {path.name!r}"
             )
-        table, population = self._rows(), self.population and self.population.data()
+        table, population = self.rows(), self.population and self.population.data()
         facts = {name: self.facts[name].tolist() for name in self.facts}
-        told = {"about": self.about, "population": population, "facts": facts}
+        told = {"about": self.about, "population": population, "facts": facts, "odd": self.odd}
         head = json.dumps(as_json({"schema": FORMAT, **told}), allow_nan=False)
         sealed = {"bayescal": head, "bayescal_sha256": _digest(table, head.encode())}
         with replacing_for_user(path) as partial:
@@ -352,6 +338,7 @@ def load_batch(path: str | Path) -> BatchResult:
             population=population and Population.of_data(population),
             about=head["about"],
             facts=facts_of(devices, head.get("facts", {})),
+            odd=head.get("odd", {}),
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path.name} was changed after it was saved: {error}. {AGAIN}") from None
@@ -399,7 +386,7 @@ class FleetResult:
             which it was looked for what the model lacks (`find`).
         doubted: some devices whose fit is not to be relied on, and why.
         missing: file → why its devices are not among the results; the same call goes on from there.
-        odd: devices that are not like the others, and in what: a value beyond chance, an effect that few have.
+        odd: devices that are not like the others, and in what.
         table: one row a coefficient: mean over the devices that are fitted, standard deviation between them, typical
             (root mean square) standard uncertainty, unit.
         population: what the devices have in common, if it was asked for.

@@ -26,6 +26,7 @@ from bayescal._annexes.fleet.batch_result import EFFECTS, BatchResult
 from bayescal._annexes.fleet.devices import Devices
 from bayescal._annexes.fleet.fit_devices import FitOptions, fit_together
 from bayescal._core import deadline
+from bayescal._core.settings import settings
 from bayescal._model.frame import Reference, reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
@@ -191,7 +192,6 @@ class Share(NamedTuple):
         share: of the devices that have it, its mean.
         low, high: of its 95 % interval, if any device has it.
         expected: number of devices that have it, its mean.
-        each: probability that each device has it, with what all say together, (devices,).
     """
 
     in_fleet: float
@@ -199,7 +199,6 @@ class Share(NamedTuple):
     low: float
     high: float
     expected: float
-    each: np.ndarray
 
 
 def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> dict[str, Share]:
@@ -233,7 +232,7 @@ def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> 
         return has_effect[taken]
 
     share, has = prior, np.ones(len(names), dtype=bool)
-    shown, counts, there, each = [], [], [], np.zeros((len(devices), len(names)))
+    shown, counts, there = [], [], []
     for i in range(BURN_IN + rounds):
         each_has = drawn(np.where(has, share, 0.0))
         count = each_has.sum(axis=0).astype(int)
@@ -245,18 +244,38 @@ def shares(devices: Sequence[Evidence], seed: int = 0, rounds: int = ROUNDS) -> 
             shown.append(share)
             counts.append(count)
             there.append(has)
-            each += each_has / rounds
     low, high = np.quantile(shown, (0.025, 0.975), axis=0)
     expected, in_fleet = np.mean(counts, axis=0), np.mean(there, axis=0)
     mean = np.mean(np.where(there, shown, 0.0), axis=0)
     columns = (in_fleet, mean, low, high, expected)
-    return {n: Share(*(float(c[i]) for c in columns), each=each[:, i]) for i, n in enumerate(names)}
+    return {n: Share(*(float(c[i]) for c in columns)) for i, n in enumerate(names)}
 
 
-def effects_table(
-    structures: Sequence[DeviceStructure], seed: int = 0
-) -> tuple[pd.DataFrame, dict[str, Share]]:
-    """One row an effect, the most probable first; and the shares that it was made of.
+def common_model(
+    model: Model, structures: Sequence[DeviceStructure], table: pd.DataFrame, own: Sequence[Effect]
+) -> Model:
+    """Return the model that all devices of a fleet are compared by: with the named effects that any of them has.
+
+    Args:
+        model: that was given.
+        structures: of the devices.
+        table: of the effects, as of `effects_table`.
+        own: candidates of the user's own.
+    """
+    there = {*table.loc[table["in fleet"] >= settings().found_probability, "effect"]}
+    named = {e.name: e for one in own for e in (one, *one.forms)}
+    count = Counter(name for one in structures for name in one.effects)
+    for name, _ in count.most_common():  # of a family its most frequent form
+        effect = named.get(name) or model.instrument.effect(name)
+        taken = {e.family or e.name for e in model.effects}
+        family = effect.family or name
+        if family in there and family not in taken and not effect.is_placeholder:
+            model = model + effect
+    return model
+
+
+def effects_table(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.DataFrame:
+    """Return one row an effect, the most probable first.
 
     Columns: effect; devices whose own structure has it; in how many it is one of the effects of which one is missing.
     Then of all devices together: probability that any has it, how many are expected to, their share, and its 95 %
@@ -272,4 +291,4 @@ def effects_table(
         if named[name] or possible[name] or one.expected > KEPT_PROBABILITY
     ]
     rows.sort(key=lambda row: (-row[4], -row[1]))
-    return pd.DataFrame(rows, columns=EFFECTS), found
+    return pd.DataFrame(rows, columns=EFFECTS)

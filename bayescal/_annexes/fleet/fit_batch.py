@@ -48,19 +48,24 @@ from bayescal._annexes.fleet.devices import (
     split_table,
 )
 from bayescal._annexes.fleet.engine import Engine
-from bayescal._annexes.fleet.find_devices import DeviceStructure, Find, effects_table, find_and_fit
+from bayescal._annexes.fleet.find_devices import (
+    DeviceStructure,
+    Find,
+    common_model,
+    effects_table,
+    find_and_fit,
+)
 from bayescal._annexes.fleet.fit_devices import (
     CHUNK,
     FitOptions,
     common_reference,
     fit_devices,
     fit_together,
-    sized_for,
     tailored_to_first,
     temperature_sums,
 )
 from bayescal._annexes.fleet.model_texts import model_texts, shown
-from bayescal._annexes.fleet.odd_devices import Values, odd_effects, odd_values
+from bayescal._annexes.fleet.odd_devices import odd_devices
 from bayescal._annexes.fleet.partial_pooling import learn_population
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
 from bayescal._core import deadline
@@ -564,11 +569,14 @@ def fit_fleet(
         learned = learn_population(files, folder / POOLED, named, fit_options.seed, engine)
     doubted = {name: why for one in done for name, why in one.doubted.items()}
     structures = {name: each for one in done for name, each in one.structures.items()}
-    effects, shares = effects_table([*structures.values()], fit_options.seed)
-    table, fitted = _table(files), sum(one.fitted for one in done)
-    odd = odd_effects([*structures], shares)
-    for name, said in _odd_values(files, table, fitted).items():
-        odd.setdefault(name, []).extend(said)
+    effects = effects_table([*structures.values()], fit_options.seed)
+    fitted, facts = sum(one.fitted for one in done), _facts(files)
+    odd = _odd(
+        run,
+        files,
+        facts,
+        common_model(request.model, [*structures.values()], effects, find.effects if find else ()),
+    )
     fleet = FleetResult(
         out,
         devices=sum(one.devices for one in done),
@@ -578,7 +586,7 @@ def fit_fleet(
         doubted=dict(list(doubted.items())[:DOUBTED]),
         missing=run.missing,
         odd=odd,
-        table=table,
+        table=_table(files),
         population=learned,
         effects=effects,
         about={
@@ -617,25 +625,41 @@ def _table(files: Sequence[Path]) -> pd.DataFrame:
     )
 
 
-def _odd_values(files: Sequence[Path], table: pd.DataFrame, fitted: int) -> dict[str, list[str]]:
-    """`odd_values` of the devices that are fitted; one unknown after the other, for a process holds not all."""
-    names = table["coefficient"][
-        table["devices"].eq(fitted) & ~table["coefficient"].str.contains(r"\[")
-    ]
-    dataset, facts = pads.dataset(files), list[pd.DataFrame]()
+def _facts(files: Sequence[Path]) -> pd.DataFrame:
+    """Return how many readings the devices of some partitions have, and about which temperature."""
+    facts = list[pd.DataFrame]()
     for file in files:
         head = parsed_json((pq.read_schema(file).metadata or {})[b"bayescal"])
         order = pq.read_table(file, columns=["device"])["device"].unique().to_pylist()
         facts.append(facts_of(order, head.get("facts", {})))
+    return pd.concat(facts)
 
-    def values(name: str) -> Values:
-        of = pads.field("ok") & (pads.field("coefficient") == name)
-        rows = dataset.to_table(["device", "mean", "sd", "unit"], filter=of, use_threads=False)
-        numbers = rows["mean"].to_numpy(), rows["sd"].to_numpy()
-        return Values(rows["device"].to_pylist(), *numbers, rows["unit"][0].as_py())
 
-    ok = dataset.to_table(["device"], filter=pads.field("ok"))["device"].unique().to_pylist()
-    return odd_values([*names], values, pd.concat(facts).loc[ok])
+def _odd(
+    run: _Run, files: Sequence[Path], facts: pd.DataFrame, model: Model
+) -> dict[str, list[str]]:
+    """Return the devices that are not like the others, by one model at one temperature.
+
+    Where results are of other models or temperatures, partitions are fitted once more.
+    """
+    request, options = run.request, run.request.fit_options.compared_at(facts)
+    dataset: pads.Dataset = pads.dataset(files)
+    if options or model is not request.model:
+        request = replace(request, model=model, fit_options=options or request.fit_options)
+        each = [(request, run.partitions[one.number], one.elsewhere) for one in run.in_order]
+        dataset = pads.dataset(pa.concat_tables(run.engine.every(_rows_to_compare, each)))
+    return odd_devices(dataset, facts)
+
+
+def _rows_to_compare(
+    request: Request, partition: Partition, elsewhere: Mapping[str, str]
+) -> pa.Table:
+    """Fit the devices of a partition to be compared with those of others."""
+    with ONE, use_settings(request.settings):
+        devices, _ = read_partition(partition, request, elsewhere)
+        groups = [(request.model, devices)]
+        result = fit_together(devices.names, devices.refused, groups, request.fit_options)
+        return result.rows().drop_columns(["covariance"])
 
 
 def _temperature_sums(request: Request, partition: Partition) -> list[tuple[str, float, int]]:
@@ -643,32 +667,32 @@ def _temperature_sums(request: Request, partition: Partition) -> list[tuple[str,
         return temperature_sums(read_partition(partition, request)[0])
 
 
-def _sized_model(request: Request, partition: Partition) -> Model | None:
-    """The model, with what it takes from readings taken from the partition's first device that has it."""
+def _tailored_model(request: Request, partition: Partition) -> Model | None:
+    """The model tailored to the partition's first device that it can be tailored to; None where there is none."""
     with use_settings(request.settings):
-        model, first = tailored_to_first(request.model, read_partition(partition, request)[0])
-        return None if first is None else sized_for(model, first, request.fit_options.reference)
+        devices = read_partition(partition, request)[0]
+        return tailored_to_first(request.model, devices) if len(devices.blocks) else None
 
 
 def _with_common(
     request: Request, partitions: Sequence[Partition], engine: Engine, pooled: bool
 ) -> Request:
-    """The request with what has to be the same in all partitions: T0 of a population, unit, open sizes."""
+    """The request with what has to be the same in all partitions: T0 of a population, the unit."""
     if pooled and "T0" not in request.fit_options.reference:
         tell("reading all temperatures, for a common T0 (a reference given spares that)")
         sums = engine.every(_temperature_sums, [(request, p) for p in partitions])
         common = common_reference([one for some in sums for one in some])
         request = replace(request, fit_options=request.fit_options.with_common(common))
     model = request.model
-    if model.instrument.tailor is None and not any(e.open for e in model.effects):
+    if model.instrument.tailor is None:
         return request
     reason = ""
     for partition in partitions:
-        for outcome in engine.each(_sized_model, [(request, partition)]):
+        for outcome in engine.each(_tailored_model, [(request, partition)]):
             if outcome.value is not None:
                 return replace(request, model=outcome.value)
             reason = reason or outcome.error
-    if reason and model.instrument.tailor is not None:
+    if reason:
         raise InputError(_NONE + reason)
     return request
 
@@ -851,8 +875,8 @@ def fit_batch(
         result["A17"], result.table()  # device, coefficient, mean, sd, unit, ok, reason
         fleet = bc.fit_batch(model, "fleet/", out="fleet_result", client=distributed.Client("tcp://10.0.0.5:8786"))
 
-    Estimates and uncertainties are those of `fit` with the same method. A device whose readings cannot be used, or
-    whose fit does not converge, gets a reason and changes nothing for the others.
+    Estimates, uncertainties and objections are those of `fit` with the same method and seed. A device whose readings
+    cannot be used, or against whose fit something stands, gets a reason and changes nothing for the others.
     **Population.** Coefficients named there are drawn from a normal distribution over the devices, whose mean and
     standard deviation are learned; every device moves toward it by as much as its own readings leave open. Exact for a
     linear model with Gaussian noise that is known; else each device is represented by its mean and covariance.
@@ -865,7 +889,7 @@ def fit_batch(
         model: what is fitted; what its instrument takes from readings (unit, sizes) is taken from the first device.
         readings: `split_devices(…)`, paths of files with a column `device`, or measurements, one a device (a mapping
             names them). With `out`: paths, of folders too.
-        method: `LeastSquares()` if not given; or `Marginal()`, by importance sampling alone.
+        method: `LeastSquares()` if not given. `Marginal()` samples without chains: a device that needs them is told.
         population: True for all coefficients that a device has one of, or names, or names with priors of their standard
             deviations between devices.
         seed: of every random number.
@@ -880,9 +904,9 @@ def fit_batch(
 
     Raises:
         InputError: no device that can be used, files that cannot be read, a client without `out`, a cluster gone.
-        ModelError: a method that cannot be mapped, or a population of something that is no coefficient.
+        ModelError: a population of something that is no coefficient.
     """
-    options = FitOptions.of(model, method, seed, chunk, reference)
+    options = FitOptions.of(method, seed, chunk, reference)
     chosen(model, population)  # a wrong name is refused before anything is read
     paths = _paths(readings)
     if out is not None:
@@ -899,7 +923,7 @@ def fit_batch(
         raise InputError("workers and searches write by partition: give out=, a folder")
     needs = tuple(dict.fromkeys(c for e in model.effects for c in e.columns))
     devices = split_devices(paths, model.instrument, needs=needs) if paths else _given(readings)
-    model, _ = tailored_to_first(model, devices)
+    model = tailored_to_first(model, devices)
     with deadline.until(time_limit):
         return fit_devices(model, devices, options, chosen(model, population))
 

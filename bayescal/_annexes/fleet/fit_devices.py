@@ -1,14 +1,17 @@
-"""Many devices of one type, fitted each by itself in this process: mean, covariance and whether they are reliable.
+"""Many devices of one type, each by itself: what `fit` gives of it, one by one or all at once.
 
-Least squares has a closed form but for one number, the noise, where the expected output is affine in the coefficients,
-their priors are fixed and the noise is white: the quick way through a batch. The readings enter through R of the QR
-factors of [J_flat, J·s, r] alone (s: prior standard deviations), and through the singular values d of its block of
-proper columns. The restricted likelihood of the noise σ is then a sum of p terms,
+A device is fitted by `fit`: its result is the mean and covariance of that posterior, and what stands against it. Least
+squares of plain devices, against which nothing can stand, has a closed form but for one number, the noise, that gives
+the same: the expected output is affine in the coefficients, their priors are fixed, the noise is white. The readings
+enter through R of the QR factors of [J_flat, J·s, r] alone (s: prior standard deviations), and through the singular
+values d of its block of proper columns. The restricted likelihood of the noise σ is then a sum of p terms,
 
     −2 log L(σ) = (n − f) log σ² + ρ²/σ² + Σ log(1 + d²/σ²) + c²/(σ² + d²)
 
 with ρ what no column explains, c the readings along the singular vectors and f the number of flat coefficients. Its
-maximum is that of `LeastSquares`, and so are the coefficients at it and their covariance.
+maximum is that of `LeastSquares`, and so are the coefficients at it and their covariance. A device is no plain one
+where it has several maxima or a coefficient stands far from its prior's mean (the noise may take up what a prior
+forbids), where outputs are so far from the model's mean that digits are lost, and where a unit may be wrong.
 Source: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
 
 There frames of many devices are stacked, so that one compiled program sees them all. A table without time and without
@@ -18,7 +21,8 @@ of readings are padded to a common one; a padded reading repeats the last and co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -26,35 +30,33 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+import pyarrow.dataset as pads
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from bayescal import (
     BayescalError,
+    Calibration,
     Frame,
     InputError,
     LeastSquares,
     Marginal,
     Measurements,
     Model,
-    ModelError,
+    fit,
 )
 from bayescal._annexes.fleet.batch_result import BatchPart, BatchResult
 from bayescal._annexes.fleet.devices import DEVICE, DeviceBlock, Devices, joined
+from bayescal._annexes.fleet.odd_devices import odd_devices
 from bayescal._annexes.fleet.partial_pooling import pooled
 from bayescal._annexes.fleet.population import Named
+from bayescal._calibration.claim import Claim
+from bayescal._calibration.judgement import noiseless
 from bayescal._core import deadline
-from bayescal._core.importance_weights import smoothed
-from bayescal._core.jax_setup import spare_memory_maps
 from bayescal._core.jit import compiled
 from bayescal._core.settings import unusual
-from bayescal._inference import least_squares, sampled_products, trust
-from bayescal._inference.laplace import find_mode
-from bayescal._inference.linear_model import sized
+from bayescal._inference import sampled_products
 from bayescal._inference.method import Method
-from bayescal._inference.problem import Problem
-from bayescal._inference.record import Record, record_of
-from bayescal._inference.sampling import weighted_draws
 from bayescal._model import forward
 from bayescal._model.frame import (
     GROUPS,
@@ -64,9 +66,12 @@ from bayescal._model.frame import (
     reference_of,
     rounded_means,
 )
-from bayescal._model.parameters import Layout, Levels, bind
+from bayescal._model.parameters import Layout, bind, member_name
 from bayescal.workshop import UNCERTAINTY
 
+PLAIN_SD = 3.0  # prior standard deviations that a coefficient stands from its prior's mean, at most
+PLAIN_SHARE = 1e-5  # of two sizes, above which neither is in a wrong unit
+PLAIN_DIGITS = 1e6  # times the noise, up to which an output keeps enough of its digits
 GRID = 32  # starts for log σ², among which the best one's neighbours bracket the maximum
 NEWTON_STEPS = 10  # safeguarded Newton steps in the bracket, to the last digits
 LEAST_NOISE = 1e-24  # share of the readings' variance, below which the noise counts as none
@@ -75,24 +80,22 @@ NOT_REACHED = "not reached ({}): give more time"
 
 
 class ClosedFormFit(NamedTuple):
-    """What least squares finds of one device: x̂, its covariance, σ, and whether all of it was determined."""
+    """What least squares finds of one device: x̂, its covariance, σ, and whether it is a plain one."""
 
     x: Float[Array, "p"]
     covariance: Float[Array, "p p"]
     noise: Float[Array, ""]
-    determined: Array
-    scatter: Array  # whether the readings left any
+    plain: Array
 
 
 def has_closed_form(layout: Layout, frame: Frame) -> bool:
-    """Whether the model is of this kind for readings like these."""
+    """Return whether the model is of this kind for readings like these."""
     noise = layout.model.noise
-    only_noise = all(h.kind == "noise" for h in layout.hypers)
     return (
         noise.first
-        and only_noise
+        and all(h.kind == "noise" for h in layout.hypers)
         and layout.size > 0
-        and not any(b.place == "input" for b in layout.blocks)
+        and all(b.place != "input" and b.coefficient.per is None for b in layout.blocks)
         and UNCERTAINTY not in frame.columns
         and not sampled_products.is_nonlinear(layout, frame)
     )
@@ -121,10 +124,12 @@ def _solve_one(
     upper = _triangle(table * real[:, None])
     u, d, vt = jnp.linalg.svd(upper[f:p, f:p])
     c, rest, d2 = u.T @ upper[f:p, p], upper[p, p] ** 2, d**2
-    if NOISE in dict(layout.model.fixed):
-        variance = jnp.asarray(dict(layout.model.fixed)[NOISE]) ** 2
+    count, fixed = jnp.sum(real), dict(layout.model.fixed)
+    if NOISE in fixed:
+        variance, maxima = jnp.asarray(fixed[NOISE]) ** 2, 1
     else:
-        variance = jnp.exp(_log_variance(jnp.sum(real) - f, rest, c**2, d2))
+        log_variance, maxima = _log_variance(count - f, rest, c**2, d2)
+        variance = jnp.exp(log_variance)
     # The proper coefficients z, in parts of their prior standard deviations, given the noise.
     z = vt.T @ (d * c / (variance + d2))
     covariance_z = (vt.T * (variance / (variance + d2))) @ vt
@@ -138,14 +143,25 @@ def _solve_one(
     undo = np.argsort(places)
     value = jnp.concatenate([free - slope @ z, z])[undo]
     covariance = jnp.block([[inner, cross], [cross.T, covariance_z]])[undo][:, undo]
-    # Flat columns have length one: a diagonal of R near zero is a direction that nothing determines.
-    determined = jnp.all(jnp.abs(jnp.diag(left)) > 1e-10) & jnp.all(jnp.isfinite(value))
+    noise = jnp.sqrt(variance)
+    reach = jnp.max(jnp.abs(line.jacobian * scale), axis=0)[places][f:]  # at plausible sizes
+    largest, range_ = jnp.max(jnp.abs(y)), jnp.max(y) - jnp.min(y)
+    plain = [
+        count > p,
+        maxima == 1,
+        jnp.max(jnp.abs(z), initial=0.0) < PLAIN_SD,
+        # Flat columns have length one: a diagonal of R near zero is a direction that nothing determines.
+        jnp.all(jnp.abs(jnp.diag(left)) > PLAIN_SHARE) & jnp.all(norm > 0),
+        (rest > LEAST_NOISE * jnp.sum(upper[:, p] ** 2)) & (noise < range_),
+        jnp.all((PLAIN_SHARE * reach < noise) & (PLAIN_SHARE * noise < reach)),
+        PLAIN_DIGITS * jnp.minimum(noise, range_)
+        > jnp.maximum(largest, jnp.max(jnp.abs(y - line.mean))),
+    ]
     return ClosedFormFit(
         x=centre + scale * value,
         covariance=scale[:, None] * covariance * scale,
-        noise=jnp.sqrt(variance),
-        determined=determined,
-        scatter=rest > LEAST_NOISE * jnp.sum(upper[:, p] ** 2),
+        noise=noise,
+        plain=jnp.all(jnp.array(plain)) & jnp.all(jnp.isfinite(value)),
     )
 
 
@@ -155,8 +171,10 @@ def _triangle(table: Float[Array, "n q"]) -> Float[Array, "q q"]:
     return jnp.pad(upper, ((0, table.shape[1] - upper.shape[0]), (0, 0)))
 
 
-def _log_variance(count: Array, rest: Array, c2: Float[Array, "m"], d2: Float[Array, "m"]) -> Array:
-    """Where the restricted likelihood of t = log σ² is greatest.
+def _log_variance(
+    count: Array, rest: Array, c2: Float[Array, "m"], d2: Float[Array, "m"]
+) -> tuple[Array, Array]:
+    """Return where the restricted likelihood of t = log σ² is greatest, and how many maxima it has.
 
     Args:
         count: readings less flat coefficients.
@@ -180,7 +198,10 @@ def _log_variance(count: Array, rest: Array, c2: Float[Array, "m"], d2: Float[Ar
     least = jnp.log(rest / count + 1e-300) - 0.5
     most = jnp.log((rest + jnp.sum(c2)) / count + 1e-300) + 4.0
     grid = least + (most - least) * jnp.linspace(0.0, 1.0, GRID) ** 2
-    best = jnp.argmax(jax.vmap(value)(grid))
+    values = jax.vmap(value)(grid)
+    rises = jnp.diff(values) > 0
+    maxima = jnp.sum(rises[:-1] & ~rises[1:]) + ~rises[0] + rises[-1]
+    best = jnp.argmax(values)
     low, high = grid[jnp.maximum(best - 1, 0)], grid[jnp.minimum(best + 1, GRID - 1)]
 
     def closer(_, state):
@@ -191,145 +212,110 @@ def _log_variance(count: Array, rest: Array, c2: Float[Array, "m"], d2: Float[Ar
         inside = (step >= low) & (step <= high) & (second < 0)
         return jnp.where(inside, step, 0.5 * (low + high)), low, high
 
-    return jax.lax.fori_loop(0, NEWTON_STEPS, closer, (grid[best], low, high))[0]
+    return jax.lax.fori_loop(0, NEWTON_STEPS, closer, (grid[best], low, high))[0], maxima
 
 
 STEP = 1.25  # from one padded number of readings to the next
 NUMBERS = 2_000_000  # readings in one stack at most
 
 
-class DeviceFrame(NamedTuple):
-    """One device as a fit takes it.
-
-    Attributes:
-        device: its index in the block.
-        layout: where its unknowns stand.
-        levels: members of its groups.
-        frame: what the effects see.
-        y: outputs, (n,).
-    """
-
-    device: int
-    layout: Layout
-    levels: Levels
-    frame: Frame
-    y: np.ndarray
-
-
 class DeviceStack(NamedTuple):
-    """Devices of one shape, as `DeviceFrame` with a leading axis.
+    """Devices of one shape, as the closed form takes them.
 
     Attributes:
         devices: their indices in the block, (b,).
-        layout: common to all.
-        levels: members of the groups of each.
-        frame: stacked frames; leaves (b, …).
+        layout: where the unknowns of each stand.
+        frame: what the effects see; leaves (b, …).
         y: outputs, (b, n).
         real: 1 where a reading is one, 0 where it is padding, (b, n).
     """
 
     devices: np.ndarray
     layout: Layout
-    levels: Sequence[Levels]
     frame: Frame
     y: np.ndarray
     real: np.ndarray
 
-    def padded(self) -> DeviceStack:
-        """A few devices more, the last one repeated, so that few programs are compiled: at most an eighth above 64."""
+    def solved(self) -> ClosedFormFit:
+        """Solve all devices: arrays of NumPy, (b, …).
+
+        The last device is repeated so that few programs are compiled: at most an eighth above 64.
+        """
         few = len(self.devices)
         step = max(64, 1 << max((few - 1).bit_length() - 4, 0))
         many = 1 << (few - 1).bit_length() if few < 64 else -(-few // step) * step
         pick = np.minimum(np.arange(many), few - 1)
-        if many == few:
-            return self
         frame = jax.tree.map(lambda a: np.asarray(a)[pick], self.frame)
-        return self._replace(frame=frame, y=self.y[pick], real=self.real[pick])
+        padded = jnp.asarray(self.y[pick]), jnp.asarray(self.real[pick])
+        found = solve_in_closed_form(self.layout, frame, *padded)
+        return jax.tree.map(lambda a: np.asarray(a)[:few], found)
 
 
-Refuse = Callable[[int, BayescalError], Any]  # takes the index of a device that cannot be fitted
-
-
-def frames(
-    model: Model, block: DeviceBlock, reference: Reference, refuse: Refuse
-) -> Iterator[DeviceFrame]:
-    """The devices of a block one by one; `refuse` is called with those that cannot be fitted, and why."""
+def devices_alone(model: Model, block: DeviceBlock, reference: Reference) -> Iterator[DeviceStack]:
+    """Yield the devices of a block that the model can be bound to, one by one."""
     for i in range(len(block.names)):
         readings = block.measurements(i)
-        try:
-            layout, levels = bind(model, readings)
+        with suppress(BayescalError):  # whoever fits it says why
+            model.require(readings)
+            layout = bind(model, readings)[0]
             frame = build_frame(readings, {**reference_of(readings), **reference})
-        except BayescalError as error:
-            refuse(i, error)
-            continue
-        yield DeviceFrame(
-            i, layout, levels, jax.tree.map(np.asarray, frame), np.asarray(readings["output"])
-        )
+            frame = jax.tree.map(lambda a: np.asarray(a)[None], frame)
+            y = np.asarray(readings["output"])[None]
+            yield DeviceStack(np.array([i]), layout, frame, y, np.ones_like(y))
 
 
 def stacks(
-    model: Model, block: DeviceBlock, reference: Reference, refuse: Refuse, most: int
+    model: Model, block: DeviceBlock, reference: Reference, most: int
 ) -> Iterator[DeviceStack]:
-    """The devices of a block by shape, at most so many at once; arguments as of `frames`."""
+    """Yield the devices of a block by shape, at most so many at once."""
     labels = {name for name, unit in block.units.items() if unit is None}
     if labels <= {DEVICE} and not {"time", "temperature_point"} & block.values.keys():
-        yield from _stacks_of_numbers(model, block, reference, refuse, most)
+        yield from _stacks_of_numbers(model, block, reference, most)
         return
-    waiting: dict[tuple, list[DeviceFrame]] = {}
-    for one in frames(model, block, reference, refuse):
+    waiting: dict[tuple, list[DeviceStack]] = {}
+    for one in devices_alone(model, block, reference):
         kind = (str(jax.tree.map(jnp.shape, one.frame)), one.layout.counts)
         waiting.setdefault(kind, []).append(one)
-        if len(waiting[kind]) >= min(most, NUMBERS // max(1, len(one.y))):
-            yield _stacked(waiting.pop(kind))
-    for rest in waiting.values():
-        yield _stacked(rest)
+        if len(waiting[kind]) >= min(most, NUMBERS // max(1, one.y.size)):
+            yield _joined(waiting.pop(kind))
+    yield from map(_joined, waiting.values())
 
 
-def _stacked(made: Sequence[DeviceFrame]) -> DeviceStack:
-    devices, layouts, levels, each, ys = zip(*made, strict=True)
-    y = np.stack(ys)
-    frame = jax.tree.map(lambda *a: np.stack(a), *each)
-    return DeviceStack(np.array(devices), layouts[0], levels, frame, y, np.ones_like(y))
+def _joined(some: Sequence[DeviceStack]) -> DeviceStack:
+    devices, layouts, each, ys, real = zip(*some, strict=True)
+    frame = jax.tree.map(lambda *a: np.concatenate(a), *each)
+    at, y, real = map(np.concatenate, (devices, ys, real))
+    return DeviceStack(at, layouts[0], frame, y, real)
 
 
 def _stacks_of_numbers(
-    model: Model, block: DeviceBlock, reference: Reference, refuse: Refuse, most: int
+    model: Model, block: DeviceBlock, reference: Reference, most: int
 ) -> Iterator[DeviceStack]:
-    """Devices whose frames need nothing but their numbers: no time, no groups, no labels."""
+    """Yield devices whose frames need nothing but their numbers: no time, no groups, no labels."""
     rungs = np.array([_rung(int(n)) for n in range(int(block.counts.max()) + 1)])[block.counts]
     constants = {name: v for name, v in reference.items() if not isinstance(v, dict)}
-    levels = {g: () if g == "cell" else ("1",) for g in GROUPS}
-    for rung in np.unique(rungs).tolist():
-        counts = ((group, len(names)) for group, names in levels.items())
-        layout = Layout(model, tuple(counts))
-        few = block.counts <= layout.size  # readings, perhaps not enough for the model
-        for one in np.flatnonzero(few & (rungs == rung)).tolist():
-            try:
-                bind(model, block.measurements(one))
-            except BayescalError as error:
-                refuse(one, error)
-                rungs[one] = 0
-        members = np.flatnonzero(rungs == rung)
+    members = {g: 0 if g == "cell" else 1 for g in GROUPS}
+    layout = Layout(model, tuple(members.items()))
+    rungs[block.counts <= layout.size] = 0  # no plain ones
+    for rung in np.unique(rungs[rungs > 0]).tolist():
+        alike = np.flatnonzero(rungs == rung)
         at_once = max(1, min(most, NUMBERS // rung))
-        for begin in range(0, len(members), at_once):
-            some = members[begin : begin + at_once]
+        for begin in range(0, len(alike), at_once):
+            some = alike[begin : begin + at_once]
             columns, real, scalars = _matrices(block, some, rung)
             shape = real.shape
             frame = Frame(  # NumPy arrays, until they are fitted
                 columns=columns,
                 labels={},
                 rates={},
-                codes={g: np.full(shape, len(names) - 1) for g, names in levels.items()},
+                codes={g: np.full(shape, count - 1) for g, count in members.items()},
                 reference={**scalars, **{n: np.full(len(some), v) for n, v in constants.items()}},
                 order=np.broadcast_to(np.arange(rung), shape),
                 step=-np.ones(shape),
                 record=dict(columns),
                 silence=np.full(len(some), np.inf),
             )
-            own = [levels] * len(some)
-            if DEVICE in block.values:
-                own = [{**levels, DEVICE: (block.names[i],)} for i in some]
-            yield DeviceStack(some, layout, own, frame, columns["output"], real)
+            yield DeviceStack(some, layout, frame, columns["output"], real)
 
 
 def _rung(count: int) -> int:
@@ -363,15 +349,6 @@ def _matrices(
 
 
 CHUNK = 4096  # devices in one compiled program at most
-NUDGE = 1e-5  # of a coordinate, for the slope of its value
-NO_SCATTER = (
-    "The readings leave no scatter about the model, so that the noise is not determined: too few readings for the "
-    "coefficients, or made without noise."
-)
-HELD = (
-    "Shapes have the standard uncertainty of their coordinate times its slope; noise and between-group standard "
-    "deviations are held at their restricted-likelihood estimates."
-)
 
 
 @dataclass(frozen=True)
@@ -385,28 +362,38 @@ class FitOptions:
         reference: constants of the bases, in place of each device's own.
     """
 
-    method: LeastSquares | Marginal
+    method: Method
     seed: int = 0
     chunk: int = CHUNK
     reference: Reference = field(default_factory=dict)
 
     @classmethod
     def of(
-        cls, model: Model, method: Method | None, seed: int, chunk: int, reference: Reference | None
+        cls, method: Method | None, seed: int, chunk: int, reference: Reference | None
     ) -> FitOptions:
-        """As a user gives them.
+        """As a user gives them; chains of single devices, minutes each, are left to `fit`.
 
         Raises:
             InputError: `chunk` is none.
-            ModelError: the method cannot be mapped over devices.
         """
         if chunk < 1:
             raise InputError(f"chunk is {chunk}: give at least 1")
-        return cls(mappable(model, method or LeastSquares()), seed, chunk, dict(reference or {}))
+        method = method or LeastSquares()
+        method = replace(method, chains=False) if isinstance(method, Marginal) else method
+        return cls(method, seed, chunk, dict(reference or {}))
 
     def with_common(self, reference: Reference) -> FitOptions:
         """With further constants, where none were given."""
         return replace(self, reference={**reference, **self.reference})
+
+    def compared_at(self, facts: pd.DataFrame) -> FitOptions | None:
+        """Return how devices are fitted to be compared, at one temperature; None where they are so already."""
+        known = facts.loc[:, "T0"].dropna()
+        if "T0" in self.reference or known.nunique() < 2:
+            return None
+        return replace(
+            self.with_common({"T0": float(known.median().round())}), method=LeastSquares()
+        )
 
     def data(self, model: Model) -> dict[str, Any]:
         """What was fitted, as a result says it."""
@@ -435,7 +422,10 @@ def fit_devices(
         options = options.with_common(common_reference(temperature_sums(devices)))
     groups = [(model, devices)]
     result = fit_together(devices.names, devices.refused, groups, options, each=False)
-    return pooled(result, named, options.seed) if named else result
+    alike = options.compared_at(result.facts)
+    other = alike and fit_together(devices.names, devices.refused, groups, alike)
+    odd = odd_devices(pads.dataset((other or result).rows()), result.facts)
+    return replace(pooled(result, named, options.seed) if named else result, odd=odd)
 
 
 def fit_together(
@@ -452,20 +442,22 @@ def fit_together(
         refused: those of them that are in no group, and why.
         groups: models, and the devices that each is fitted to; the result is named after the first.
         options: of every fit.
-        each: whether a reason that all devices share refuses each of them, and not the whole.
+        each: whether devices may all be refused.
 
     Raises:
         InputError: none can be used, and not `each`.
     """
-    spare_memory_maps()
     fits = _Fits(options)
-    fits.refused |= refused
-    fitted = [fits.fit(model, devices, each) for model, devices in groups]
+    fits.reasons |= refused
+    with suppress(deadline.TimeIsUp):
+        for model, devices in groups:
+            for block in joined(devices.blocks):
+                fits.fit(model, block)
     late = NOT_REACHED.format(deadline.current().why)
-    fits.refused |= {n: late for n in names if n not in fits.facts and n not in fits.refused}
-    parts, reasons = fits.parts(names), fits.reasons | fits.refused
+    fits.reasons |= {n: late for n in names if n not in fits.facts and n not in fits.reasons}
+    parts, reasons = fits.parts(names), fits.reasons
     if not parts and names and not each:
-        name, why = next(iter(fits.refused.items()))
+        name, why = next((n, reasons[n]) for n in names if n in reasons)
         raise InputError(f"none of the {len(names)} devices can be used; {name}: {why}")
     return BatchResult(
         devices=names,
@@ -473,32 +465,11 @@ def fit_together(
         reasons=tuple(reasons.get(name, "") for name in names),
         parts=tuple(parts),
         population=None,
-        about={**options.data(fitted[0]), "notes": list(fits.notes)},
+        about=options.data(groups[0][0]),
         facts=pd.DataFrame.from_dict(
             fits.facts, "index", dtype=float, columns=["readings", "T0"]
         ).reindex(names),
     )
-
-
-def mappable(model: Model, method: Method) -> LeastSquares | Marginal:
-    """The method, if it can be mapped over devices.
-
-    Raises:
-        ModelError: it cannot.
-    """
-    if not isinstance(method, LeastSquares | Marginal):
-        raise ModelError(
-            f"fit_batch maps LeastSquares() and Marginal() over devices, not {type(method).__name__}: fit them one by "
-            "one with it"
-        )
-    if isinstance(method, Marginal) and (
-        not model.noise.gaussian or method.sampler != "importance"
-    ):
-        raise ModelError(
-            "fit_batch maps Marginal() over devices by importance sampling, which needs Gaussian noise: use "
-            "LeastSquares(), or fit them one by one"
-        )
-    return method
 
 
 def temperature_sums(devices: Devices) -> list[tuple[str, float, int]]:
@@ -544,10 +515,8 @@ def tailored(model: Model, readings: Measurements) -> Model:
     return made
 
 
-def tailored_to_first(
-    model: Model, devices: Iterable[Measurements]
-) -> tuple[Model, Measurements | None]:
-    """The model tailored to the first device that it can be tailored to, and that device; None where there is none.
+def tailored_to_first(model: Model, devices: Iterable[Measurements]) -> Model:
+    """Return the model tailored to the first device that it can be tailored to; as it is where there is none.
 
     Raises:
         InputError: no device has what the instrument takes from readings: why, of the first.
@@ -555,213 +524,121 @@ def tailored_to_first(
     refusals: list[InputError] = []
     for readings in devices:
         try:
-            return tailored(model, readings), readings
+            return tailored(model, readings)
         except InputError as error:
             refusals.append(error)
     if refusals:
         raise refusals[0]
-    return model, None
-
-
-def sized_for(model: Model, readings: Measurements, reference: Reference) -> Model:
-    """Plausible amplitudes of what no named effect describes, where they are open: one device's, for all."""
-    if not any(e.open for e in model.effects):
-        return model
-    own = {**reference_of(readings), **reference}
-    return sized(model, readings, record_of(model.instrument, readings, own))
-
-
-class _Solved(NamedTuple):
-    """Devices of one layout, every unknown in its reported unit; covariances of what is held are NaN."""
-
-    layout: Layout
-    mean: np.ndarray  # (b, q)
-    covariance: np.ndarray  # (b, q, q)
-    reasons: Sequence[str]  # what stands against each device; empty if nothing
-    notes: tuple[str, ...] = ()  # how it was done
+    return model
 
 
 class _Fits:
-    """Fits as they come in: devices that are refused, what stands against others, how it was done."""
+    """Fits as they come in: the moments of the devices, and what stands against some of them."""
 
     def __init__(self, options: FitOptions) -> None:
-        self.options, self.method = options, options.method
-        self.refused: dict[str, str] = {}
+        self.options = options
         self.reasons: dict[str, str] = {}
-        self.notes: dict[str, None] = {}
         self.facts: dict[str, tuple[float, float]] = {}  # by device: how many readings, T0
-        self._promoted: dict[Layout, tuple[Layout, tuple[str, ...]]] = {}
-        self._found: dict[tuple[tuple[str, str], ...], list[tuple]] = {}
+        self._found: dict[tuple[tuple[str, ...], tuple[str, ...]], list[tuple]] = {}
 
-    def fit(self, model: Model, devices: Devices, each: bool) -> Model:
-        """Fit every device that can be fitted; the model, with open sizes taken from the first.
-
-        Raises:
-            BayescalError: no block can be used, and not `each`; what is said of the first.
-        """
-        wrong: list[BayescalError] = []
-        blocks = joined(devices.blocks)
-        for block in blocks:
-            try:
-                first = block.measurements(0)
-                model.require(first)
-                model = sized_for(model, first, self.options.reference)
-                self._fit(model, block)
-            except deadline.TimeIsUp:
-                break
-            except BayescalError as error:  # a column is missing, of all its devices
-                wrong.append(error)
-                self.refused = dict.fromkeys(block.names, str(error)) | self.refused
-        if wrong and len(wrong) == len(blocks) and not each:
-            raise wrong[0]
-        return model
-
-    def _fit(self, model: Model, block: DeviceBlock) -> None:
-        def refuse(device: int, error: BayescalError) -> None:
-            self.refused[block.names[device]] = str(error)
-
-        # Least squares of all has a closed form if that of the first device has that can be fitted.
+    def fit(self, model: Model, block: DeviceBlock) -> None:
+        """Fit every device of a block that can be fitted: plain ones all at once, the others one by one."""
+        alone = np.ones(len(block.names), dtype=bool)
         given = model, block, self.options.reference
-        first = next(frames(*given, lambda *_: None), None)
-        if (
-            first is not None
-            and isinstance(self.method, LeastSquares)
-            and has_closed_form(first.layout, jax.tree.map(jnp.asarray, first.frame))
-        ):
-            for stack in stacks(*given, refuse, self.options.chunk):
-                names = [block.names[i] for i in stack.devices]
-                t0 = np.broadcast_to(stack.frame.reference.get("T0", np.nan), len(names))
-                self.facts |= zip(names, zip(stack.real.sum(axis=1), t0, strict=True), strict=True)
-                self._keep(names, stack.levels, _in_closed_form(stack))
+        if isinstance(self.options.method, LeastSquares) and self._may_be_plain(*given):
+            for stack in stacks(*given, self.options.chunk):
+                found = stack.solved()
+                alone[stack.devices[found.plain]] = False
+                self._keep_plain(model, block, stack, found)
                 deadline.current().ask()
-            return
-        for one in frames(*given, refuse):
-            name, solved = block.names[one.device], self._solved(one)
-            self.facts[name] = len(one.y), float(one.frame.reference.get("T0", np.nan))
-            self._keep([name], [one.levels], solved)
+        for i in np.flatnonzero(alone).tolist():
+            self._fit_alone(model, block.names[i], block.measurements(i))
             deadline.current().ask()
 
-    def _solved(self, one: DeviceFrame) -> _Solved:
-        if isinstance(self.method, LeastSquares):
-            return _by_least_squares(one, self.method)
-        if one.layout not in self._promoted:  # decided on the first device of its kind, for all
-            record = Record(one.layout.model.instrument, one.frame, one.y)
-            found = sampled_products.choose(Problem(one.layout, record), self.method.promote)
-            self._promoted[one.layout] = found[0].layout, found[1]
-        layout, notes = self._promoted[one.layout]
-        return _by_sampling(one._replace(layout=layout), self.method, self.options.seed, notes)
+    @staticmethod
+    def _may_be_plain(model: Model, block: DeviceBlock, reference: Reference) -> bool:
+        """Return whether nothing but the model's own effects may have acted on the outputs, and these linearly."""
+        first = next(devices_alone(model, block, reference), None)
+        known = {c.name for c in model.instrument.columns} | model.columns
+        numbers = {name for name, unit in block.units.items() if unit is not None}
+        if first is None or not numbers <= known:
+            return False
+        shown = model.with_nuisances(block.measurements(int(first.devices[0])))
+        frame = jax.tree.map(lambda a: jnp.asarray(a[0]), first.frame)
+        return shown is model and has_closed_form(first.layout, frame)
 
-    def _keep(self, names: Sequence[str], levels: Sequence[Levels], made: _Solved) -> None:
+    def _keep_plain(
+        self, model: Model, block: DeviceBlock, stack: DeviceStack, found: ClosedFormFit
+    ) -> None:
+        plain, layout = found.plain, stack.layout
+        names = [block.names[i] for i in stack.devices[plain]]
+        t0 = np.broadcast_to(stack.frame.reference.get("T0", np.nan), plain.shape)[plain]
+        self.facts |= zip(names, zip(stack.real.sum(axis=1)[plain], t0, strict=True), strict=True)
+        unknowns = [(b.name, b.coefficient.unit) for b in layout.x_blocks]
+        mean, covariance = (np.asarray(a)[plain] for a in (found.x, found.covariance))
+        if NOISE not in dict(model.fixed):
+            unknowns.append((NOISE, model.instrument.unit))
+            mean = np.column_stack([mean, found.noise[plain]])
+            covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
+        called, units = zip(*unknowns, strict=True)
+        self._keep(names, called, units, mean, covariance)
+
+    def _fit_alone(self, model: Model, name: str, readings: Measurements) -> None:
+        """Fit one device by `fit`: the moments of its posterior, and what stands against it."""
+        options = self.options
+        known = reference_of(readings)
+        reference = {n: value for n, value in options.reference.items() if n in known}
+        how: dict[str, Any] = {"seed": options.seed, "reference": reference}
+        try:
+            found = fit(model, readings, options.method, strict=False, **how)
+        except BayescalError as error:
+            self.reasons[name] = str(error)
+            return
+        self.facts[name] = len(readings), float(found.reference.get("T0", np.nan))  # pyright: ignore
+        names, units, draws = list[str](), list[str](), list[np.ndarray]()
+        for unknown, own in found.posterior.items():
+            values, members = found.samples(str(unknown)), own.dims[2:]
+            labels = [member_name(str(unknown), m) for d in members for m in own[d].values]
+            names += labels or [str(unknown)]
+            units += [own.attrs["units"]] * max(1, len(labels))
+            draws.append(values.reshape(len(values), -1))
+        table = np.concatenate(draws, axis=1)
+        covariance = np.atleast_2d(np.cov(table.T))
+        held = np.ptp(table, axis=0) == 0
+        covariance[held], covariance[:, held] = np.nan, np.nan
+        self._keep([name], tuple(names), tuple(units), table.mean(axis=0)[None], covariance[None])
+        if why := " ".join(map(str, self._against(found))):
+            self.reasons[name] = why
+
+    @staticmethod
+    def _against(found: Calibration) -> Sequence[Any]:
+        """Return what stands against a device that was fitted by itself."""
+        if not found.verdict.ok:
+            return found.verdict.reasons
+        free = found.layout.size
+        if len(found.readings) <= free:
+            return [Claim("readings.too_few", count=len(found.readings), free=free)]
+        return [said] if (said := noiseless(found)) else found.conflicts
+
+    def _keep(
+        self,
+        devices: Sequence[str],
+        names: tuple[str, ...],
+        units: tuple[str, ...],
+        mean: np.ndarray,
+        covariance: np.ndarray,
+    ) -> None:
         deadline.current().defer_interrupt()
-        self.notes |= dict.fromkeys(made.notes)
-        self.reasons |= dict(zip(names, made.reasons, strict=True))
-        alike: dict[tuple, list[int]] = {(): list(range(len(names)))}
-        if any(b.coefficient.per for b in made.layout.blocks if b.place != "input"):
-            alike = {}  # unknowns are called after the members of groups, each device's own
-            for i, own in enumerate(levels):
-                alike.setdefault(tuple(own.items()), []).append(i)
-        for members in alike.values():
-            own = tuple(_unknowns(made.layout, levels[members[0]]))
-            some = [names[i] for i in members], made.mean[members], made.covariance[members]
-            self._found.setdefault(own, []).append(some)
+        self._found.setdefault((names, units), []).append((devices, mean, covariance))
 
     def parts(self, devices: Sequence[str]) -> list[BatchPart]:
-        """All unknowns with their moments, in the order of the devices."""
+        """Return all unknowns with their moments, in the order of the devices."""
         places = {name: i for i, name in enumerate(devices)}
         parts = []
-        for own, pieces in self._found.items():
+        for (called, units), pieces in self._found.items():
             names, means, covariances = zip(*pieces, strict=True)
             at = np.array([places[name] for some in names for name in some], dtype=int)
             order = np.argsort(at)
             mean, covariance = np.concatenate(means)[order], np.concatenate(covariances)[order]
-            called, units = zip(*own, strict=True) if own else ((), ())
             parts.append(BatchPart(at[order], called, units, mean, covariance))
         return parts
-
-
-def _unknowns(layout: Layout, levels: Levels) -> list[tuple[str, str]]:
-    """(name, unit) of every unknown, in the order of `_Solved.mean`."""
-    unknowns = []
-    for b in layout.blocks:
-        if b.place in ("x", "phi"):
-            unknowns += [(name, b.coefficient.unit) for name in b.member_names(levels)]
-    return unknowns + [(h.name, h.unit) for h in layout.hypers if h.kind != "promoted"]
-
-
-def _in_closed_form(stack: DeviceStack) -> _Solved:
-    padded, few = stack.padded(), len(stack.devices)
-    y, real = jnp.asarray(padded.y), jnp.asarray(padded.real)
-    solved = solve_in_closed_form(stack.layout, padded.frame, y, real)
-    line = jax.tree.map(lambda a: np.asarray(a)[:few], solved)
-    known = NOISE in dict(stack.layout.model.fixed)
-    mean, covariance = line.x, line.covariance
-    if not known:
-        mean = np.column_stack([line.x, line.noise])
-        covariance = _held(covariance, range(line.x.shape[1]), mean.shape[1])
-    reasons = np.where(line.scatter | known, "", NO_SCATTER)
-    reasons = np.where(line.determined, reasons, trust.SINGULAR).tolist()
-    return _Solved(stack.layout, mean, covariance, reasons)
-
-
-def _held(covariance: np.ndarray, free: Sequence[int], size: int) -> np.ndarray:
-    """Covariances (b, q, q) of all unknowns from those of the free ones; NaN for what is held at its estimate."""
-    whole = np.full((len(covariance), size, size), np.nan)
-    whole[:, np.array(free)[:, None], free] = covariance
-    return whole
-
-
-def _by_least_squares(one: DeviceFrame, method: LeastSquares) -> _Solved:
-    """`LeastSquares` itself."""
-    layout, places = one.layout, one.layout.positions("shape", "promoted")
-    problem = Problem(layout, Record(layout.model.instrument, one.frame, one.y))
-    solution = least_squares.solution_on(problem, method.curvature == "hessian")
-    v, priors = solution.mode.v, [h.prior for h in layout.hypers]
-    ends = [[float(priors[i].value(v[i] + d)) for d in (-NUDGE, NUDGE)] for i in places]
-    slopes = np.append(np.ones(layout.size), [(b - a) / (2 * NUDGE) for a, b in ends])
-    values = [float(prior.value(own)) for prior, own in zip(priors, v, strict=True)]
-    mean = np.append(solution.mode.x, values)
-    covariance = slopes[:, None] * np.asarray(solution.covariance) * slopes
-    free = [*range(layout.size), *(layout.size + i for i in places)]
-    reason = "" if solution.converged else trust.NOT_CONVERGED
-    if not (np.all(np.isfinite(covariance)) and np.all(np.isfinite(mean))):
-        reason = trust.SINGULAR
-    whole = _held(covariance[None], free, len(mean))
-    return _Solved(layout, mean[None], whole, [reason], (HELD,) if places else ())
-
-
-def _by_sampling(one: DeviceFrame, method: Marginal, seed: int, notes: tuple[str, ...]) -> _Solved:
-    """`Marginal` by importance sampling; where its weights fail, the verdict says so."""
-    problem = Problem(one.layout, Record(one.layout.model.instrument, one.frame, one.y))
-    own = int(np.random.SeedSequence([seed, one.device]).generate_state(1)[0])
-    draws = weighted_draws(problem, find_mode(problem), own, method.proposals, method.rounds)
-    weights, k_hat = _weights(draws.log_weight)
-    values = _values(one.layout, draws.x, draws.v)
-    mean = weights @ values
-    apart = values - mean
-    covariance = (weights[:, None] * apart).T @ apart
-    reason = "" if np.all(np.isfinite(mean)) else trust.SINGULAR
-    if not reason and (why := trust.unevenness(weights, k_hat)):
-        reason = f"Importance weights were uneven ({why}): fit this device by bc.fit, which goes over to NUTS."
-    return _Solved(one.layout, mean[None], covariance[None], [reason], notes)
-
-
-def _weights(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
-    if not np.any(np.isfinite(log_weight)):
-        return np.full(log_weight.size, np.nan), np.inf
-    return smoothed(np.where(np.isfinite(log_weight), log_weight, -1e300))
-
-
-def _values(layout: Layout, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """All unknowns of draws (s, q), in the order of `_unknowns`."""
-    hyper = {h.name: np.asarray(h.prior.value(v[:, i])) for i, h in enumerate(layout.hypers)}
-    parts = []
-    for b in layout.blocks:
-        if b.place == "x":
-            parts.append(x[:, b.start : b.start + b.size])
-        elif b.place == "phi":
-            value = np.stack([hyper[name] for name in b.member_names()], axis=1)
-            if b.coefficient.group_sd is not None:
-                value = b.coefficient.mean + hyper[b.group_sd_name][:, None] * value
-            parts.append(value)
-    parts += [hyper[h.name][:, None] for h in layout.hypers if h.kind != "promoted"]
-    return np.concatenate(parts, axis=1)

@@ -38,7 +38,7 @@ commands = Commands(
     {
         "files": "Files of readings, or folders of them: a Parquet dataset, CSVs, logs.",
         "find": "Search each device's missing effects: a second a device.",
-        "method": "least-squares or marginal.",
+        "method": "least-squares, marginal or nuts.",
         "out": "Parquet file to write; or a folder, for results partition by partition.",
         "population": (
             "Coefficient whose mean and standard deviation over the devices are estimated; 'all', or repeat."

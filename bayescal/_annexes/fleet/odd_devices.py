@@ -1,134 +1,150 @@
-"""Which devices of a fleet are not like the others, and in what: in a value, its noise, or an effect that few have.
+"""Which devices of a fleet are not like the others, and in what: where they were measured, a coefficient, the noise.
 
-A value is compared with the median of all and their scatter about it, which no odd device moves: the variance between
-devices is that at which half of all |z| are below 0.674. It is known as well as that of 0.37·n values is (P. J. Huber,
-Robust Statistics (1981), section 5.1), and whether a value is beyond chance a t distribution of so many degrees of
-freedom says, over all devices and values that are compared. A noise σ of ν degrees of freedom is compared by σ^(2/3),
-nearly normal with the relative variance 2/(9ν) (E. B. Wilson and M. M. Hilferty, Proc. Natl. Acad. Sci. 17 (1931) 684).
+All devices are fitted with one model at one reference temperature. Each of their quantities is compared with the
+predictive distribution that the others make: a value x, known to √v by itself, is one of a normal population, of which
+
+    (x − μ)/√(τ² + v + Var μ)  ~  t of ν degrees of freedom,     ν = (τ² + v)²/(1/Σw² + v²/r),     w = 1/(τ² + v)
+
+with μ and τ² by restricted likelihood from the devices that are alike, Var τ² = 2/Σw², and r the degrees of freedom
+that v is known by. Which are alike is found from the middle half of them, which no odd device moves, by taking in
+whatever is not beyond chance, until nothing changes; of one among them its own part in μ and τ² is taken off (of τ², by
+a step of Newton). So a device that lacks an effect which the others have has a coefficient near
+zero where theirs is not, and one that has a further effect the other way round. A noise σ of r degrees of freedom is
+compared by σ^(2/3), nearly normal with the relative variance 2/(9r).
+
+The family-wise error is stated: over all devices and quantities, one plain fleet in a hundred has an odd device.
+Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood); F. E. Satterthwaite, Biometrics
+Bull. 2 (1946) 110; E. B. Wilson and M. M. Hilferty, Proc. Natl. Acad. Sci. 17 (1931) 684.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+import pyarrow.dataset as pads
 from jaxtyping import Float
 from scipy import stats
 from scipy.optimize import brentq
 
-from bayescal._core.settings import settings
 from bayescal.workshop import number, unit_label
 
-# Devices of so small a posterior predictive p, expected by chance in the whole fleet, below which a device is said not
-# to be like the others: one fleet in a hundred has such a device by chance.
-STANDS_OUT_EXPECTED = 0.01
-# Share of the devices up to which those that have an effect, or lack one, are named one by one.
-FEW_SHARE = 0.1
-
-NORMAL, EFFICIENCY = (
-    0.67449,
-    0.37,
-)  # median |z| of a normal distribution, and how much as a scale it says
+# Probability that a fleet of like devices has one that is named; shared by all devices and quantities (C. Bonferroni).
+FAMILY_WISE_ERROR = 0.01
+FEWEST_DEVICES = 4  # devices, of fewer none is compared
+ROUNDS = 50  # until nothing changes, at most
 NOISE = "noise."  # what begins so is a standard deviation
-ROUNDED = 1.0  # °C, to which reference temperatures agree that are no different
+SAME_TEMPERATURE = 1.0  # °C, standard deviation of reference temperatures that are no different
 
 
-def beyond(
-    values: Float[np.ndarray, "n"], variance: Float[np.ndarray, "n"]
-) -> tuple[Float[np.ndarray, "n"], float]:
-    """Two-sided p of each value as one of the others', and their median.
+def odd_devices(results: pads.Dataset, facts: pd.DataFrame) -> dict[str, list[str]]:
+    """Return the devices of which a quantity is not like the others', and what is said of each.
+
+    One unknown is read after the other, for a process may not hold all.
+
+    Args:
+        results: rows of `device`, `coefficient`, `mean`, `sd`, `unit` and `ok`, of one model.
+        facts: one row a device, by its name: how many readings it has, and its reference temperature T0, °C.
+    """
+    good = pads.field("ok")
+    facts = facts.loc[results.to_table(["device"], filter=good)["device"].unique().to_pylist()]
+    held = results.to_table(["coefficient"], filter=good)["coefficient"].value_counts().to_pylist()
+    names = [one["values"] for one in held if one["counts"] == len(facts)]
+    names = [name for name in names if "[" not in name]
+    least = FAMILY_WISE_ERROR / max(1, len(facts) * (len(names) + 1))
+    odd: dict[str, list[str]] = {}
+    t0 = facts["T0"].dropna()
+    p, middle = predicted(t0.to_numpy(), np.full(len(t0), SAME_TEMPERATURE**2), np.inf, least)
+    far = t0.loc[p < least]
+    elsewhere = dict(zip(map(str, far.index), far, strict=True))
+    for device, own in elsewhere.items():
+        said = f"measured about {number(own)} °C, the others about {number(middle)} °C"
+        odd[device] = [f"{said}: its values are not compared"]
+    for name in names:
+        of = good & (pads.field("coefficient") == name)
+        rows = results.to_table(["device", "mean", "sd", "unit"], filter=of, use_threads=False)
+        own = rows.to_pandas().set_index("device").drop(elsewhere, errors="ignore")
+        devices, mean = own.index.tolist(), own["mean"].to_numpy()
+        readings = facts["readings"].loc[devices].fillna(0).to_numpy()
+        variance, power = own["sd"].fillna(0.0).to_numpy() ** 2, 1.0
+        freedom = np.maximum(readings - len(names) + 1, 1.0)
+        if name.startswith(NOISE):
+            power, mean = 2 / 3, np.abs(mean)
+            variance, freedom = np.median(mean) ** (2 * power) * 2 / (9 * freedom), np.inf
+        p, middle = predicted(mean**power if power < 1 else mean, variance, freedom, least)
+        usual = number(abs(middle) ** (1 / power) if power < 1 else middle)
+        for i in np.flatnonzero(p < least).tolist():
+            said = (
+                f"{name} {number(mean[i])}, of the others {usual} {unit_label(own['unit'].iloc[0])}"
+            )
+            odd.setdefault(str(devices[i]), []).append(said.rstrip())
+    return odd
+
+
+class Predicted(NamedTuple):
+    """What the others of a fleet let one expect of each device: two-sided p of its value, and their mean."""
+
+    p: Float[np.ndarray, "n"]
+    mean: float
+
+
+def predicted(
+    values: Float[np.ndarray, "n"],
+    variance: Float[np.ndarray, "n"],
+    freedom: Float[np.ndarray, "n"] | float,
+    least: float,
+) -> Predicted:
+    """Compare each value with what those that are alike let one expect.
 
     Args:
         values: one of each device.
         variance: of each, as it is known by itself.
+        freedom: degrees of freedom that these variances are known by.
+        least: p below which a value is none of these.
     """
-    if not len(values):
-        return np.ones(0), math.nan
-    middle = float(np.median(values))
-    away = np.abs(values - middle)
-
-    def excess(between: float) -> float:
-        """Of the median |z| over that of a standard normal distribution."""
-        return float(np.median(away / np.sqrt(between + variance))) - NORMAL
-
-    # What the devices differ by beside what each is uncertain by: none where that alone explains their scatter.
-    between, most = 0.0, float(np.median(away) / NORMAL) ** 2
-    if most > 0 and (np.median(variance) <= 0 or excess(0.0) > 0):
-        least = 1e-12 * most
-        between = brentq(excess, least, most) if excess(least) > 0 > excess(most) else most
-    with np.errstate(divide="ignore", invalid="ignore"):
-        z = np.nan_to_num(away / np.sqrt(between + variance), nan=0.0)
-    return 2 * stats.t.sf(z, EFFICIENCY * (len(values) - 1)), middle
-
-
-class Values(NamedTuple):
-    """One unknown of several devices.
-
-    Attributes:
-        devices: their names.
-        mean, sd: of the unknown, in `unit`; sd is NaN where it was held at its estimate.
-        unit: of both.
-    """
-
-    devices: Sequence[str]
-    mean: np.ndarray
-    sd: np.ndarray
-    unit: str
+    p, mean = np.ones(len(values)), float("nan")
+    if len(values) < FEWEST_DEVICES:
+        return Predicted(p, mean)
+    digits = np.finfo(float).eps * float(np.max(np.abs(values)))
+    variance = np.maximum(variance, max(digits**2, 1e-200))
+    away = np.abs(values - np.median(values))
+    alike = away <= np.sort(away)[max(FEWEST_DEVICES, len(values) // 2 + 1) - 1]
+    for _ in range(ROUNDS):
+        mean, between, weight = population(values[alike], variance[alike])
+        # Of one among them its own part is taken off: of the mean, and by a step of Newton of τ².
+        own = np.where(alike, 1 / (between + variance), 0.0)
+        away = (values - mean) / (1 - own / weight.sum())
+        curvature = weight @ weight - own**2
+        pull = own**2 * (values - mean) ** 2 / (1 - own / weight.sum()) - own
+        total = np.maximum(between - pull / curvature, 0.0) + variance
+        count = len(weight) - alike
+        known = count / (count - 1) / curvature + variance**2 / freedom
+        t = np.abs(away) / np.sqrt(total + 1 / (weight.sum() - own))
+        p = 2 * stats.t.sf(t, total**2 / known)
+        now = p >= least
+        if now.sum() < FEWEST_DEVICES or (now == alike).all():
+            break
+        alike = now
+    return Predicted(p, mean)
 
 
-def odd_values(
-    names: Sequence[str], values: Callable[[str], Values], facts: pd.DataFrame
-) -> dict[str, list[str]]:
-    """Devices of which a value is not like the others', and what is said of each.
+def population(
+    values: Float[np.ndarray, "n"], variance: Float[np.ndarray, "n"]
+) -> tuple[float, float, Float[np.ndarray, "n"]]:
+    """Return mean, variance between, and weights of values of known variances, by restricted likelihood."""
 
-    Args:
-        names: of unknowns that all devices have.
-        values: gives them by name.
-        facts: one row a device, by its name: how many readings it has, and its reference temperature T0, °C.
-    """
-    least = STANDS_OUT_EXPECTED / max(1, len(facts) * (len(names) + 1))
-    odd: dict[str, list[str]] = {}
-    known = facts.loc[:, "T0"].dropna()
-    p, middle = beyond(known.to_numpy(), np.full(len(known), ROUNDED**2))
-    elsewhere = {str(known.index[i]): float(known.iloc[i]) for i in np.flatnonzero(p < least)}
-    for device, t0 in elsewhere.items():
-        said = f"measured about {number(t0)} °C, the others about {number(middle)} °C"
-        odd[device] = [f"{said}: its values are not compared"]
-    for name in names:
-        own, noise = values(name), name.startswith(NOISE)
-        here = [i for i, device in enumerate(own.devices) if device not in elsewhere]
-        devices, mean = [own.devices[i] for i in here], own.mean[here]
-        variance, power = np.nan_to_num(own.sd[here]) ** 2, 1.0
-        if noise:
-            power, mean = 2 / 3, np.abs(mean)
-            free = np.maximum(facts["readings"].loc[devices].to_numpy() - len(names), 1)
-            variance = np.median(mean) ** (2 * power) * 2 / (9 * free)
-        p, middle = beyond(mean**power if noise else mean, variance)
-        usual = number(middle ** (1 / power) if noise else middle)
-        for i in np.flatnonzero(p < least).tolist():
-            said = f"{name} {number(mean[i])}, of the others {usual} {unit_label(own.unit)}"
-            odd.setdefault(devices[i], []).append(said.rstrip())
-    return odd
+    def mean(between: float) -> tuple[float, np.ndarray]:
+        weight = 1 / (between + variance)
+        return float(weight @ values / weight.sum()), weight
 
+    def slope(between: float) -> float:
+        middle, weight = mean(between)
+        squares = weight**2 @ (values - middle) ** 2
+        return float(squares - weight.sum() + weight @ weight / weight.sum())
 
-def odd_effects(names: Sequence[str], shares: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Devices that have an effect which few have, or lack one which most have.
-
-    Args:
-        names: of the devices.
-        shares: of each effect: `share` of the devices that have it, and the probability that `each` does.
-    """
-    odd: dict[str, list[str]] = {}
-    few, found = FEW_SHARE, settings().found_probability
-    for effect, one in shares.items():
-        has, about = np.asarray(one.each), f"{one.expected:.0f} of {len(names)} devices"
-        if one.share <= few:
-            for i in np.flatnonzero(has >= found).tolist():
-                odd.setdefault(names[i], []).append(f"has {effect}, as about {about}")
-        elif one.share >= 1 - few:
-            for i in np.flatnonzero(has <= 1 - found).tolist():
-                odd.setdefault(names[i], []).append(f"lacks {effect}, which about {about} have")
-    return odd
+    most = 2 * float(np.ptp(values)) ** 2 + float(np.min(variance))
+    least = 1e-12 * most
+    between = least if slope(least) <= 0 else float(brentq(slope, least, most))  # pyright: ignore
+    middle, weight = mean(between)
+    return middle, between, weight

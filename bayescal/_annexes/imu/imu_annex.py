@@ -147,20 +147,14 @@ def triad(
         raise InputError(
             f"--instrument {instrument}: it has one output; `bayescal calibrate` is for it"
         )
-    print_notes(readings.flags)
     with result_folder(asked.out) as folder:
         if not poses:
             readings = bc.poses(readings, chosen, shortest=asked.shortest)
             model = chosen.for_readings(readings).baseline()
-            print_notes(readings.flags)
-        untold = bc.undetermined(model, readings)
+        print_notes(readings.flags)
         if dry_run:
-            return Answer(str(untold))
-        if untold.add:
-            print_notes([str(untold)])
-        # Where poses leave directions open, chains would go through the priors of these for minutes.
-        method = bc.Marginal(chains=not untold.add)
-        trail, correction = _calibrated(model, readings, asked, method=method)
+            return Answer(str(bc.undetermined(model, readings)))
+        trail, correction = _calibrated(model, readings, asked)
         if folder is not None:
             with whole_folder(folder) as hidden:
                 _write(hidden, trail, correction, readings, asked.name)
@@ -218,6 +212,7 @@ def imu(
                 return bc.in_frame_of(own, log, first, forces, **long)
 
             its = bc.poses(log, field, **long)
+            print_notes(its.flags)
             model = field.for_readings(its).baseline()
             found["magnetometer"] = (*_calibrated(model, its, asked, turned), its)
         if folder is not None:
@@ -291,7 +286,6 @@ def _calibrated(
     readings: Any,
     asked: TriadOptions,
     turned: Callable[[Any], Any] = lambda correction: correction,
-    method: Any = None,
     left: int = 1,
 ) -> tuple[Any, Any]:
     """Search and correction, printed or to be printed as JSON.
@@ -301,10 +295,16 @@ def _calibrated(
         readings: of poses or moves.
         asked: what is.
         turned: takes the correction to other axes.
-        method: of the last fit.
         left: sensors of the unit that are not calibrated yet, and share the time.
     """
-    most = 0 if asked.baseline else MOST_ADDED
+    untold = bc.undetermined(model, readings)
+    if untold.add:
+        print_notes([str(untold)])
+    # Where poses leave directions open, chains would go through the priors of these for minutes; where they leave
+    # nothing to tell the noise by, so would draws.
+    few = len(readings) <= sum(len(e.coefficients) for e in model.effects)
+    method = bc.LeastSquares() if few else bc.Marginal(chains=not untold.add)
+    most = 0 if asked.baseline or few else MOST_ADDED
     with deadline.sooner(1 / left):
         trail = bc.calibrate(model, readings, method=method, seed=asked.seed, max_effects=most)
     correction = bc.vector_correction(trail.calibration)  # averaged over the structures

@@ -7,6 +7,7 @@ on first use.
 import lazy_loader
 
 import bayescal as bc
+from bayescal_models.local_gravity import ASSUMED
 
 COLUMNS = (
     bc.Column("run", None, "label of the run, or of the mounting", required=False),
@@ -16,6 +17,7 @@ COLUMNS = (
         "position_angle", "rad", "θ, set on the head; 0 with the axis level", low=-7.0, high=7.0
     ),
     bc.Column("output", "ug", "output, or V with the nominal scale"),
+    ASSUMED,
 )
 VOLTS = 1.3e-6  # V per µg: 1.3 mA/g over 1 kΩ
 NOMINAL_SCALE = bc.NominalScale("V", gain=VOLTS)

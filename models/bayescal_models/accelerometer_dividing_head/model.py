@@ -27,7 +27,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 import bayescal as bc
-from bayescal_models import catalogue
+from bayescal_models import catalogue, local_gravity
 from bayescal_models.accelerometer_dividing_head import COLUMNS, NOMINAL_SCALE
 from bayescal_models.accelerometer_dividing_head.campaign import Campaign
 from bayescal_models.accelerometer_dividing_head.simulator import simulated_columns
@@ -39,8 +39,9 @@ G = 1e6  # µg
 
 def _response(slots, r):
     angle = r["position_angle"] + slots["zero"]
-    a = jnp.sin(angle)
-    return _along(a, slots) + slots["cross_coupling"] * a * jnp.cos(angle)
+    gravity = 1 + slots["gravity"]
+    a, across = gravity * jnp.sin(angle), gravity * jnp.cos(angle)
+    return _along(a, slots) + slots["cross_coupling"] * a * across
 
 
 def _along(a, slots):
@@ -98,10 +99,12 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("second_order", "ug/g^2", "K2"),
         bc.Slot("third_order", "ug/g^3", "K3"),
         bc.Slot("cross_coupling", "ug/g^2", "Kip, with what acts along the pendulous axis"),
+        bc.Slot("gravity", "1", "relative deviation of local gravity from that assumed"),
     ),
     response=_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
+    nuisances=(local_gravity.uncertain("gravity"),),
     noise=bc.White(bc.HalfCauchy(10.0)),
     nominal_scale=NOMINAL_SCALE,
     structures=(

@@ -7,6 +7,7 @@ on first use.
 import lazy_loader
 
 import bayescal as bc
+from bayescal_models.local_gravity import ASSUMED
 from bayescal_models.triad.columns import OUTPUTS as OUTPUTS
 from bayescal_models.triad.columns import SESSION, made_in_poses, three
 
@@ -33,6 +34,7 @@ COLUMNS = (
         required=False,
     ),
     *made_in_poses("g"),
+    ASSUMED,
 )
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -17,6 +17,8 @@ poses within 10° of level determine the bias of z less its scale and little els
 its prior's width. K2 and cross terms of 1 mg/g² move |f| by less than 0.5 mg,
 K3 of 1 mg/g³ beside the scale factor by less than 0.3 mg.
 
+A local gravity that nobody stated makes all three scale factors uncertain alike (`magnitude.local_gravity`).
+
 Noise: white, one standard deviation for all three axes.
 """
 
@@ -25,6 +27,7 @@ from __future__ import annotations
 from typing import Any
 
 import bayescal as bc
+from bayescal_models import local_gravity
 from bayescal_models.accelerometer_triad import COLUMNS, OUTPUTS
 from bayescal_models.accelerometer_triad.simulator import simulated_columns
 from bayescal_models.catalogue import EffectTable
@@ -104,6 +107,7 @@ INSTRUMENT = bc.Instrument(
     response=_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
+    nuisances=(local_gravity.uncertain("magnitude", 1e-3 * local_gravity.PPM, "mg"),),
     noise=bc.White(bc.HalfCauchy(1e-3)),
     simulator=simulated_columns,
     experiments=experiments(1.0),

@@ -7,6 +7,7 @@ on first use.
 import lazy_loader
 
 import bayescal as bc
+from bayescal_models.local_gravity import ASSUMED
 from bayescal_models.supply import SUPPLY
 
 COLUMNS = (
@@ -19,6 +20,7 @@ COLUMNS = (
     bc.Column("position_angle", "rad", "θ, to which the face is turned", low=-7.0, high=7.0),
     bc.Column("tilt", "rad", "γ, of the face", low=-3.2, high=3.2),
     bc.Column("output", "ug", "output, or V with the nominal scale"),
+    ASSUMED,
 )
 VOLTS = 5e-4  # V per µg: 5 V at 10 mg, ours
 NOMINAL_SCALE = bc.NominalScale("V", gain=VOLTS)

@@ -44,7 +44,7 @@ from jaxtyping import Array, Float
 
 import bayescal as bc
 from bayescal import effects
-from bayescal_models import catalogue
+from bayescal_models import catalogue, local_gravity
 from bayescal_models.catalogue import (
     HOUR,
     MINUTE,
@@ -113,6 +113,7 @@ def _response(slots, r):
         slots["base_tilt_parallel"],
         slots["base_tilt_perp"],
     )
+    a, ap = a * (1 + slots["gravity"]), ap * (1 + slots["gravity"])
     mg = a / 1e3
     return (
         slots["bias"]
@@ -359,10 +360,12 @@ INSTRUMENT = bc.Instrument(
         bc.Slot("third_order", "ug/mg^3", "K3"),
         bc.Slot("cross_coupling", "1/g", "Kip, the pendulous axis along the face's normal"),
         bc.Slot("rotation", "rad", "added to θ"),
+        bc.Slot("gravity", "1", "relative deviation of local gravity from that assumed"),
     ),
     response=_response,
     effects=EFFECTS.baseline,
     candidates=EFFECTS.candidates,
+    nuisances=(local_gravity.uncertain("gravity"),),
     noise=bc.White(bc.HalfCauchy(1.0)),
     nominal_scale=NOMINAL_SCALE,
     structures=(

@@ -51,7 +51,7 @@ from bayescal._tables.cells import ORDERS
 from bayescal._tables.mapping_file import save_mapping
 from bayescal._tables.open_table import TEXT
 from bayescal._tables.raw_table import bytes_text
-from bayescal.workshop import STANDARD_GRAVITY, expected_columns, open_table, pretty, unit_label
+from bayescal.workshop import expected_columns, open_table, pretty, unit_label
 
 SERIES = (  # of a step's errors: name, marker, colour (None: the ground's blue)
     ("as fitted", "circle", None),
@@ -692,7 +692,11 @@ def other_fields() -> dict[str, Any]:
         "nominal_scale": field(text, "nominal scale", placeholder="250 V/g", width=110),
         "nominal_zero": field(text, "nominal zero", placeholder="1.21 V", width=110),
         "local_gravity": field(
-            pn.widgets.FloatInput, "local gravity [m/s²]", value=STANDARD_GRAVITY, width=130
+            pn.widgets.FloatInput,
+            "local gravity [m/s²]",
+            value=None,
+            placeholder="9.80665, uncertain",
+            width=130,
         ),
         "missing": field(choose, "missing readings", options=list(MISSING_READINGS), width=110),
         "decimal": field(choose, "decimal sign", options={"as found": "", ".": ".", ",": ","}),

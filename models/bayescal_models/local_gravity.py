@@ -1,0 +1,49 @@
+"""Local gravity that nobody stated: by how much a test in it may be off.
+
+At sea level gravity is 9.780 m/s² at the equator and 9.832 m/s² at a pole. Outputs in m/s² that were divided by a
+standard value are off by one factor, of which nothing more is known: a rectangular distribution (JCGM 100:2008, 4.3.7),
+whose standard deviation is 0.052/√12 m/s², 1.53 · 10⁻³ of it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bayescal as bc
+
+PPM = 1530.0  # relative standard uncertainty
+ASSUMED = bc.Column(
+    "assumed_gravity",
+    "1",
+    "1 where the output was divided by a local gravity that nobody stated",
+    required=False,
+    low=0.0,
+    high=1.0,
+)
+
+
+def uncertain(slot: str, size: float = PPM, unit: str = "ppm") -> bc.Effect:
+    """Return the nuisance of an instrument that gravity acts on.
+
+    Args:
+        slot: what acts, or its relative deviation.
+        size, unit: standard uncertainty of that.
+    """
+    return bc.Effect(
+        f"{slot}.local_gravity",
+        slot,
+        _where_assumed,
+        coefficients=(bc.Coefficient(unit, bc.Normal(0.0, size)),),
+        equation="c,  by which local gravity differs from that assumed",
+        source="normal gravity of the Geodetic Reference System 1980, taken as rectangular (JCGM 100:2008)",
+        untestable=_stated,
+    )
+
+
+def _where_assumed(r: bc.Frame) -> Any:
+    return r[ASSUMED.name] if ASSUMED.name in r.columns else 0.0 * r.step
+
+
+def _stated(readings: bc.Measurements) -> str | None:
+    known = not readings.has(ASSUMED.name) or not readings[ASSUMED.name].any()
+    return "needs outputs in m/s² and an unknown local gravity" if known else None
