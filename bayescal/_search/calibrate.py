@@ -55,7 +55,7 @@ from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search, ShownStructure
 from bayescal._search.search_path import Gate, SearchPath, Step
 from bayescal._search.structure_average import averaged
-from bayescal._search.structures import Structure, Structures
+from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
 from bayescal._search.walk import STOPPED, path
 
 QUICK = LeastSquares(draws=500)
@@ -176,7 +176,7 @@ class Loop:
         before = time.monotonic()
         # Where nothing is looked for, nothing is weighed.
         looked_at = model.effects if self.max_effects > 0 else ()
-        given = [e for e in looked_at if self._weighed_anew(e, model)]
+        given = [e for e in looked_at if self.weighs(e, model)]
         model = reduce(sub, given, model)
         first = self.step(model, method=self.quick(model))
         now = time.monotonic()
@@ -185,12 +185,13 @@ class Loop:
         reference = first.calibration.reference
         return replace(self, max_effects=most, reference=reference, **taken), first
 
-    def _weighed_anew(self, effect: Effect, model: Model) -> bool:
+    def weighs(self, effect: Effect, model: Model, further: Collection[str] = ()) -> bool:
+        """Return whether an effect of a model is weighed anew; `further` candidates are, beside the instrument's."""
         instrument, readings = model.instrument, self.readings
         if effect.is_placeholder:
             return effect.name in {e.name for e in placeholders(model, readings)}
         on_the_way = {e.name for e in instrument.effects} <= {*model.names}
-        catalogued = {*instrument.known} - {e.name for e in instrument.effects}
+        catalogued = {*instrument.known, *further} - {e.name for e in instrument.effects}
         free = (model - effect).fixed == model.fixed
         testable_here = testable(effect, readings) is None
         return on_the_way and effect.name in catalogued and free and testable_here
@@ -204,7 +205,7 @@ class Loop:
         if not c.verdict.ok or (fixed is not None and fixed.wrong):
             loop, widen_noise = replace(self, max_effects=0), False
         # Of the same name as one of the catalogue, the given one counts: its size may be the user's own.
-        named = [e for e in self.given if not e.is_placeholder]
+        named = [e for e in self.given if not (e.is_placeholder or as_catalogued(e, c.model))]
         structures, shut = structures_over(
             c.model, self.readings, c.reference, effects=(*effects, *named), widen_noise=widen_noise
         )
@@ -347,15 +348,29 @@ class Loop:
                 replace(s, discovery=discovery_at(library, at, shut, stopped))
                 for s, at in zip(steps, way, strict=False)
             ]
-            why = ENDED if stopped else self.incomplete(steps)
-            if (last := steps[-1].discovery) and why:
-                steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
+        return self.averaged(steps, structures, way[-1].noise, stopped)
+
+    def averaged(
+        self, steps: Sequence[Step], structures: Structures, noise: str, stopped: str = ""
+    ) -> SearchPath:
+        """Judge the last of some steps, and average it over the structures that were weighed.
+
+        Args:
+            steps: on the way to the structure that the posterior chooses, each with what is missing from it.
+            structures: that were weighed.
+            noise: law of the last step.
+            stopped: why the search ended early; empty where it did not.
+        """
+        steps = list(steps)
+        if found := steps[-1].discovery:
+            if why := ENDED if stopped else self.incomplete(steps):
+                steps[-1] = replace(steps[-1], discovery=found.not_stated(why))
             steps[-1] = self.said_of_given(steps[-1])
         last, shares = steps[-1].calibration, ()
         used = last
         if self.max_effects > 0 and last.verdict.ok:
             with suppress(TimeIsUp):  # what is used of it is an average over the structures
-                used, shares = averaged(last, structures, way[len(steps) - 1].noise, self.seed)
+                used, shares = averaged(last, structures, noise, self.seed)
         steps[-1] = self.held_against(steps[-1], used, structures)
         trail = self.trail(steps, structures, complete=not stopped, stopped=stopped)
         if used is last:
@@ -533,6 +548,19 @@ def step_of(
             *too_different(calibration, accepted),
             *following_members(calibration, accepted),
         ),
+    )
+
+
+def as_catalogued(effect: Effect, model: Model) -> bool:
+    """Return whether an effect is the instrument's own at a size that its evidence is averaged over."""
+    known = model.instrument.known.get(effect.name)
+    first = effect.coefficients[0]
+    if known is None or first.flat or effect == known:
+        return effect == known
+    factor = round(first.size / known.coefficients[0].size, 9)
+    return (
+        factor in SIZE_FACTORS
+        and (model + known).resize(known.name, first.size).effect(known.name) == effect
     )
 
 

@@ -43,7 +43,6 @@ from bayescal import (
 from bayescal._calibration.posterior_tree import build_tree
 from bayescal._calibration.storage import save
 from bayescal._inference.method import Method
-from bayescal._model.effect import with_forms
 from bayescal._model.formula import Formula
 from bayescal._model.frame import Reference
 from bayescal._model.installed import GROUP, installed_names
@@ -325,12 +324,13 @@ class State:
         return self.step.calibration.model
 
     @property
-    def sized(self) -> dict[str, Effect]:
-        """What a look would add of the instrument's effects, by name, at the sizes likeliest beside each other."""
-        known = {e.name for e in with_forms(self.model.instrument.candidates)}
-        return {
-            e.name: e for e in (self.discovery.best if self.discovery else ()) if e.name in known
-        }
+    def offered(self) -> dict[str, Effect]:
+        """Effects that a look offers, by the name that it reports: in the likeliest form, those found at their size."""
+        if self.discovery is None:
+            return {}
+        known, found = self.model.instrument.known, self.discovery
+        forms = {c.effect: known[c.form] for c in found.candidates if c.form in known}
+        return {**forms, **{e.reported: e for e in found.best if not e.is_placeholder}}
 
 
 def path_to(states: Mapping[int, Any], number: int) -> list[int]:

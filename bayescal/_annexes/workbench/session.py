@@ -9,15 +9,16 @@ from __future__ import annotations
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from functools import partialmethod
+from functools import partialmethod, reduce
 from itertools import pairwise
+from operator import sub
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,11 +36,11 @@ from bayescal import (
     NotDrawn,
     Preview,
     SearchPath,
+    TimeIsUp,
     budget,
     compare,
     compensator,
     describe,
-    discover,
     report,
     set_aside,
 )
@@ -52,13 +53,14 @@ from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_
 from bayescal._calibration.summary import unknown_rows
 from bayescal._core import deadline
 from bayescal._report.section import of_folder
-from bayescal._search.calibrate import Loop, step_of
-from bayescal._search.discover import discovery_at
+from bayescal._search.calibrate import Loop, as_catalogued, step_of
+from bayescal._search.candidate import Candidate
+from bayescal._search.discover import ENDED, discovery_at
 from bayescal._search.gate import judged
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.own_files import refuse_unnamed, user_effects
-from bayescal._search.posterior import Posterior, Search, ShownStructure
+from bayescal._search.posterior import Posterior
 from bayescal._search.preview import Previews
 from bayescal._search.search_path import Step
 from bayescal._search.structures import Structure
@@ -97,7 +99,7 @@ def changed(
         model: before it.
         kind: one of `KINDS`.
         arguments: as many as that says.
-        own: effects that are not as the instrument states them, by name.
+        own: effects that are not as the instrument states them, by the name under which they are asked for.
         laws: noise laws, by name.
 
     Raises:
@@ -109,7 +111,8 @@ def changed(
         raise InputError(f"{kind!r} with {len(arguments)} argument(s) is none of: {takes}")
     name = str(arguments[0])
     if kind == "add":
-        return Change(model + own.get(name, name), added=name)
+        effect = own.get(name) or model.instrument.effect(name)
+        return Change(model + effect, added=effect.name)
     if kind == "take_out":
         return Change(model - name, in_words=f"− {name}")
     if kind == "free":
@@ -125,6 +128,40 @@ def changed(
     unit = unit_label(model.effect(name).coefficients[0].unit)
     size = f"{number(value)} {unit}".rstrip()
     return Change(model.resize(name, value), in_words=f"{name} of plausible size {size}")
+
+
+KEPT_WEIGHINGS = 4  # the latest
+
+
+class Weighing(NamedTuple):
+    """Structures weighed over one model, and what a search chose among them.
+
+    Attributes:
+        loop, first: how, and the step of that model.
+        library: with the structures.
+        shut: candidates that the readings cannot test.
+        resized: effects of a size that the user stated.
+        stopped: why the search ended early; empty where it did not.
+        chosen: the structure to use.
+        seconds: that it took.
+    """
+
+    loop: Loop
+    first: Step
+    library: Library
+    shut: list[Candidate]
+    resized: list[Effect]
+    stopped: str
+    chosen: Structure
+    seconds: float
+
+    def of(self, model: Model, resized: list[Effect]) -> bool:
+        return self.first.calibration.model == model and self.resized == resized
+
+    def missing(self, at: Structure) -> Discovery:
+        """What is missing from one of the structures."""
+        found = discovery_at(self.library, at, self.shut, self.stopped)
+        return found.not_stated(ENDED) if self.stopped else found
 
 
 SUFFIXES = {
@@ -164,13 +201,14 @@ class Session:
     _at: int = 0
     _been: list[int] = field(default_factory=list)  # current states before this one, the last last
     _previews: dict[int, Previews] = field(default_factory=dict)
-    _seeds: dict[int, tuple[ShownStructure, ...]] = field(default_factory=dict)
-    _finals: dict[int, Step] = field(default_factory=dict)
+    _weighings: list[Weighing] = field(default_factory=list)
+    _followers: list[Callable[[SearchPath], None]] = field(default_factory=list)
+    _trails: dict[int, SearchPath] = field(default_factory=dict)
     _decisions: dict[int, Decisions] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
     _fitting: threading.Lock = field(default_factory=threading.Lock)
     _beside: threading.RLock = field(default_factory=threading.RLock)
-    _looking: threading.Lock = field(default_factory=threading.Lock)
+    _looking: threading.RLock = field(default_factory=threading.RLock)  # of the structures weighed
     _ending: threading.Event = field(default_factory=threading.Event)
 
     @classmethod
@@ -332,7 +370,7 @@ class Session:
     def preview(self, wanted: str | Effect) -> Preview:
         """What adding an effect to the current state would do: `bc.preview`, whose refusals it has; kept."""
         if isinstance(wanted, str):
-            wanted = self.current.sized.get(wanted, wanted)
+            wanted = self.current.offered.get(wanted, wanted)
         with self._beside:
             return self._previews_of(self.current).of(wanted)
 
@@ -348,13 +386,13 @@ class Session:
     def act(self, kind: str, *arguments: Any) -> State:
         """Change the current model, and fit it; the state that comes of it is the current one.
 
-        What a look found is added at the size that it found likeliest.
+        What a look found is added in the form and at the size that it found likeliest.
 
         Raises:
             ModelError, InputError: the model cannot be changed so.
         """
         state = self.current
-        wanted = changed(state.model, kind, arguments, {**self.own, **state.sized}, self.laws)
+        wanted = changed(state.model, kind, arguments, {**self.own, **state.offered}, self.laws)
         return self._become(wanted, state.number)
 
     add = partialmethod(act, "add")  # (effect)
@@ -365,20 +403,13 @@ class Session:
     noise = partialmethod(act, "noise")  # (name, of `laws`)
 
     def look(self) -> Discovery:
-        """What is missing from the current state, with probabilities: `bc.discover`; kept in the state."""
-        number, asked = self.current.number, self.settings
+        """What is missing from the current state, by the structures that were weighed; kept in the state."""
+        number = self.current.number
         with self._looking:  # another page may look for the same
-            state = self.states[number]
-            if state.discovery is not None:
-                return state.discovery
-            found = discover(
-                state.calibration,
-                effects=tuple(self.own.values()),
-                max_effects=asked.max_effects,
-                widen_noise=asked.widen_noise,
-                time_limit=asked.time_limit,
-            )
-            self._keep_found(number, found)
+            if (found := self.states[number].discovery) is None:
+                weighing, at = self._weighing(self.states[number])
+                found = weighing.missing(at)
+                self._keep_found(number, found)
         return found
 
     def find_all(self, follow: Callable[[SearchPath], None] = lambda _: None) -> None:
@@ -390,37 +421,91 @@ class Session:
             ModelError: nothing can be learnt from the current model.
         """
         self._ending.clear()
-        begin, loop = self.current, self._loop
-        first, freed = begin.step, loop.freed(begin.step)
-        if first.against and not freed:
-            raise ModelError(f"nothing is looked for: {' '.join(map(str, first.against))}")
-        more = (*self.own.values(), *freed)
-        loop = replace(loop, begun=time.monotonic())
-        loop, structures, shut = loop.open(first, more, self.settings.widen_noise)
+        begin = self.current
+        if begin.step.against and not self._loop.freed(begin.step):
+            raise ModelError(f"nothing is looked for: {' '.join(map(str, begin.step.against))}")
+        self._followers.append(follow)
+        try:
+            with self._looking:
+                weighing, at = self._weighing(begin, go_on=True)
+                loop, structures = weighing.loop, weighing.library.structures
+                self._keep_found(begin.number, weighing.missing(at))
+                steps, number = [begin.step], begin.number
+                for before, to in pairwise(path(weighing.library, weighing.chosen, at)):
+                    one = structures.weigh(to)
+                    how = loop.quick(one.sized_model)
+                    steps.append(loop.step(one.sized_model, before, to, method=how, start=one.phi))
+                    number = self._append(steps[-1], number, weighing.missing(to)).number
+                    follow(loop.trail(steps, structures, complete=False))
+        finally:
+            self._followers.remove(follow)
+
+    def _weighing(self, state: State, go_on: bool = False) -> tuple[Weighing, Structure]:
+        """Return the structures weighed that say what is missing from a state, and its own among them.
+
+        They differ by all that a search may add, so that states on the way to the model that it chooses share one
+        posterior with it, and with `calibrate`. What was added against that posterior is asserted: all of these hold
+        it.
+
+        Args:
+            state: which.
+            go_on: whether to go on with a search that was stopped.
+        """
+        model, first, loop = state.model, self.states[0], self._loop
+        more = (*self.own.values(), *loop.freed(first.step))
+        names = {e.name for e in more}
+        given = {e.name: e for e in model.effects if loop.weighs(e, model, names)}
+        core = reduce(sub, given.values(), model.with_noise(first.model.noise))
+        while True:
+            found = self._search(core, given.values(), more, go_on)
+            laws = {"": found.first.calibration.model.noise, **found.library.structures.laws}
+            law = next((n for n in ("", found.chosen.noise) if laws[n] == model.noise), None)
+            asserted = [n for n in given if n not in found.chosen.effects]
+            if given and not found.first.calibration.verdict.ok:
+                core, given = model, {}
+            elif law is None:
+                core = core.with_noise(model.noise)
+            elif asserted:
+                core = core + [given.pop(n) for n in asserted]
+            else:
+                return found, Structure(frozenset(given), law)
+
+    def _search(
+        self, core: Model, given: Collection[Effect], more: Sequence[Effect], go_on: bool
+    ) -> Weighing:
+        """Weigh structures over a model, beginning with its given effects; kept."""
+        known = {e.name: e for e in more}
+        resized = [
+            e
+            for e in given
+            if not (e.is_placeholder or known.get(e.name) == e or as_catalogued(e, core))
+        ]
+        loop = replace(self._loop, given=tuple(given), begun=time.monotonic())
+        kept = [w for w in self._weighings if w.of(core, resized)]
+        if kept and not (go_on and kept[0].stopped):
+            return kept[0]
+        if kept:
+            loop, first, library, shut = replace(kept[0].loop, begun=loop.begun), *kept[0][1:4]
+        else:
+            same = (s.step for s in self.states.values() if s.model == core)
+            first = next(same, None) or loop.step(core, method=loop.quick(core))
+            loop, structures, shut = loop.open(first, more, self.settings.widen_noise)
+            library = Library(structures)
 
         def tell() -> None:
-            follow(loop.trail([first], structures, complete=False))
+            for follow in tuple(self._followers):
+                follow(loop.trail([first], library.structures, complete=False))
             if self._ending.is_set():
                 raise KeyboardInterrupt  # ends the walk with the best so far, as Ctrl-C does
 
         with deadline.until(self.settings.time_limit):
-            seeds = self._seeds.get(begin.number, ())
-            library, stopped = loop.look(Library(structures), seeds, tell)
-        weighed = library.structures
-        self._seeds[begin.number] = Search.of(weighed, complete=not stopped).structures
-
-        def missing(at: Structure) -> Discovery | None:
-            able = first.calibration.verdict.ok
-            return discovery_at(library, at, shut, stopped) if able else None
-
-        way, steps, number = path(library, Posterior.of(weighed).chosen), [first], begin.number
-        self._keep_found(number, missing(way[0]))
-        for before, at in pairwise(way):
-            one = weighed.weigh(at)
-            how = loop.quick(one.sized_model)
-            steps.append(loop.step(one.sized_model, before, at, method=how, start=one.phi))
-            number = self._append(steps[-1], number, missing(at)).number
-            follow(loop.trail(steps, weighed, complete=False))
+            library, stopped = loop.look(library, (), tell)
+        chosen = Posterior.of(library.structures).chosen
+        seconds = time.monotonic() - loop.begun
+        made = Weighing(loop, first, library, shut, resized, stopped, chosen, seconds)
+        others = [w for w in self._weighings if w not in kept]
+        self._weighings = [*others[1 - KEPT_WEIGHINGS :], made]
+        return made
 
     def stop(self) -> None:
         """End `find_all` with the best so far."""
@@ -466,8 +551,8 @@ class Session:
             draft.unlink()
             raise
         self.own |= {e.name: e for e in found}
-        self._previews.clear()
-        self._seeds.clear()
+        for made in (self._previews, self._weighings, self._trails):
+            made.clear()
         with self._lock:
             files = (*self.origin.effect_files, str(draft.resolve()))
             self.origin = replace(self.origin, effect_files=files)
@@ -479,20 +564,40 @@ class Session:
         """Python that does what was clicked on the way to the current state, with equal numbers."""
         return self._script(self.path())
 
-    def final(self) -> Step:
-        """The current model fitted by the method that was asked for, as `calibrate` leaves its last; kept."""
+    def trail(self) -> SearchPath:
+        """The way to the current state as `calibrate` leaves one, its last model by the method asked for; kept.
+
+        Where nothing more is to be added, what is used of it is averaged over the structures weighed.
+        """
         state = self.current
         with self._fitting:
-            if state.number not in self._finals:
-                loop = self._loop
-                step = loop.step(state.model, method=loop.method)
-                step = replace(step, added=state.step.added, changed=state.step.changed)
-                self._finals[state.number] = step
-            return self._finals[state.number]
+            if state.number not in self._trails:
+                self._trails[state.number] = self._judged(state)
+            return self._trails[state.number]
+
+    def _judged(self, state: State) -> SearchPath:
+        loop, way = self._loop, self.path(state.number)
+        step = loop.step(state.model, method=loop.method, start=state.calibration.start or {})
+        step = replace(step, added=state.step.added, changed=state.step.changed)
+        weighed = None
+        if step.calibration.verdict.ok:
+            with suppress(TimeIsUp), self._looking:
+                weighed = self._weighing(state)
+                self._keep_found(state.number, weighed[0].missing(weighed[1]))
+                way = self.path(state.number)
+        steps = [*(s.step for s in way[:-1]), step]
+        steps = [replace(s, discovery=w.discovery) for s, w in zip(steps, way, strict=True)]
+        if weighed is None or weighed[1].effects != weighed[0].chosen.effects:
+            return SearchPath(*judged(steps), self.holdout)
+        weighing, at = weighed
+        loop = replace(weighing.loop, given=(), begun=time.monotonic() - weighing.seconds)
+        with self._looking:
+            structures = weighing.library.structures
+            return loop.averaged(steps, structures, at.noise, weighing.stopped)
 
     def verdict(self) -> str:
         """Whether the current model may be used as it is, and how its fit went."""
-        trail = self._trail()
+        trail = self.trail()
         said = "This result may be used." if trail.ok else "Not to be used as it is."
         told = (said, trail.gate.reason, str(trail.final.calibration.verdict))
         return "\n\n".join([*(textwrap.fill(t, WIDTH) for t in told if t), str(trail)])
@@ -515,11 +620,11 @@ class Session:
 
     def budget(self, at: Mapping[str, float]) -> Budget:
         """`bc.budget` of the current model."""
-        return budget(self.final().calibration, at)
+        return budget(self.trail().calibration, at)
 
     def decide(self, limits: Sequence[str], **how: Any) -> Decisions:
         """`bc.decide` about the current model; its report begins with it."""
-        number, found = self.current.number, decide(self._trail().calibration, limits, **how)
+        number, found = self.current.number, decide(self.trail().calibration, limits, **how)
         self._decisions[number] = found
         return found
 
@@ -601,16 +706,9 @@ class Session:
     def _script(self, way: list[State]) -> str:
         return script(way, self.origin, self.settings, self.folder.resolve())
 
-    def _trail(self) -> SearchPath:
-        """The way to the current state as `calibrate` leaves one: its last model by the method asked for."""
-        way, final = self.path(), self.final()
-        steps = [*(s.step for s in way[:-1]), final]
-        found = [replace(s, discovery=w.discovery) for s, w in zip(steps, way, strict=True)]
-        return SearchPath(*judged(found), self.holdout)
-
     def _result(self) -> tuple[Path, SearchPath]:
         """The current state's folder of results as `bayescal calibrate --out` leaves it, made anew; the trail in it."""
-        trail, number = self._trail(), self.current.number
+        trail, number = self.trail(), self.current.number
         folder = self.folder / f"result_{number:03d}"
         folder.mkdir(exist_ok=True)
         with suppress(
