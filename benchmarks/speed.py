@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 import bayescal as bc
 from bayescal_models import mems_gyro
@@ -161,10 +162,10 @@ def devices() -> Iterator[Row]:
     """Time ten thousand devices by `fit_batch`, and peers' loops on a sample, scaled."""
     device, t, output = lot()
     names = np.array([f"G{i:05d}" for i in range(DEVICES)])
-    readings = bc.Measurements.from_arrays(
-        mems_gyro.INSTRUMENT, device=names[device], temperature=T0 + t, output=output
-    )
-    split = bc.split_devices(readings, mems_gyro.INSTRUMENT)
+    columns = {"device": names[device], "temperature [degC]": T0 + t, "output [deg/s]": output}
+    with tempfile.TemporaryDirectory() as folder:
+        pd.DataFrame(columns).to_parquet(file := Path(folder) / "lot.parquet")
+        split = bc.split_devices(file, mems_gyro.INSTRUMENT)
     chosen = [names[i] for i in range(0, DEVICES, DEVICES // SAMPLE)]
     sd = np.zeros(0)
 
@@ -187,8 +188,7 @@ def devices() -> Iterator[Row]:
 
 def single() -> Iterator[Row]:
     """Time one fit by least squares of 600 readings."""
-    device, t, output = lot()
-    t, output = t[:600], output[:600] - 0.0 * device[:600]
+    t = lot()[1][:600]
     output = 2.0 + 0.03 * t + np.random.default_rng(5).normal(0.0, SCATTER, 600)
     readings = bc.Measurements.from_arrays(
         mems_gyro.INSTRUMENT, temperature=T0 + t, output=output, time=10.0 * np.arange(600.0)

@@ -94,7 +94,7 @@ def columns_of(posterior: xr.Dataset) -> dict[str, tuple[np.ndarray, str]]:
 
 def _diagnosed(values: np.ndarray) -> dict[str, float]:
     """Mean, sd and mcse of draws (chains, draws), with what is needed to trust them."""
-    axes = {"chain_axis": 0, "draw_axis": 1}
+    axes: Any = {"chain_axis": 0, "draw_axis": 1}
     found = {
         "mean": values.mean(),
         "sd": values.std(ddof=1),

@@ -61,7 +61,8 @@ def cases() -> Iterator[tuple[tuple[str, int], tuple[str, int]]]:
 def measure(case: tuple[str, int]) -> dict[str, Any]:
     """Return the row of a campaign."""
     name, seed = case
-    triad, hidden, kind = name.endswith("_triad"), dict[str, Any](), ""
+    hidden: Any = {}
+    triad, kind = name.endswith("_triad"), ""
     if seed % 2:
         turn, kinds = seed // (4 if triad else 2), tuple(SIZES[name])
         kind = kinds[turn % len(kinds)]

@@ -39,7 +39,7 @@ model holds lies within {AWAY:g} posterior standard deviations, and the error of
 {WORSE:g} times what it should be: the error of the true structure fitted to the record before it was spoilt, and
 the model's own stated standard uncertainty (at most {WIDE:g} times that one's), in squares. *Said*: refused, or the
 gate is shut, or a flag or an effect that was added names the cause. *Wrong*: neither, or an error that is no
-refusal. Cells: right / said / wrong.
+refusal. Cells: right/said/wrong.
 """
 
 
@@ -87,7 +87,7 @@ def verdicts(rows: Rows) -> Counter[str]:
 def _cell(rows: Rows, kind: str) -> str:
     own = [{**r, "kind": ""} for r in rows if r["kind"] == kind]
     count = verdicts(own)
-    return f"{count['right']} / {count['said']} / {count['wrong']}" if own else "–"
+    return f"{count['right']}/{count['said']}/{count['wrong']}" if own else "–"
 
 
 def _total(rows: Rows) -> str:
@@ -109,7 +109,7 @@ def render() -> pages.Texts:
     days = [row["day"] for rows in (*groups.values(), *further.values()) for row in rows]
     claims = [(kind, partial(_cell, kind=kind)) for kind in KINDS]
     every = [("all that are spoilt", _total), *claims]
-    sixty = pages.claims_table(further, [("right / said / wrong", _total)], "records")
+    sixty = pages.claims_table(further, [("right/said/wrong", _total)], "records")
     told = (
         "Sixty further kinds: faults of thermometer, clock, hold-out and logger; a random sample."
     )

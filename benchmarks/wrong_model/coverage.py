@@ -133,7 +133,7 @@ def _draws(calibration: bc.Calibration, slot: str, name: str) -> np.ndarray:
 
 BANKS = tuple(Bank(f"wrong_model_{name}", partial(cases, name), campaign) for name in WORLDS)
 # Two names of one function to first order.
-ONE = {"bias.rate": "bias.thermal_lag", "bias.rate_head": "bias.thermal_lag"} | {
+ONE: dict[str, str] = {"bias.rate": "bias.thermal_lag", "bias.rate_head": "bias.thermal_lag"} | {
     "scale.rate_head": "scale.thermal_lag"
 }
 

@@ -323,15 +323,6 @@ class State:
     def model(self) -> Model:
         return self.step.calibration.model
 
-    @property
-    def offered(self) -> dict[str, Effect]:
-        """Effects that a look offers, by the name that it reports: in the likeliest form, those found at their size."""
-        if self.discovery is None:
-            return {}
-        known, found = self.model.instrument.known, self.discovery
-        forms = {c.effect: known[c.form] for c in found.candidates if c.form in known}
-        return {**forms, **{e.reported: e for e in found.best if not e.is_placeholder}}
-
 
 def path_to(states: Mapping[int, Any], number: int) -> list[int]:
     """Numbers of the states from the first to one."""
@@ -536,7 +527,8 @@ LAST = """
 print(calibration)
 print(bc.check(calibration))
 
-# The fit that the report and exports are of.
+# By the method that was asked for. Where nothing more is to be added, the report and exports are of the average over
+# the structures weighed, as bc.calibrate(model, readings).calibration is.
 final = bc.fit(model, readings, {method}, {settings})
 print(final)
 """

@@ -18,7 +18,7 @@ from itertools import pairwise
 from operator import sub
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -52,6 +52,7 @@ from bayescal._annexes.workbench import kept
 from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_to, script
 from bayescal._calibration.summary import unknown_rows
 from bayescal._core import deadline
+from bayescal._model.effect import with_forms
 from bayescal._report.section import of_folder
 from bayescal._search.calibrate import Loop, as_catalogued, step_of
 from bayescal._search.candidate import Candidate
@@ -133,7 +134,8 @@ def changed(
 KEPT_WEIGHINGS = 4  # the latest
 
 
-class Weighing(NamedTuple):
+@dataclass(eq=False)
+class Weighing:
     """Structures weighed over one model, and what a search chose among them.
 
     Attributes:
@@ -151,12 +153,20 @@ class Weighing(NamedTuple):
     library: Library
     shut: list[Candidate]
     resized: list[Effect]
-    stopped: str
-    chosen: Structure
-    seconds: float
+    stopped: str = "not begun"
+    chosen: Structure = Structure()  # noqa: RUF009
+    seconds: float = 0.0
 
-    def of(self, model: Model, resized: list[Effect]) -> bool:
-        return self.first.calibration.model == model and self.resized == resized
+    def search(self, given: Collection[Effect], tell: Callable[[SearchPath], None]) -> None:
+        """Weigh what is not weighed yet, beginning with the given effects; `tell` is called with the trail so far."""
+        loop = replace(self.loop, given=tuple(given), begun=time.monotonic() - self.seconds)
+
+        def follow() -> None:
+            tell(loop.trail([self.first], self.library.structures, complete=False))
+
+        self.library, self.stopped = loop.look(self.library, (), follow)
+        self.chosen = Posterior.of(self.library.structures).chosen
+        self.seconds = time.monotonic() - loop.begun
 
     def missing(self, at: Structure) -> Discovery:
         """What is missing from one of the structures."""
@@ -370,7 +380,7 @@ class Session:
     def preview(self, wanted: str | Effect) -> Preview:
         """What adding an effect to the current state would do: `bc.preview`, whose refusals it has; kept."""
         if isinstance(wanted, str):
-            wanted = self.current.offered.get(wanted, wanted)
+            wanted = self._named().get(wanted, wanted)
         with self._beside:
             return self._previews_of(self.current).of(wanted)
 
@@ -392,8 +402,20 @@ class Session:
             ModelError, InputError: the model cannot be changed so.
         """
         state = self.current
-        wanted = changed(state.model, kind, arguments, {**self.own, **state.offered}, self.laws)
+        wanted = changed(state.model, kind, arguments, self._named(), self.laws)
         return self._become(wanted, state.number)
+
+    def _named(self) -> dict[str, Effect]:
+        """Effects by the name by which they are asked for that are not as the instrument states them.
+
+        The user's own; of what a look reports the likeliest form, at its likeliest size where it was found.
+        """
+        own = {e.name: e for e in with_forms(self.own.values())}
+        if (found := self.current.discovery) is None:
+            return own
+        known, best = self.current.model.instrument.effect, [e for e in found.best if not e.open]
+        forms = {c.effect: own.get(c.form) or known(c.form) for c in found.candidates if c.form}
+        return {**own, **forms, **{e.reported: e for e in best}, **{e.name: e for e in best}}
 
     add = partialmethod(act, "add")  # (effect)
     take_out = partialmethod(act, "take_out")  # (effect)
@@ -407,6 +429,7 @@ class Session:
         number = self.current.number
         with self._looking:  # another page may look for the same
             if (found := self.states[number].discovery) is None:
+                self._ending.clear()
                 weighing, at = self._weighing(self.states[number])
                 found = weighing.missing(at)
                 self._keep_found(number, found)
@@ -480,32 +503,28 @@ class Session:
             for e in given
             if not (e.is_placeholder or known.get(e.name) == e or as_catalogued(e, core))
         ]
-        loop = replace(self._loop, given=tuple(given), begun=time.monotonic())
-        kept = [w for w in self._weighings if w.of(core, resized)]
-        if kept and not (go_on and kept[0].stopped):
-            return kept[0]
-        if kept:
-            loop, first, library, shut = replace(kept[0].loop, begun=loop.begun), *kept[0][1:4]
-        else:
-            same = (s.step for s in self.states.values() if s.model == core)
-            first = next(same, None) or loop.step(core, method=loop.quick(core))
-            loop, structures, shut = loop.open(first, more, self.settings.widen_noise)
-            library = Library(structures)
 
-        def tell() -> None:
+        def tell(trail: SearchPath) -> None:
             for follow in tuple(self._followers):
-                follow(loop.trail([first], library.structures, complete=False))
+                follow(trail)
             if self._ending.is_set():
                 raise KeyboardInterrupt  # ends the walk with the best so far, as Ctrl-C does
 
-        with deadline.until(self.settings.time_limit):
-            library, stopped = loop.look(library, (), tell)
-        chosen = Posterior.of(library.structures).chosen
-        seconds = time.monotonic() - loop.begun
-        made = Weighing(loop, first, library, shut, resized, stopped, chosen, seconds)
-        others = [w for w in self._weighings if w not in kept]
-        self._weighings = [*others[1 - KEPT_WEIGHINGS :], made]
-        return made
+        for found in self._weighings:
+            if found.first.calibration.model == core and found.resized == resized:
+                break
+        else:
+            same = (s.step for s in self.states.values() if s.model == core)
+            first = next(same, None) or self._loop.step(core, method=self._loop.quick(core))
+            loop = replace(self._loop, given=tuple(given))
+            loop, structures, shut = loop.open(first, more, self.settings.widen_noise)
+            found, go_on = Weighing(loop, first, Library(structures), shut, resized), True
+        if found.stopped and go_on:
+            with deadline.until(self.settings.time_limit):
+                found.search(given, tell)
+            others = (w for w in self._weighings if w is not found)
+            self._weighings = [*others, found][-KEPT_WEIGHINGS:]
+        return found
 
     def stop(self) -> None:
         """End `find_all` with the best so far."""
