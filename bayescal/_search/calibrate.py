@@ -55,7 +55,7 @@ from bayescal._search.library import Library
 from bayescal._search.posterior import OtherPath, Posterior, Search, ShownStructure
 from bayescal._search.search_path import Gate, SearchPath, Step
 from bayescal._search.structure_average import averaged
-from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
+from bayescal._search.structures import Structure, Structures
 from bayescal._search.walk import STOPPED, path
 
 QUICK = LeastSquares(draws=500)
@@ -205,7 +205,7 @@ class Loop:
         if not c.verdict.ok or (fixed is not None and fixed.wrong):
             loop, widen_noise = replace(self, max_effects=0), False
         # Of the same name as one of the catalogue, the given one counts: its size may be the user's own.
-        named = [e for e in self.given if not (e.is_placeholder or as_catalogued(e, c.model))]
+        named = [e for e in self.given if not e.is_placeholder]
         structures, shut = structures_over(
             c.model, self.readings, c.reference, effects=(*effects, *named), widen_noise=widen_noise
         )
@@ -548,19 +548,6 @@ def step_of(
             *too_different(calibration, accepted),
             *following_members(calibration, accepted),
         ),
-    )
-
-
-def as_catalogued(effect: Effect, model: Model) -> bool:
-    """Return whether an effect is the instrument's own at a size that its evidence is averaged over."""
-    known = model.instrument.known.get(effect.name)
-    first = effect.coefficients[0]
-    if known is None or first.flat or effect == known:
-        return effect == known
-    factor = round(first.size / known.coefficients[0].size, 9)
-    return (
-        factor in SIZE_FACTORS
-        and (model + known).resize(known.name, first.size).effect(known.name) == effect
     )
 
 

@@ -92,15 +92,15 @@ BEHIND = {
         _report.whole_folder: AGAIN
         _search.calibrate: Loop QUICK step_of
         _search.candidate: Candidate
-        _search.discover: discovery_at
+        _search.discover: ENDED discovery_at
         _search.gate: judged
         _search.library: Library
         _search.noise_laws: laws_over
         _search.own_files: in_a_file refuse_unnamed user_effects
-        _search.posterior: Posterior Search ShownStructure
+        _search.posterior: Posterior
         _search.preview: Previews
         _search.search_path: Step steps_table
-        _search.structures: Structure
+        _search.structures: SIZE_FACTORS Structure
         _search.walk: path
         _tables.cells: ORDERS
         _tables.mapping_file: MAPPING save_mapping

@@ -54,7 +54,7 @@ from bayescal._calibration.summary import unknown_rows
 from bayescal._core import deadline
 from bayescal._model.effect import with_forms
 from bayescal._report.section import of_folder
-from bayescal._search.calibrate import Loop, as_catalogued, step_of
+from bayescal._search.calibrate import Loop, step_of
 from bayescal._search.candidate import Candidate
 from bayescal._search.discover import ENDED, discovery_at
 from bayescal._search.gate import judged
@@ -64,7 +64,7 @@ from bayescal._search.own_files import refuse_unnamed, user_effects
 from bayescal._search.posterior import Posterior
 from bayescal._search.preview import Previews
 from bayescal._search.search_path import Step
-from bayescal._search.structures import Structure
+from bayescal._search.structures import SIZE_FACTORS, Structure
 from bayescal._search.walk import path
 from bayescal._use import correction_files
 from bayescal.workshop import WIDTH, number, plain_table, save_search, unit_label
@@ -142,7 +142,6 @@ class Weighing:
         loop, first: how, and the step of that model.
         library: with the structures.
         shut: candidates that the readings cannot test.
-        resized: effects of a size that the user stated.
         stopped: why the search ended early; empty where it did not.
         chosen: the structure to use.
         seconds: that it took.
@@ -152,7 +151,6 @@ class Weighing:
     first: Step
     library: Library
     shut: list[Candidate]
-    resized: list[Effect]
     stopped: str = "not begun"
     chosen: Structure = Structure()  # noqa: RUF009
     seconds: float = 0.0
@@ -172,6 +170,13 @@ class Weighing:
         """What is missing from one of the structures."""
         found = discovery_at(self.library, at, self.shut, self.stopped)
         return found.not_stated(ENDED) if self.stopped else found
+
+
+def _as_searched(effect: Effect, known: Effect) -> bool:
+    """Return whether an effect is as known, or has one of the sizes that its evidence is averaged over."""
+    first = known.coefficients[0]
+    factor = 1.0 if first.flat else effect.coefficients[0].size / first.size
+    return effect == known or round(factor, 9) in SIZE_FACTORS
 
 
 SUFFIXES = {
@@ -467,8 +472,8 @@ class Session:
         """Return the structures weighed that say what is missing from a state, and its own among them.
 
         They differ by all that a search may add, so that states on the way to the model that it chooses share one
-        posterior with it, and with `calibrate`. What was added against that posterior is asserted: all of these hold
-        it.
+        posterior with it, and with `calibrate`. What was added against that posterior, or has a size of the user's, is
+        asserted: all of these hold it.
 
         Args:
             state: which.
@@ -476,8 +481,9 @@ class Session:
         """
         model, first, loop = state.model, self.states[0], self._loop
         more = (*self.own.values(), *loop.freed(first.step))
-        names = {e.name for e in more}
-        given = {e.name: e for e in model.effects if loop.weighs(e, model, names)}
+        known = {**model.instrument.known, **{e.name: e for e in more}}
+        weighed = (e for e in model.effects if loop.weighs(e, model, known))
+        given = {e.name: e for e in weighed if e.is_placeholder or _as_searched(e, known[e.name])}
         core = reduce(sub, given.values(), model.with_noise(first.model.noise))
         while True:
             found = self._search(core, given.values(), more, go_on)
@@ -497,12 +503,6 @@ class Session:
         self, core: Model, given: Collection[Effect], more: Sequence[Effect], go_on: bool
     ) -> Weighing:
         """Weigh structures over a model, beginning with its given effects; kept."""
-        known = {e.name: e for e in more}
-        resized = [
-            e
-            for e in given
-            if not (e.is_placeholder or known.get(e.name) == e or as_catalogued(e, core))
-        ]
 
         def tell(trail: SearchPath) -> None:
             for follow in tuple(self._followers):
@@ -511,14 +511,13 @@ class Session:
                 raise KeyboardInterrupt  # ends the walk with the best so far, as Ctrl-C does
 
         for found in self._weighings:
-            if found.first.calibration.model == core and found.resized == resized:
+            if found.first.calibration.model == core:
                 break
         else:
-            same = (s.step for s in self.states.values() if s.model == core)
-            first = next(same, None) or self._loop.step(core, method=self._loop.quick(core))
-            loop = replace(self._loop, given=tuple(given))
+            same, loop = (s.step for s in self.states.values() if s.model == core), self._loop
+            first = next(same, None) or loop.step(core, method=loop.quick(core))
             loop, structures, shut = loop.open(first, more, self.settings.widen_noise)
-            found, go_on = Weighing(loop, first, Library(structures), shut, resized), True
+            found, go_on = Weighing(loop, first, Library(structures), shut), True
         if found.stopped and go_on:
             with deadline.until(self.settings.time_limit):
                 found.search(given, tell)
