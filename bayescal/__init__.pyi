@@ -18,8 +18,6 @@ from ._search.next_experiment import next_experiment as next_experiment
 from ._search.undetermined import undetermined as undetermined
 from ._search.draft_effect import shape_of as shape_of
 from ._search.draft_effect import draft_effect as draft_effect
-from ._search.describe import Draft as Draft
-from ._search.describe import describe as describe
 
 # an instrument of one's own, tried on itself
 from ._search.check_instrument import check_instrument as check_instrument

@@ -21,7 +21,7 @@ pytestmark = [needs_installation, pytest.mark.nightly]
 SIZES = {390: 844, 768: 1024, 1024: 768, 1280: 800, 1920: 1080}
 TABS = (
     *("The error", "Side by side", "Verdict", "Budget", "Decision", "Next experiment"),
-    *("Allan deviation", "Report", "Export", "Python", "File", "Describe"),
+    *("Allan deviation", "Report", "Export", "Python", "File", "Own effect"),
 )
 SHOWN = {  # by the docs
     "start light 1280": "start",

@@ -56,16 +56,11 @@ def test_an_effect_is_resized_and_taken_out(seen: Seen) -> None:
     seen.clean()
 
 
-def test_a_region_is_described_and_its_draft_added(seen: Seen) -> None:
-    seen.tab("Describe")
-    seen.page.get_by_label("column", exact=True).select_option("board_temperature")
-    low = seen.page.get_by_label("from [")
-    low.fill("60")
-    low.press("Tab")
-    seen.press("Select")
-    seen.page.get_by_text("readings selected").first.wait_for()
-    seen.press("Describe it")
-    seen.page.get_by_text(re.compile(r"In the \d+ selected readings")).wait_for()
+def test_an_unknown_dependence_is_drafted_and_the_draft_added(seen: Seen) -> None:
+    seen.add("unknown(board_temperature)")
+    seen.tab("Own effect")
+    seen.press("Draft it")
+    seen.page.get_by_text("Drafting").wait_for(state="hidden")
     code, load = seen.page.get_by_label("Draft of an effect"), "Load the effect"
     code.fill(re.sub(r'"bias\.\w+"', '"bias.mine"', code.input_value()))
     code.press("Tab")

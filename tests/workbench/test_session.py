@@ -133,17 +133,15 @@ def test_a_search_is_stopped_and_gone_on_with(session: Session) -> None:
     assert session.states[0].discovery is not None and not session.states[0].discovery.stopped
 
 
-def test_a_region_is_described_and_its_draft_tried(session: Session, campaign: Campaign) -> None:
-    rows = np.flatnonzero(campaign.readings["board_temperature"] > 60)
-    draft = session.describe(rows, "board_temperature")
-    assert draft.effect == "unknown(board_temperature)"
-    assert f"In the {len(rows)} selected readings (" in str(draft) and "rms" in str(draft)
-    code = draft.code.replace("bias.board_temperature", "bias.mine")
+def test_an_unknown_dependence_is_drafted_and_the_draft_tried(session: Session) -> None:
+    with pytest.raises(bc.ModelError):
+        session.draft()
+    session.add("unknown(board_temperature)")
+    code = session.draft().replace("bias.board_temperature", "bias.mine")
+    session.go_to(0)
     (name,) = session.load_draft(code)
     assert session.preview(name).rms < session.current.step.rmse_fitted
     assert session.add(name).model.names[-1] == name
-    with pytest.raises(bc.InputError, match="select readings"):
-        session.describe([])
 
 
 def test_a_draft_runs_only_when_it_is_loaded_and_fails_in_words(session: Session) -> None:

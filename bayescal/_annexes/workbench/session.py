@@ -20,13 +20,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from bayescal import (
     BayescalError,
     Budget,
     Discovery,
-    Draft,
     Effect,
     InputError,
     Measurements,
@@ -40,7 +37,7 @@ from bayescal import (
     budget,
     compare,
     compensator,
-    describe,
+    draft_effect,
     report,
     set_aside,
 )
@@ -529,15 +526,17 @@ class Session:
         """End `find_all` with the best so far."""
         self._ending.set()
 
-    def describe(self, rows: Sequence[int] | np.ndarray, against: str = "") -> Draft:
-        """What selected readings (numbers from 0) show that the current model lacks, with the draft of an effect.
+    def draft(self) -> str:
+        """An effect in the place of an unknown dependence in the current model, as `bc.draft_effect` drafts it.
 
-        `against` is the covariate that they were selected along; empty: whichever explains them best.
+        Raises:
+            ModelError: the model has none.
         """
-        state = self.current
-        with self._beside:
-            previews = self._previews_of(state)
-            return describe(state.calibration, rows, against, previews=previews)
+        calibration = self.current.calibration
+        unknown = [e.name for e in calibration.model.effects if e.is_placeholder]
+        if not unknown:
+            raise ModelError("the model has no unknown dependence: add one, such as unknown(time)")
+        return draft_effect(calibration, unknown[-1])
 
     def typed(self, line: str) -> Effect:
         """The effect of a typed formula, as `bc.effect` takes it.

@@ -3,8 +3,8 @@
 The error is the tree of steps with the path so far, every step to go back to, the whole search with its progress.
 Behind it are questions to the current step, answered in text (verdict, comparison, budget, decisions, next
 experiment); the Allan deviation of the residuals; report, export and Python, as the command line writes them; a file
-dropped on the page, with what `calibrate` would say of it and one form for how it is to be read; a selected region,
-described, with the draft of an effect as code.
+dropped on the page, with what `calibrate` would say of it and one form for how it is to be read; an effect of one's
+own, drafted from an unknown dependence.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
 import panel as pn
 import panel.models.file_dropper  # its scripts come with the page
 from bokeh.models import ColumnDataSource, Legend, LegendItem, NumeralTickFormatter, Span
@@ -452,21 +451,12 @@ RUNS = (
 READ_IT = "I have read it: run it"
 
 
-class DescribePane(Pane):
-    """An unexplained pattern, from a region to an effect of one's own."""
+class OwnEffectPane(Pane):
+    """From an unknown dependence in the model to an effect of one's own."""
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
-        self._rows = np.array([], int)
-        self.by = field(pn.widgets.Select, "column", options=[], width=110)
-        self.low = field(pn.widgets.FloatInput, "from", width=110)
-        self.high = field(pn.widgets.FloatInput, "to", width=110)
-        self.region = button("Select", lambda _: self._select_region(), align="end")
-        self.describe = button(
-            "Describe it", lambda _: self._describe(), color="primary", disabled=True
-        )
-        self.chosen = words("", "small")
-        self.told = words("")
+        draft = lambda _: bench.run("Drafting …", self.session.draft, self._drafted)  # noqa: E731
         self.code = code_field(
             "Draft of an effect, to be edited", max_length=100_000, min_height=110
         )
@@ -475,52 +465,12 @@ class DescribePane(Pane):
         for one in (self.sure, self.code):
             one.param.watch(lambda _: self._open(), "value")
         self.code.param.watch(lambda _: setattr(self.sure, "value", []), "value")
-        self.by.param.watch(lambda _: self._ends(), "value")
-        left = column(
-            words("Drag over a panel, or give a region here.", "small"),
-            row(self.by, self.low, self.high, self.region),
-            self.chosen,
-            row(self.describe),
-            self.told,
-            kinds=("bare", "scrolls"),
-        )
-        right = column(self.code, row(words(RUNS, "small")), row(self.sure, self.load))
-        self.view = halves(left, right, even=True)
+        told = "An unknown dependence of the model, such as unknown(humidity), as an effect of your own."
+        below = row(words(RUNS, "small")), row(self.sure, self.load)
+        self.view = column(words(told, "small"), row(button("Draft it", draft)), self.code, *below)
 
-    def show(self, state: Any) -> None:
-        """Another state: the region stays, the draft does not."""
-        self._columns = self.bench.fails.shown.numbers
-        names = list(self._columns)
-        value = self.by.value if self.by.value in names else names[0]
-        self.by.param.update(options=names, value=value)
-        self._ends()
-        self.told.object, self.code.value, self.sure.value = "", "", []
-
-    def selected(self, rows: np.ndarray) -> None:
-        """Rows were brushed."""
-        self._rows = rows
-        self.describe.disabled = not rows.size
-        count = f"{rows.size:,} readings selected" if rows.size else "No reading is selected."
-        self.chosen.object = count
-
-    def _ends(self) -> None:
-        values, unit = self._columns.get(self.by.value, (np.array([0.0, 1.0]), ""))
-        self.low.label, self.high.label = f"from [{unit or '1'}]", f"to [{unit or '1'}]"
-        self.low.value, self.high.value = float(np.min(values)), float(np.max(values))
-
-    def _select_region(self) -> None:
-        values, _ = self._columns[self.by.value]
-        low, high = self.low.value, self.high.value
-        if low is not None and high is not None:
-            self.bench.fails.select(np.flatnonzero((values >= low) & (values <= high)))
-
-    def _describe(self) -> None:
-        rows = self._rows
-        job = lambda: self.session.describe(rows)  # noqa: E731
-        self.bench.run("Describing the region …", job, self._drafted)
-
-    def _drafted(self, draft: Any) -> None:
-        self.told.object, self.code.value = str(draft), draft.code
+    def _drafted(self, code: str) -> None:
+        self.code.value = code
 
     def _open(self) -> None:
         self.load.disabled = not (self.sure.value and self.code.value.strip())
@@ -824,11 +774,7 @@ class Tabs(Pane):
 
     def __init__(self, bench: Any) -> None:
         super().__init__(bench)
-        self.compare, self.file, self.describe = (
-            ComparePane(bench),
-            FilePane(bench),
-            DescribePane(bench),
-        )
+        self.compare, self.file = ComparePane(bench), FilePane(bench)
         self._panes: dict[str, Pane] = {
             "Side by side": self.compare,
             "Verdict": VerdictPane(bench),
@@ -840,7 +786,7 @@ class Tabs(Pane):
             "Export": ExportPane(bench),
             "Python": PythonPane(bench),
             "File": self.file,
-            "Describe": self.describe,
+            "Own effect": OwnEffectPane(bench),
         }
         self._state: Any = None
         self._stale = set(self._panes)
