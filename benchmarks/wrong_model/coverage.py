@@ -153,9 +153,10 @@ def _effects(rows: Rows, low: float, high: float) -> str:
     for row in rows:
         stated, hidden = dict[str, float](), {ONE.get(e, e) for e in row["hidden"]}
         for name, p in row["inclusion"].items():
-            stated[ONE.get(name, name)] = min(1.0, stated.get(ONE.get(name, name), 0.0) + p)
+            one = str(ONE.get(name, name))
+            stated[one] = min(1.0, stated.get(one, 0.0) + p)
         for name, p in row["missing"].items():
-            stated.setdefault(ONE.get(name, name), p)
+            stated.setdefault(str(ONE.get(name, name)), p)
         pairs += [(p, e in hidden) for e, p in stated.items() if "(" not in e]
     return stated_and_true(pairs, low, high)
 
