@@ -56,21 +56,20 @@ def test_an_effect_is_resized_and_taken_out(seen: Seen) -> None:
     seen.clean()
 
 
-def test_an_unknown_dependence_is_drafted_and_the_draft_added(seen: Seen) -> None:
+def test_an_unknown_dependence_is_drafted_and_the_draft_loaded(seen: Seen) -> None:
+    from playwright.sync_api import expect
+
     seen.add("unknown(board_temperature)")
     seen.tab("Own effect")
     seen.press("Draft it")
-    seen.page.get_by_text("Drafting").wait_for(state="hidden")
     code, load = seen.page.get_by_label("Draft of an effect"), "Load the effect"
+    expect(code).to_have_value(re.compile("bc.Effect"), timeout=60_000)
     code.fill(re.sub(r'"bias\.\w+"', '"bias.mine"', code.input_value()))
     code.press("Tab")
     assert seen.page.get_by_role("button", name=load).is_disabled(), "only when the user said so"
     seen.tab("I have read it: run it")
     seen.page.get_by_role("button", name=load, disabled=False).click()
     seen.page.locator('[data-row="bias.mine"]').wait_for()
-    seen.tab("The error")
-    before = float(seen.steps()[-1][1])
-    assert float(seen.add("bias.mine").steps()[-1][1]) < before
     seen.clean()
 
 
