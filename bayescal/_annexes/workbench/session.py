@@ -164,7 +164,7 @@ class Weighing:
         self.seconds = time.monotonic() - loop.begun
 
     def missing(self, at: Structure) -> Discovery:
-        """What is missing from one of the structures."""
+        """Return what is missing from one of the structures."""
         found = discovery_at(self.library, at, self.shut, self.stopped)
         return found.not_stated(ENDED) if self.stopped else found
 
@@ -408,7 +408,7 @@ class Session:
         return self._become(wanted, state.number)
 
     def _named(self) -> dict[str, Effect]:
-        """Effects by the name by which they are asked for that are not as the instrument states them.
+        """Return effects that are not as the instrument states them, by the name by which they are asked for.
 
         The user's own; of what a look reports the likeliest form, at its likeliest size where it was found.
         """
@@ -427,7 +427,7 @@ class Session:
     noise = partialmethod(act, "noise")  # (name, of `laws`)
 
     def look(self) -> Discovery:
-        """What is missing from the current state, by the structures that were weighed; kept in the state."""
+        """Return what is missing from the current state, by the structures that were weighed; kept in the state."""
         number = self.current.number
         with self._looking:  # another page may look for the same
             if (found := self.states[number].discovery) is None:
@@ -527,7 +527,7 @@ class Session:
         self._ending.set()
 
     def draft(self) -> str:
-        """An effect in the place of an unknown dependence in the current model, as `bc.draft_effect` drafts it.
+        """Return code of an effect in the place of an unknown dependence of the current model: `bc.draft_effect`.
 
         Raises:
             ModelError: the model has none.
@@ -582,7 +582,7 @@ class Session:
         return self._script(self.path())
 
     def trail(self) -> SearchPath:
-        """The way to the current state as `calibrate` leaves one, its last model by the method asked for; kept.
+        """Return the way to the current state as `calibrate` leaves one, its last model by the method asked for; kept.
 
         Where nothing more is to be added, what is used of it is averaged over the structures weighed.
         """
