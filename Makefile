@@ -49,7 +49,7 @@ lint: $(READY)-test-lint  ## format, lint rules and types
 	$(IN_VENV)/ruff check .
 	$(IN_VENV)/pyright --pythonpath $(IN_VENV)/python
 
-bench: $(READY)-test-bench  ## speed and coverage, as JSON with versions and machine
+bench: $(READY)-test-bench  ## measure what is missing of every benchmark, and write its page
 	$(IN_VENV)/python -m benchmarks $(ARGS)
 
 bench-%: $(READY)-test-bench  ## one benchmark, such as bench-hidden-effects; goes on where it was stopped

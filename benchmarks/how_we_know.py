@@ -1,229 +1,144 @@
-"""The page *How we know*: what was tried, on whose numbers, and how often it was right, said to be doubtful, or wrong.
-
-`python -m benchmarks how_we_know` renders it from the committed rows.
-"""
+"""The page *How we know*: what was tried, on whose numbers, and what came of it, one table."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterator
 from typing import Any
 
-from benchmarks import counted
-from benchmarks.accuracy.certified_page import shortfalls
-from benchmarks.hidden_effects.outcomes import hidden_in, of_kind, said
-from benchmarks.intervals import proportion
-from benchmarks.markdown import table
+from benchmarks import pages
+from benchmarks.accuracy.certified import worst
+from benchmarks.hidden_effects import measurement as bank
 from benchmarks.ordinary_test import page as ordinary
-from benchmarks.record import DOCS, RELEASE, lines_of, read
+from benchmarks.pages import Rows, proportion
+from benchmarks.record import read
+from benchmarks.spoilt_records import measurement as spoilt
+from benchmarks.wrong_model import coverage as foreign
 
-PAGE = DOCS / "how_we_know.md"
-HEAD = """# How we know
-
-Ten minutes. What was tried, on whose numbers, and what came of it. Every count is made from rows that are kept beside
-the code (`benchmarks/results`), by `python -m benchmarks how_we_know`; brackets hold its 95 % interval
-(Clopper–Pearson). A page says by which code its rows were measured, and the last part below whether the code of today
-gives the same.
-What follows from it for your own result: [what it will not tell you](limits.md).
+ABOUT = """
+What was tried, on whose numbers, and what came of it; brackets hold exact 95 % binomial intervals. What follows
+from it for your own result: [what it will not tell you](limits.md). Not tried: a laboratory of our own (every
+campaign with a known truth is simulated; records of others come without their truth), instruments with an error
+that nobody wrote into a simulator, more than a few thousand campaigns (a rate below one in a thousand is not
+known), whether you read the result as it is meant.
 """
-LAST = """## What was not tried
-
-- A laboratory of our own: every campaign with a known truth is simulated, and records of others come without their
-  truth, but for their published calibrations.
-- Instruments with an error that nobody wrote into a simulator.
-- More than a few thousand campaigns: a rate below one in a thousand is not known.
-- Whether you read the result as it is meant.
-"""
+Line = tuple[str, str, str]
 
 
-def main() -> None:
-    """Render the page."""
-    render()
-
-
-def render() -> None:
-    """Write the page from the rows that stand."""
-    parts = [HEAD]
-    for title, words, rows in chapters():
-        parts += [f"## {title}\n", f"{words}\n", table(["tried", "came out", "more"], rows)]
-    PAGE.write_text("\n".join([*parts, LAST]), encoding="utf-8")
-
-
-Chapter = tuple[str, str, list[list[str]]]
-
-
-def chapters() -> Iterable[Chapter]:
-    """Title, words and rows of each part."""
-    yield (
-        "Numbers that others certified",
-        "NIST's data sets have answers to eleven digits, posteriordb's posteriors ten thousand draws each. Nothing of "
-        "bayescal made them.",
-        certified(),
-    )
-    yield (
-        "Records of others",
-        "Files that other laboratories published, as they stand. Truth is what their authors say.",
-        [
-            [
-                "NIST's instruments, sensors on a bench and in a chamber, logs of inertial units",
-                "each beside its author's own calibration, failures too",
-                "[records of others](records_of_others.md), [a chamber ramp](thermal_ramp.md), "
-                "[still logs](still_logs.md)",
-            ]
-        ],
-    )
-    yield (
-        "Physics that is not the catalogue's",
-        "Chambers, dies and packages integrated numerically; no formula is shared with what is searched for.",
-        ordinary_test(),
-    )
-    yield (
-        "The instruments' own simulators",
-        "Physics written for each instrument, from its document; effects hidden at sizes drawn at random, from hardly "
-        "visible to obvious.",
-        own_simulators(),
-    )
-    yield (
-        "Files as laboratories have them",
-        "Campaigns spoilt in known ways: units, clocks, dead thermometers, outliers, lost rows. *Said*: refused, shut, "
-        "or named in a flag.",
-        [
-            spoilt("gauntlet", "of kinds known when the checks were written"),
-            spoilt("covariates", "of sixty further kinds"),
-        ],
-    )
-    yield (
-        "Stated probabilities and intervals",
-        "An interval of 95 % should hold the truth in 95 of 100.",
-        intervals(),
-    )
-    yield (
-        "The same, by the code as it is released",
-        "Rows are kept from code to code. `python -m benchmarks release` measures of every bank cases drawn at random "
-        "anew, others each time. *As before*: the same final model, status or interval, on the same readings.",
-        released(),
-    )
-
-
-def certified() -> list[list[str]]:
+def lines() -> Iterator[Line]:
+    """Give what was tried, what came out, and the page with more."""
     found, page = read("certified"), "[certified data](certified.md)"
-    digits = min(r["parameters"] for r in found["nonlinear"])
-    linear = min(r["parameters"] for r in found["linear"])
-    shifts = max(abs(r["shift"]) for r in found["posteriordb"])
-    starts = len(found["nonlinear"])
-    met = starts - len(
-        shortfalls({"nonlinear": found["nonlinear"], "linear": [], "posteriordb": []})
+    yield (
+        "NIST, nonlinear, 27 sets from both starts",
+        f"digits of the worst parameter {worst(found['nonlinear'])[0]}",
+        page,
     )
-    return [
-        [
-            "NIST, nonlinear, from both starts",
-            f"{met} of {starts}; worst parameter {digits:.1f} digits",
+    yield (
+        "NIST, linear, 11 sets",
+        f"digits of the worst parameter {worst(found['linear'])[0]}",
+        page,
+    )
+    shift = max(abs(r["shift"]) for r in found["posteriordb"])
+    yield (
+        "posteriordb: means against reference draws",
+        f"6 posteriors within {shift:.2f} standard deviations",
+        page,
+    )
+    yield from _coverage()
+    yield (
+        "public records of eleven sensors",
+        "each beside what is customary",
+        "[records of others](records_of_others.md)",
+    )
+    yield from _ordinary()
+    yield from _hidden()
+    yield from _spoilt()
+    every = [row for rows in foreign.results().values() for row in rows]
+    for words, say in foreign.CLAIMS[:2]:
+        page = "[where the model may be wrong](wrong_model.md)"
+        yield (
+            f"{len(every)} campaigns whose physics is foreign to the catalogue, {words}",
+            say(every),
             page,
-        ],
-        ["NIST, linear", f"{len(found['linear'])} sets; worst parameter {linear:.1f} digits", page],
-        [
-            "posteriordb: means against reference draws",
-            f"{len(found['posteriordb'])} posteriors within {shifts:.2f} standard deviations",
-            page,
-        ],
+        )
+    yield from _released()
+
+
+def _coverage() -> Iterator[Line]:
+    instruments: dict[str, Any] = read("coverage")["instruments"]
+    sets, unknowns = (
+        sum(one[k] for one in instruments.values()) for k in ("data_sets", "unknowns")
+    )
+    farthest = max(one["largest_distance"] for one in instruments.values())
+    words = f"{sets:,} data sets drawn from the priors of {len(instruments)} instruments, {unknowns} unknowns: ranks"
+    page = "[mathematics](mathematics.md#what-is-measured-and-what-is-not)"
+    yield (
+        f"{words} of the truth (simulation-based calibration)",
+        f"within {farthest:.2f} of uniform",
+        page,
+    )
+
+
+def _ordinary() -> Iterator[Line]:
+    rows, page = ordinary.whole("ordinary_test"), "[the ordinary test](ordinary_test.md)"
+    good, strange = ordinary.whole("good_records"), ordinary.strange(ordinary.whole("no_family"))
+    yield (
+        f"{len(rows)} chamber tests: what is hidden and clear is named",
+        ordinary.named(rows),
+        page,
+    )
+    yield "the same: something named that is not there", ordinary.wrong_name(rows), page
+    yield (
+        "the same: intervals of 95 %, profiles that differ",
+        ordinary.inside(rows, repeats=False),
+        page,
+    )
+    yield "the same, one profile repeated", ordinary.inside(rows, repeats=True), page
+    yield f"{len(good)} records with nothing wrong: shut", ordinary.shut(good), page
+    yield (
+        "what nothing in the catalogue describes: a wrong name",
+        ordinary.wrong_name(strange),
+        page,
+    )
+
+
+def _hidden() -> Iterator[Line]:
+    groups, page = bank.results(), "[hidden effects](hidden_effects.md)"
+    every: Rows = [row for rows in groups.values() for row in rows]
+    yield (
+        f"{len(every):,} campaigns of {len(groups)} instruments: {bank.SHORT[0][0]}",
+        bank.SHORT[0][1](every),
+        page,
+    )
+    for words, say in bank.SHORT[1:]:
+        yield words, say(every), page
+
+
+def _spoilt() -> Iterator[Line]:
+    for banks, words in (
+        (spoilt.SPOILT, "known when checks were written"),
+        (spoilt.SIXTY, "listed before any check"),
+    ):
+        count = spoilt.verdicts([row for rows in spoilt.results(banks).values() for row in rows])
+        three = "; ".join(f"{v} {proportion(count[v], count.total())}" for v in spoilt.VERDICTS[:3])
+        yield (
+            f"{count.total():,} files spoilt as laboratories have them, of kinds {words}",
+            three,
+            "[spoilt records](gauntlet.md)",
+        )
+
+
+def _released() -> Iterator[Line]:
+    """Give the campaigns measured anew for a release, and those of them that came out as they had."""
+    found = read("release")
+    for name, row in found["banks"].items():
+        words = f"{name.replace('_', ' ')}, {row['anew']} of {row['rows']:,} rows anew by version {found['version']}"
+        yield words, f"as before {proportion(row['same'], row['anew'])}", ""
+
+
+def render() -> pages.Texts:
+    """Return the page from the results that stand."""
+    days = [
+        r["day"] for rows in (*bank.results().values(), *spoilt.results().values()) for r in rows
     ]
-
-
-def ordinary_test() -> list[list[str]]:
-    """The ordinary laboratory test, good records, hold-out data."""
-    rows, page = counted.whole("ordinary_test"), "[the ordinary test](ordinary_test.md)"
-    clear = [(r, h) for r in rows for h in r["hidden"] if r["oracle"][h] >= ordinary.CLEAR]
-    units, good = counted.whole("own_unit"), counted.whole("good_records")
-    strange = [r for r in counted.whole("no_family") if r["oracle"]["further"] >= ordinary.CLEAR]
-    found = {
-        f"{len(rows)} chamber tests: what is hidden and clear is named": (
-            h not in ordinary.lost(r) for r, h in clear
-        ),
-        "the same: something named that is not there": (bool(ordinary.invented(r)) for r in rows),
-        "the same: intervals of 95 %, profiles that differ": counted.coefficients(False),
-        "the same, one profile repeated": counted.coefficients(True),
-        f"{len(good)} records with nothing wrong: shut": (r["status"] == 1 for r in good),
-        "hold-out data of another unit: shut": (not r["held_unit"]["open"] for r in units),
-        "something that nothing in the catalogue describes: a wrong name": (
-            bool(ordinary.invented(r)) for r in strange
-        ),
-    }
-    return [[claim, counted.share(holds), page] for claim, holds in found.items()]
-
-
-def own_simulators() -> list[list[str]]:
-    bank, clear, empty = counted.bank(), counted.clear(), of_kind(counted.bank(), "empty")
-    page, three = "[hidden effects](hidden_effects.md)", "[three axes](how_to/three_axes.md)"
-    triads, head = read("triads"), "[its page](instruments/accelerometer_dividing_head.md)"
-    return [
-        [
-            f"{sum(map(len, bank.values())):,} campaigns of six instruments: one effect, clear, in the model or a set",
-            counted.share(hidden_in(r) in said(r) for r in clear),
-            page,
-        ],
-        [
-            "the same, nothing hidden: something added",
-            counted.share(bool(r["final"]) for r in empty),
-            page,
-        ],
-        ["three accelerometers: found; invented", _both(triads["accelerometer_triad"]), three],
-        ["three gyroscopes: found; invented", _both(triads["gyro_triad"]), three],
-        ["a dividing head: found; invented", _both(read("dividing_head")), head],
-        [
-            "10,000 gyroscopes: a false effect in a device without any",
-            proportion(counted.fleet()["false"], counted.fleet()["empty"]),
-            "[fleets](fleet.md)",
-        ],
-    ]
-
-
-def _both(counts: dict[str, str]) -> str:
-    found, invented = "found where the oracle is above 15", "invented where nothing was hidden"
-    return f"{counts[found]}; {counts[invented]}"
-
-
-def spoilt(kind: str, words: str) -> list[str]:
-    count: Counter[str] = counted.verdicts(kind)
-    every = sum(count.values())
-    three = "; ".join(f"{v} {proportion(count[v], every)}" for v in ("right", "said", "wrong"))
-    return [f"{every:,} records {words}", three, "[spoilt records](gauntlet.md)"]
-
-
-def intervals() -> list[list[str]]:
-    coverage: dict[str, Any] = read("coverage")["instruments"]
-    sets = sum(one["data_sets"] for one in coverage.values())
-    unknowns = sum(one["unknowns"] for one in coverage.values())
-    farthest = max(one["largest_distance"] for one in coverage.values())
-    used = read("compensation")["instruments"]
-    held, campaigns = (sum(u[k] for u in used.values()) for k in ("covered", "campaigns"))
-    foreign = sum(map(len, lines_of("wrong_model").values()))
-    return [
-        [
-            f"{sets:,} data sets drawn from the priors of {len(coverage)} instruments, {unknowns} unknowns: ranks of "
-            "the truth (simulation-based calibration)",
-            f"their distribution within {farthest:.2f} of uniform",
-            "[mathematics](mathematics.md#what-is-measured-and-what-is-not)",
-        ],
-        [
-            "corrected readings of later campaigns, 95.4 % intervals",
-            proportion(held, campaigns),
-            "[mathematics](mathematics.md#what-is-measured-and-what-is-not)",
-        ],
-        [
-            f"{foreign} campaigns whose physics is foreign to the catalogue",
-            "by instrument and quantity, on its page",
-            "[where the model may be wrong](wrong_model.md)",
-        ],
-    ]
-
-
-def released() -> list[list[str]]:
-    """Cases measured anew, and those of them that came out as they had."""
-    return [
-        [
-            f"{name.replace('_', ' ')}: {row['of it']:,} of {row['rows']:,} rows anew",
-            f"as before {proportion(row['as before'], row['anew'])}",
-            "",
-        ]
-        for name, row in read(RELEASE).get("rows", {}).items()
-    ]
+    table = pages.table(["tried", "came out", "more"], lines())
+    return pages.page("how_we_know", "How we know", "render", days, ABOUT, table)

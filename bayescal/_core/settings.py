@@ -32,7 +32,7 @@ class Settings:
         outlier_sd: leave-one-out standard deviations beyond which a reading is named; a thousand normal readings have
             none.
         holdout_p: p-value below which hold-out data contradict a result, two or three tests of it each time, so that
-            chance refuses a few right results in a hundred; `python -m benchmarks holdout` counts them.
+            chance refuses a few right results in a hundred.
         temperature_span: °C, below which a record has one temperature; what a good chamber holds.
         effective_draws: below which more are made: a standard deviation is then known to 3.5 %.
     """

@@ -63,7 +63,9 @@ class NUTS(Method):
         plan = Plan(self.warmup, self.draws, self.chains, self.dense)
         deadline.current().defer_interrupt()
         try:
-            ran, sites = sampled(program(layout, frame), (y,), plan, seed, starts_about(problem, mode))
+            ran, sites = sampled(
+                program(layout, frame), (y,), plan, seed, starts_about(problem, mode)
+            )
         except deadline.TimeIsUp as early:
             return Marginal().about_the_mode(problem, mode, seed, (), str(early))
         x, v = (np.asarray(sites[k]) for k in ("x", "v"))

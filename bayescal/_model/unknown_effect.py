@@ -83,6 +83,8 @@ def freed(effect: Effect, times: float = 1.0) -> Effect:
     return replace(
         effect,
         name=effect.name + FREED,
+        forms=(),
+        family="",
         coefficients=wide,
         equation=f"{effect.equation or 'c'}, beside its stated value",
         source=f"ours: the stated value of {effect.name} may be wrong",

@@ -58,6 +58,7 @@ from bayescal._search.walk import explore, path
 QUICK = LeastSquares(draws=500)
 NOT_LOOKED = "Nothing was looked for."
 NOT_AVERAGED = "Not averaged over the structures ({}): this is the one shown, alone."
+BASE = Structure()
 UNDER_WAY = Gate(False, "The search is under way: this model is not its end.")
 
 
@@ -170,7 +171,7 @@ class Loop:
         before = time.monotonic()
         # Where nothing is looked for, nothing is weighed.
         looked_at = model.effects if self.max_effects > 0 else ()
-        self.given = tuple(e for e in looked_at if self._weighed_anew(e, model))
+        self.given = tuple(e for e in looked_at if self.weighs(e, model))
         model = reduce(sub, self.given, model)
         method = self.quick(model)
         with deadline.finishing():  # whatever the time limit
@@ -180,36 +181,33 @@ class Loop:
         self.reference = first.calibration.reference
         self.begun = time.monotonic()
         self.step_takes = self.begun - before
-        self.open(first, effects, widen_noise)
+        self.steps, more = [first], self.freed(first)
+        if more or not first.against:
+            self.open(first, (*effects, *more), widen_noise)
 
-    def _weighed_anew(self, effect: Effect, model: Model) -> bool:
+    def weighs(self, effect: Effect, model: Model, further: Collection[str] = ()) -> bool:
+        """Return whether an effect of a model is weighed anew; `further` candidates are, beside the instrument's."""
         instrument, readings = model.instrument, self.readings
         if effect.is_placeholder:
             return effect.name in {e.name for e in placeholders(model, readings)}
         on_the_way = {e.name for e in instrument.effects} <= {*model.names}
         kept = (*instrument.effects, *instrument.nuisances)
-        catalogued = {*instrument.known} - {e.name for e in kept}
+        catalogued = {*instrument.known, *further} - {e.name for e in kept}
         free = (model - effect).fixed == model.fixed
         testable_here = testable(effect, readings) is None
         return on_the_way and effect.name in catalogued and free and testable_here
 
     def open(self, first: Step, effects: Sequence[Effect], widen_noise: bool) -> None:
-        """Begin with a step that is fitted: the structures to look at beyond it, if anything can be learnt from it."""
+        """Have structures to look at beyond a step that is fitted."""
         self.steps, c, fixed = [first], first.calibration, first.check.fixed
-        # Stated values that the readings contradict: the value may be wrong, or an effect missing; the search weighs
-        # both.
-        more = self.freed(first)
-        if first.against and not more:
-            return
         # Without convergence there are no probabilities; and a published calibration that fails is not saved.
         if not c.verdict.ok or (fixed is not None and fixed.wrong):
             self.max_effects, widen_noise = 0, False
         # Of the same name as one of the catalogue, the given one counts: its size may be the user's own.
         named = [e for e in self.given if not e.is_placeholder]
         how = {"widen_noise": widen_noise, "latent": self.max_effects > 0}
-        every = (*effects, *more, *named)
         structures, self.shut = structures_over(
-            c.model, self.readings, c.reference, effects=every, **how
+            c.model, self.readings, c.reference, effects=(*effects, *named), **how
         )
         self.library = Library(structures)
 
@@ -258,15 +256,15 @@ class Loop:
         return posterior.best if self.stopped else posterior.chosen
 
     def way(
-        self, goal: Structure
+        self, goal: Structure, start: Structure = BASE
     ) -> Iterator[tuple[Structure | None, Structure, Discovery | None]]:
-        """Yield the structures from the first to a goal, each after the one before, with what is missing from it; fewer
-        where time is short."""
+        """Yield the structures from one to a goal, each after the one before, with what is missing from it; fewer where
+        time is short."""
         assert self.library is not None
         asked = self.max_effects > 0 and self.steps[0].calibration.verdict.ok
-        here, steps = None, [Structure(), goal]
+        here, steps = None, [start, goal]
         with suppress(deadline.TimeIsUp), deadline.sooner(1 / 2) as half:
-            steps = steps if self.stopped else path(self.library, goal)
+            steps = steps if self.stopped else path(self.library, goal, start)
         for at in dict.fromkeys(steps):
             if here is None or at == goal or not half.over:
                 found = missing(self.library, at, self.shut, self.stopped) if asked else None
@@ -279,7 +277,7 @@ class Loop:
             why = f"{NOT_LOOKED} {' '.join(map(str, self.steps[0].against))}"
             search = Search((), 0, complete=True, stopped=why)
             return SearchPath(*judged(self.steps), self.holdout, None, search)
-        structures, end = self.library.structures, deadline.current()
+        structures = self.library.structures
         # What was the best when the walk ended is what is returned: nothing is evaluated after that.
         search = self.search(stopped=self.stopped) if self.stopped else None
         goal, found = self.goal(structures), list[Discovery | None]()
@@ -292,6 +290,20 @@ class Loop:
         if len(self.steps) == 1 and self.method != QUICK:
             self.steps = [self.last(structures.weigh(goal))]
         steps = [replace(s, discovery=one) for s, one in zip(self.steps, found, strict=True)]
+        return self.averaged(steps, goal, search)
+
+    def averaged(
+        self, steps: Sequence[Step], goal: Structure, search: Search | None = None
+    ) -> SearchPath:
+        """Judge the last of some steps, and average it over the structures that were weighed.
+
+        Args:
+            steps: on the way to a structure, each with what is missing from it.
+            goal: that structure.
+            search: how the search stood at its end; None: as it stands.
+        """
+        assert self.library is not None
+        structures, end, steps = self.library.structures, deadline.current(), [*steps]
         if (last := steps[-1].discovery) is not None:
             if why := "" if self.stopped else self.incomplete(steps):
                 steps[-1] = replace(steps[-1], discovery=last.not_stated(why))
@@ -308,7 +320,7 @@ class Loop:
             steps[-1] = replace(steps[-1], calibration=last)
         one = last is used
         steps[-1] = self.held_against(steps[-1], used, structures)
-        search = search or self.search(complete=True)
+        search = search or self.search(complete=not self.stopped, stopped=self.stopped)
         trail = SearchPath(
             *judged(steps), self.holdout, _other_path(structures), search, shares=shares
         )
@@ -368,9 +380,9 @@ class Loop:
             found = self.step(model, before, at, method=method, start=start)
         return found.noted([NOT_SAMPLED.format(end.why)]) if sampling else found
 
-    def trail(self, search: Search | None = None) -> SearchPath:
+    def trail(self, search: Search | None = None, steps: Sequence[Step] = ()) -> SearchPath:
         """The trail while it grows: its last model says that it is not the end."""
-        *before, last = self.steps
+        *before, last = steps or self.steps
         steps = (*before, last.judged((UNDER_WAY.reason,)))
         return SearchPath(steps, UNDER_WAY, self.holdout, None, search or self.search())
 

@@ -232,7 +232,9 @@ def structures_over(
             return f"the column {', '.join(gone)} is left out"
         return testable(effect, readings)
 
-    reasons = {n: untestable(e) for n, e in known.items() if n not in model.names}
+    # Of a family that the model has in one form, no other is missing.
+    had = {e.reported for e in model.effects}
+    reasons = {n: untestable(e) for n, e in known.items() if e.reported not in had}
     open_ = {n: known[n] for n, reason in reasons.items() if reason is None}
     tested, shut = {known[n].reported for n in open_}, dict[str, Candidate]()
     for name, reason in reasons.items():

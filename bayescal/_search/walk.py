@@ -110,9 +110,9 @@ def walk(library: Library, max_effects: int, given: Structure | None = None) -> 
 
 
 @on_one_thread
-def path(library: Library, to: Structure) -> list[Structure]:
-    """From the base to a structure, at each step what gains most: by refits where there are any, else by score."""
-    structures, steps, at = library.structures, [Structure()], None
+def path(library: Library, to: Structure, start: Structure | None = None) -> list[Structure]:
+    """Return the way from one structure to a larger one: at each step what gains most, by refit where there is any."""
+    structures, steps, at = library.structures, [start or Structure()], None
     while True:
         deadline.current().ask()
         here = steps[-1]

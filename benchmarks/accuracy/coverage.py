@@ -1,23 +1,18 @@
 """Do the intervals cover? Simulation-based calibration of every instrument on its reference problem.
 
-    python -m benchmarks coverage                            1000 data sets for each instrument
-    python -m benchmarks.accuracy.coverage mems_gyro --replicates 100
-
 Data sets are drawn from the priors that the fit uses (`bayescal_models/NAME/reference_problem.py`), and each is fitted
 as `bc.fit` fits it: mode and importance sampling on the host. Where its weights are uneven, `bc.fit` would go on to
 NUTS; here they count as they are.
-Resumable: results/coverage_NAME.jsonl holds a line for each chunk, and chunks that stand there for the same model
-are not computed again. Writes results/coverage.json and a figure for each instrument, results/coverage_NAME.png.
+Their ranks and coverage stand in results/coverage.json.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
+import zlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,18 +28,12 @@ from bayescal._inference.sampling import WeightedDraws, weighted_draws
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout, Levels, bind
 from bayescal_models import INSTRUMENTS
-from benchmarks.accuracy.chunks import (
-    PROPOSALS,
-    ROUNDS,
-    asked,
-    collect,
-    fingerprint_of,
-    promoted,
-    seed_of,
-)
-from benchmarks.accuracy.ranks import Judgement, Posterior, band, drawn, judge, ranks
-from benchmarks.record import RESULTS, read, write
+from benchmarks.accuracy.ranks import Judgement, Posterior, drawn, judge, ranks
+from benchmarks.bank import Bank
+from benchmarks.record import read, write
 
+REPLICATES, CHUNK = 1000, 50  # data sets of each instrument, and of one row
+PROPOSALS, ROUNDS = 2048, 3  # of `Marginal`
 LEVEL = 0.01  # chance that right programs fail somewhere, over all instruments and unknowns
 UNEVEN = 0.7  # k̂ above which importance weights are not trusted
 
@@ -57,13 +46,13 @@ class Ground:
         name: of the instrument.
         model: baseline effects, proper priors.
         plan: readings whose columns every data set shares.
-        chunk: data sets of one line of the file.
+        chunk: data sets of one row.
     """
 
     name: str
     model: bc.Model
     plan: bc.Measurements
-    chunk: int = 50
+    chunk: int = CHUNK
 
     @classmethod
     def of(cls, name: str) -> Ground:
@@ -76,12 +65,6 @@ class Ground:
             proposals=PROPOSALS, rounds=ROUNDS, promote=promoted(self.model, self.plan)
         )
 
-    @property
-    def fingerprint(self) -> str:
-        """Changes with the model, its priors, its response, the plan or the method."""
-        data, _ = drawn(self.model, 1, self.plan, seed_of(self.name, 0))
-        return fingerprint_of(self.model, data[0]["output"], repr(self.method), "one by one")
-
     def run(self, index: int) -> dict[str, Any]:
         """One chunk: ranks of every unknown, k̂ of every data set."""
         seed = seed_of(self.name, index)
@@ -92,6 +75,18 @@ class Ground:
             "ranks": {name: [round(r, 5) for r in values] for name, values in found.items()},
             "pareto_k": [round(k_hat, 3) for k_hat in k_hats],
         }
+
+
+def seed_of(name: str, index: int) -> int:
+    """Return the seed of one chunk; unlike from instrument to instrument, so that their data sets are independent."""
+    return zlib.crc32(f"{name} {index}".encode())
+
+
+def promoted(model: bc.Model, plan: bc.Measurements) -> tuple[str, ...]:
+    """Return what `Marginal` promotes, chosen once, on the plan's own readings: one program serves all data sets."""
+    layout, _ = bind(model, plan)
+    record = Record(model.instrument, build_frame(plan, reference_of(plan)), plan["output"])
+    return sampled_products.choose(Problem(layout, record), None)[0].layout.promoted
 
 
 def drawn_one_by_one(
@@ -140,32 +135,6 @@ def uneven(rows: list[dict[str, Any]]) -> float:
     return float(np.mean(np.concatenate([row["pareto_k"] for row in rows]) > UNEVEN))
 
 
-def picture(name: str, found: dict[str, np.ndarray], path: Path) -> None:
-    """Departure of each unknown's ECDF from uniform, within the simultaneous band."""
-    import matplotlib.pyplot as plt  # only where there is something to draw
-
-    count = len(next(iter(found.values())))
-    limits = band(count, own_level(len(found)) / 2)
-    figure, axes = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
-    low, high = (edge / count - limits.points for edge in (limits.low, limits.high))
-    axes.fill_between(
-        limits.points, low, high, color="0.88", label="99 % band, all unknowns at once"
-    )
-    grid = np.linspace(0, 1, 401)
-    for values in found.values():
-        ecdf = np.searchsorted(np.sort(values), grid, side="right") / count
-        axes.plot(grid, ecdf - grid, lw=0.8)
-    axes.set(
-        title=f"{name}: {len(found)} unknowns, {count} data sets drawn from the priors",
-        xlabel="rank of the truth among the draws",
-        ylabel="ECDF − uniform",
-        xlim=(0, 1),
-    )
-    axes.legend(loc="upper right", frameon=False)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
-
-
 def summary(ground: Ground, rows: list[dict[str, Any]]) -> dict[str, Any]:
     """What is written of one instrument."""
     found = joined(rows)
@@ -189,31 +158,25 @@ def summary(ground: Ground, rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-HEAD = f"{'instrument':26} {'data sets':>9} {'unknowns':>8} {'max KS':>7} {'95 % covers':>15} {'k̂ > 0.7':>8}  fails"
+def cases(name: str) -> Iterator[tuple[tuple[int], tuple[str, int]]]:
+    """Give the chunks of an instrument's data sets."""
+    return (((index,), (name, index)) for index in range(REPLICATES // CHUNK))
 
 
-def line(name: str, s: dict[str, Any]) -> str:
-    covers = f"{s['coverage95']['least']:.3f} … {s['coverage95']['most']:.3f}"
-    fails = ", ".join(s["fails"]) or "none"
-    return (
-        f"{name:26} {s['data_sets']:9} {s['unknowns']:8} {s['largest_distance']:7.4f} {covers:>15} "
-        f"{s['uneven_weights']:8.1%}  {fails}"
-    )
+def measure(case: tuple[str, int]) -> dict[str, Any]:
+    """Return the row of a chunk."""
+    name, index = case
+    return Ground.of(name).run(index)
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Compute what is missing, print the table, write results and figures."""
-    names, replicates = asked(arguments, "benchmarks.accuracy.coverage", __doc__, INSTRUMENTS)
-    summaries = read("coverage").get("instruments", {})
-    print(HEAD)
-    for name in names:
-        ground = Ground.of(name)
-        rows = collect(ground, replicates, RESULTS / f"coverage_{name}.jsonl")
-        summaries[name] = summary(ground, rows)
-        picture(name, joined(rows), RESULTS / f"coverage_{name}.png")
-        print(line(name, summaries[name]), flush=True)
-        write("coverage", {"level": LEVEL, "instruments": summaries})  # each as it comes
+BANKS = tuple(Bank(f"coverage_{n}", partial(cases, n), measure, ("chunk",)) for n in INSTRUMENTS)
 
 
-if __name__ == "__main__":
-    main(sys.argv[1:])
+def main() -> None:
+    """Write results/coverage.json from the rows that stand; an instrument without rows keeps what is written."""
+    found = read("coverage")["instruments"]
+    new = {
+        n: summary(Ground.of(n), b.rows) for n, b in zip(INSTRUMENTS, BANKS, strict=True) if b.rows
+    }
+    if new:
+        write("coverage", {"level": LEVEL, "instruments": {**found, **new}})

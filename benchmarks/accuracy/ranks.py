@@ -23,7 +23,6 @@ import bayescal as bc
 from bayescal._model import forward
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import Layout, bind
-from benchmarks.intervals import expected_counts
 
 MEMBERS = 4  # of each group: the others are exchangeable with them
 POINTS = 50  # at which an ECDF is compared with its band
@@ -157,6 +156,18 @@ def _inside(count: int, points: np.ndarray, low: np.ndarray, high: np.ndarray) -
         )
         here, probability, at = there, probability @ step, point
     return float(probability.sum())
+
+
+def expected_counts(total: int, chance: float, level: float) -> tuple[int, int]:
+    """Return the least and most of independent events, outside of which their count falls with at most `level`.
+
+    Args:
+        total: of events.
+        chance: of each.
+        level: half of it lies beyond either end, or less, for counts are whole.
+    """
+    law = stats.binom(total, chance)
+    return int(law.ppf(level / 2)), int(law.isf(level / 2))
 
 
 class Judgement(NamedTuple):

@@ -13,6 +13,7 @@ unless R-hat < 1.01, no transition in a thousand diverges, and the errors are me
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from importlib import import_module
@@ -23,6 +24,7 @@ from typing import Any
 import jax
 import numpy as np
 import xarray as xr
+from arviz_stats.base.array import array_stats
 
 import bayescal as bc
 from bayescal._calibration.posterior_tree import named
@@ -34,8 +36,7 @@ from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
 from bayescal_models import INSTRUMENTS
-from benchmarks import chains
-from benchmarks.record import ROOT, surroundings, write_json
+from benchmarks.record import ROOT, surroundings
 
 SEED = 20261121
 CHAINS, WARMUP = 4, 2000
@@ -93,14 +94,16 @@ def columns_of(posterior: xr.Dataset) -> dict[str, tuple[np.ndarray, str]]:
 
 def _diagnosed(values: np.ndarray) -> dict[str, float]:
     """Mean, sd and mcse of draws (chains, draws), with what is needed to trust them."""
-    return {
-        "mean": float(values.mean()),
-        "sd": float(values.std(ddof=1)),
-        "mcse": chains.mean_error(values),
-        "mcse_sd": chains.sd_error(values),
-        "r_hat": chains.r_hat(values),
-        "ess": chains.effective_draws(values),
+    axes: Any = {"chain_axis": 0, "draw_axis": 1}
+    found = {
+        "mean": values.mean(),
+        "sd": values.std(ddof=1),
+        "mcse": array_stats.mcse(values, **axes, method="mean"),
+        "mcse_sd": array_stats.mcse(values, **axes, method="sd"),
+        "r_hat": array_stats.rhat(values, **axes),  # rank-normalised
+        "ess": array_stats.ess(values, **axes, method="bulk"),
     }
+    return {name: float(np.asarray(value)) for name, value in found.items()}
 
 
 def reference_posterior(name: str, sampler: str = "program") -> dict[str, Any]:
@@ -162,7 +165,8 @@ def reference_posterior(name: str, sampler: str = "program") -> dict[str, Any]:
 def write(name: str, reference: dict[str, Any]) -> Path:
     """Write it beside the instrument's model."""
     path = ROOT / "models" / "bayescal_models" / name / "reference_posterior.json"
-    return write_json(path, reference)
+    path.write_text(json.dumps(reference, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    return path
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -1,19 +1,14 @@
 """Nothing is hidden, and the noise or the priors are not what the model takes them for: how often is an effect added?
 
-    python -m benchmarks false_discoveries
-    BAYESCAL_ONLY=mems_gyro BAYESCAL_PART=0/2 python -m benchmarks false_discoveries     one process of two
-
 Empty campaigns of every instrument, each spoilt in seven ways, searched as `calibrate` does, without its fits and
-checks; for wandering noise also under white noise alone, which shows what ignoring it costs. One JSON line a campaign
-in results/false_discoveries_NAME.jsonl: stopped, it goes on where it was.
+checks; for wandering noise also under white noise alone, which shows what ignoring it costs.
 """
 
 from __future__ import annotations
 
-import os
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -21,86 +16,36 @@ import numpy as np
 
 import bayescal as bc
 from bayescal._data.time_in_runs import run_codes
+from benchmarks.bank import Bank
 from benchmarks.hidden_effects.bank import INSTRUMENTS, instrument_named
-from benchmarks.hidden_effects.resume import chosen, go_on
 from benchmarks.hidden_effects.searched import Searched, noise_of
-from benchmarks.intervals import proportion
-from benchmarks.record import RESULTS, lines_of, write
+from benchmarks.pages import Claim, Rows, share
 
 CAMPAIGNS = 40  # of each kind for each instrument
 FIRST_SEED = 7000
+SAMPLE = 30  # campaigns of each instrument that a release measures anew
 
 
-def main() -> None:
-    """Run what is missing, then write and print the table."""
-    for name in chosen(INSTRUMENTS):
-        _run(name)
-    summarise()
+def cases(name: str) -> Iterator[tuple[tuple[str, int], tuple[str, str, int]]]:
+    """Give the campaigns of an instrument."""
+    seeds = range(FIRST_SEED, FIRST_SEED + CAMPAIGNS)
+    return (((how, seed), (name, how, seed)) for seed in seeds for how in SPOILT)
 
 
-def summarise() -> None:
-    """Write and print the table of the results that stand."""
-    lines = lines_of("false_discoveries")
-    lines["all"] = [line for own in lines.values() for line in own]
-    summary = {name: _summary(own) for name, own in lines.items()}
-    write("false_discoveries", summary)
-    for name, rows in summary.items():
-        for how, row in rows.items():
-            print(f"{name:14s} {how:26s} added in {row['added']}; {row['what']}")
-
-
-def _summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for how in dict.fromkeys(line["how"] for line in lines):
-        own = [line for line in lines if line["how"] == how]
-        laws = [line["law"] for line in own]
-        found[how] = {
-            "campaigns": len(own),
-            "added": proportion(sum(bool(line["added"]) for line in own), len(own)),
-            "what": sorted({name for line in own for name in line["added"]}),
-            "noise law at the end": {law: laws.count(law) for law in sorted(set(laws))},
-        }
-        if "if_white" in own[0]:
-            count = sum(bool(line["if_white"]) for line in own)
-            found[how]["added if the noise is taken for white"] = proportion(count, len(own))
-    return found
-
-
-def _run(name: str) -> None:
-    """One instrument's campaigns, resumed."""
-    path = RESULTS / f"false_discoveries_{name}.jsonl"
-    part, parts = map(int, os.environ.get("BAYESCAL_PART", "0/1").split("/"))
-    instrument = instrument_named(name)
-
-    def measure(case: tuple[str, int]) -> tuple[dict[str, Any], str]:
-        row = _one(instrument, *case)
-        return row, f"{row['seed']} {row['how']}: {row['added']}"
-
-    cases = (
-        ((how, seed), (how, seed))
-        for seed in range(FIRST_SEED, FIRST_SEED + CAMPAIGNS)
-        for how in SPOILT
-        if seed % parts == part
-    )
-    go_on(path, ("how", "seed"), cases, measure)
-
-
-def _one(instrument: bc.Instrument, how: str, seed: int) -> dict[str, Any]:
-    readings = instrument.simulate({}, seed=seed)
-    instrument = instrument.for_readings(readings)
+def measure(one: tuple[str, str, int]) -> dict[str, Any]:
+    """Return the row of a campaign."""
+    name, how, seed = one
+    readings = instrument_named(name).simulate({}, seed=seed)
+    instrument = instrument_named(name).for_readings(readings)
     noise = noise_of(instrument.baseline(), readings)
     random = np.random.default_rng([seed, len(readings)])
     instrument, readings = SPOILT[how](instrument, readings, noise, random)
-    begun = time.perf_counter()
     found = Searched.of(instrument.baseline(), readings)
     row = {
-        "how": how,
-        "seed": seed,
         "added": sorted(found.chosen.effects),
         "sets": [[list(s.effects), s.probability] for s in found.sets],
         "law": found.structures.noise(found.chosen).in_words,
         "nothing": found.posterior.complete(found.structures),
-        "seconds": time.perf_counter() - begun,
     }
     if how == "wandering noise":
         white = Searched.of(instrument.baseline(), readings, widen_noise=False)
@@ -186,3 +131,27 @@ SPOILT: dict[str, Spoil] = {
     "priors ten times wider": _scaled(10.0),
     "priors ten times narrower": _scaled(0.1),
 }
+
+
+BANKS = tuple(
+    Bank(f"false_discoveries_{name}", partial(cases, name), measure, ("how", "seed"))
+    for name in INSTRUMENTS
+)
+
+
+def _added(rows: Rows, how: str, field: str = "added") -> str:
+    return share(bool(row[field]) for row in rows if row["how"] == how)
+
+
+CLAIMS: tuple[Claim, ...] = (
+    *((how, partial(_added, how=how)) for how in SPOILT),
+    (
+        "wandering noise, taken for white",
+        partial(_added, how="wandering noise", field="if_white"),
+    ),
+)
+
+
+def results() -> dict[str, Rows]:
+    """Return the rows of each instrument."""
+    return dict(zip(INSTRUMENTS, (bank.rows for bank in BANKS), strict=True))

@@ -20,7 +20,7 @@ from bayescal._search.discover import structures_over
 from bayescal._search.posterior import Found, Posterior
 from bayescal._search.scores import Library
 from bayescal._search.structures import Structure, Structures, Weighed
-from bayescal._search.walk import explore, path
+from bayescal._search.walk import explore
 
 MOST = 5  # effects, as by default
 
@@ -77,15 +77,6 @@ class Searched:
     def reported_names(self, structure: Structure) -> list[str]:
         """Effects of a structure, each by the name of its family."""
         return sorted(self.posterior.families(structure.effects))
-
-    def reported(self) -> list[tuple[list[str], list[list[str]]]]:
-        """Effects of each structure on the way to the chosen one, and the sets that are missing from it."""
-        found = []
-        for at in path(self.library, self.chosen):
-            sets = Posterior.of(self.structures, at.effects).findings
-            if sets:
-                found.append((self.reported_names(at), [list(s.effects) for s in sets]))
-        return found
 
     def error(self, structure: Structure, later: Later) -> float:
         """Root mean square error of a structure on a second record, its runs unseen."""

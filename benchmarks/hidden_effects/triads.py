@@ -1,17 +1,14 @@
-"""Effects hidden in campaigns of three axes: found where they can be, and none invented.
+"""Effects hidden in campaigns of three axes and of a dividing head: found where they can be, and none invented.
 
-    python -m benchmarks triads
-
-Accelerometers in 14 poses at each of five temperatures and gyroscopes on a rate table at the same temperatures, in
-turn. In every other campaign one effect is hidden: K2, misalignment over temperature, a thermal lag of one axis or, of
-gyroscopes, g-sensitivity, at a size drawn log-uniformly; nothing in the others. Each is searched as `calibrate` does,
-without its fits and checks. The oracle is the log evidence of the true structure less the baseline's: where it is
-small no search can find the effect. One JSON line a campaign in results/triads.jsonl: stopped, it goes on where it was.
+Accelerometers in 14 poses at each of five temperatures, gyroscopes on a rate table at the same temperatures, and an
+accelerometer on a dividing head in 24 positions. In every other campaign one effect is hidden, at a size drawn log-
+uniformly from hardly visible to plain; nothing in the others. Each is searched as `calibrate` does, without its fits
+and checks.
 """
 
 from __future__ import annotations
 
-import time
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -19,18 +16,18 @@ import numpy as np
 from bayescal._search.structures import Structure
 from bayescal_models.accelerometer_triad.campaign import Campaign as Poses
 from bayescal_models.gyro_triad.campaign import Campaign as Rates
+from benchmarks.bank import Bank
 from benchmarks.hidden_effects.bank import instrument_named
-from benchmarks.hidden_effects.outcomes import CLEAR, said
-from benchmarks.hidden_effects.resume import go_on_by_seed
 from benchmarks.hidden_effects.searched import Searched
-from benchmarks.intervals import proportion
-from benchmarks.record import RESULTS, read_lines, write
+from benchmarks.pages import Rows
 
-CAMPAIGNS = 800  # half of them with an effect, as many of each instrument
+CAMPAIGNS = {"triad": 800, "head": 200}  # half of them with an effect
+SAMPLE = 60  # campaigns that a release measures anew
 TEMPERATURES = (-20.0, 0.0, 25.0, 50.0, 70.0)  # °C
-PLANS: dict[str, Poses | Rates] = {
-    "accelerometer_triad": Poses(poses=14, temperatures=TEMPERATURES),
-    "gyro_triad": Rates(temperatures=TEMPERATURES),
+PLANS: dict[str, dict[str, Any]] = {
+    "accelerometer_triad": {"campaign": Poses(poses=14, temperatures=TEMPERATURES)},
+    "gyro_triad": {"campaign": Rates(temperatures=TEMPERATURES)},
+    "accelerometer_dividing_head": {},
 }
 # Least and largest size, in the unit of the effect's coefficients: from hardly visible to plain at these campaigns.
 SIZES: dict[str, dict[str, tuple[float, float]]] = {
@@ -45,80 +42,54 @@ SIZES: dict[str, dict[str, tuple[float, float]]] = {
         "misalignment.temperature": (0.003, 0.06),
         "bias.thermal_lag": (5e-4, 0.03),
     },
+    "accelerometer_dividing_head": {
+        "second_order.constant": (2.0, 40.0),
+        "third_order.constant": (4.0, 80.0),
+        "zero.temperature": (0.03, 0.6),
+    },
 }
 
 
-def main() -> None:
-    """Run what is missing of the campaigns, then write and print the counts."""
-    go_on_by_seed(RESULTS / "triads.jsonl", range(CAMPAIGNS), measure)
-    summarise()
+def cases() -> Iterator[tuple[tuple[str, int], tuple[str, int]]]:
+    """Give the campaigns; the two triads in turn."""
+    *triads, head = PLANS
+    each = [(triads[seed // 2 % 2], seed) for seed in range(CAMPAIGNS["triad"])]
+    each += [(head, seed) for seed in range(CAMPAIGNS["head"])]
+    return ((case, case) for case in each)
 
 
-def measure(seed: int) -> tuple[dict[str, Any], str]:
-    """One campaign: what was hidden, what was found, and what is told of it."""
-    name = tuple(PLANS)[seed // 2 % len(PLANS)]
-    kind: str | None = None
-    hidden: dict[str, Any] = {}
+def measure(case: tuple[str, int]) -> dict[str, Any]:
+    """Return the row of a campaign."""
+    name, seed = case
+    hidden: Any = {}
+    triad, kind = name.endswith("_triad"), ""
     if seed % 2:
-        turn = seed // (2 * len(PLANS))
-        kind = tuple(SIZES[name])[turn % len(SIZES[name])]
-        low, high = SIZES[name][kind]
-        size = float(np.exp(np.random.default_rng([seed, 2]).uniform(np.log(low), np.log(high))))
+        turn, kinds = seed // (4 if triad else 2), tuple(SIZES[name])
+        kind = kinds[turn % len(kinds)]
+        random, (low, high) = np.random.default_rng([seed, 2]), np.log(SIZES[name][kind])
+        size = float(np.exp(random.uniform(low, high)))
+        size *= 1.0 if triad else random.choice([-1.0, 1.0])
         one_axis = tuple(size * np.roll([1.0, 0.0, 0.0], turn))
         hidden = {kind: one_axis if kind == "bias.thermal_lag" else size}
     instrument = instrument_named(name)
-    assert instrument.simulate is not None
-    readings = instrument.simulate(hidden, seed=seed, campaign=PLANS[name])
-    begun = time.perf_counter()
+    readings = instrument.simulate(hidden, seed=seed, **PLANS[name])
     found = Searched.of(instrument.for_readings(readings).baseline(), readings)
-    chosen, taken = sorted(found.chosen.effects), time.perf_counter() - begun
     row = {
-        "seed": seed,
-        "instrument": name,
         "hidden": hidden,
-        "final": chosen,
-        "noise": found.structures.noise(found.chosen).in_words,
+        "final": found.reported_names(found.chosen),
         "nothing": found.posterior.complete(found.structures),
         "sets": [[list(s.effects), s.probability] for s in found.sets],
-        "seconds": taken,
     }
-    if kind is not None:
+    if hidden:
         truth = found.structures.weigh(Structure(frozenset({kind})), found.base)
         row["oracle"] = truth.log_evidence - found.base.log_evidence
-    return row, f"{seed} {taken:.1f} s {hidden} -> {chosen}"
+    return row
 
 
-def summarise() -> None:
-    """Write and print the counts of the campaigns that stand."""
-    rows = read_lines(RESULTS / "triads.jsonl")
-    summary = {
-        name: counts([row for row in rows if name in (row["instrument"], "all")])
-        for name in (*PLANS, "all")
-    }
-    write("triads", summary)
-    for name, count in summary.items():
-        print(f"{name:20s} {count}")
+BANKS = (Bank("triads", cases, measure, ("instrument", "seed")),)
 
 
-def counts(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """What became of campaigns with one hidden effect, and of those with none."""
-    empty = [row for row in rows if not row["hidden"]]
-    hidden = [row for row in rows if row["hidden"]]
-    visible = [row for row in hidden if row["oracle"] > CLEAR]
-    return {
-        "campaigns": len(rows),
-        "hidden": len(hidden),
-        f"found where the oracle is above {CLEAR:g}": proportion(
-            sum({*row["hidden"]} <= {*row["final"]} for row in visible), len(visible)
-        ),
-        "named, alone or as one of a set": proportion(
-            sum({*row["hidden"]} <= said(row) for row in visible), len(visible)
-        ),
-        "something else beside it": proportion(
-            sum(bool({*row["final"]} - {*row["hidden"]}) for row in hidden), len(hidden)
-        ),
-        "invented where nothing was hidden": proportion(
-            sum(bool(row["final"]) for row in empty), len(empty)
-        ),
-        "median seconds": float(np.median([row["seconds"] for row in rows])) if rows else None,
-    }
+def results() -> dict[str, Rows]:
+    """Return the rows of each instrument, as those of the bank of hidden effects."""
+    rows = [{**r, "kind": "single" if r["hidden"] else "empty"} for r in BANKS[0].rows]
+    return {name: [r for r in rows if r["instrument"] == name] for name in PLANS}

@@ -1,16 +1,13 @@
 """Three hundred records with nothing wrong in them: how often is a result shut, or a thermometer doubted?
 
-    python -m benchmarks good_records
-
 Fifty campaigns of each of six instruments, by its own simulator, in chambers that step within seconds, ramp and hold;
 in half of them effects of the bank of hidden effects, at its sizes. Every second one of the two instruments at rest is
-of the ordinary test's own worlds. A line a campaign in results/good_records.jsonl.
+of the ordinary test's own worlds.
 """
 
 from __future__ import annotations
 
 import re
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -25,16 +22,15 @@ from bayescal_models import (
     ng_accelerometer,
     quartz_beam_accelerometer,
 )
+from benchmarks.bank import Bank
 from benchmarks.hidden_effects.bank import Case, instrument_named
 from benchmarks.hidden_effects.bank import plan as bank
-from benchmarks.ordinary_test import page
-from benchmarks.ordinary_test.judged import INSTRUMENTS, calibrated
+from benchmarks.ordinary_test.judged import INSTRUMENTS, calibrated, in_order
 from benchmarks.ordinary_test.measurement import FURTHER
-from benchmarks.ordinary_test.planned import go_through, in_order
 from benchmarks.ordinary_test.worlds import STRUCTURES, drawn
-from benchmarks.record import RESULTS
 
-PATH = RESULTS / "good_records.jsonl"
+SAMPLE = 24  # records that a release measures anew
+COUNT = 60  # records, the first of the order
 EACH = 50
 KINDS = ("single", "pair")  # of the bank's campaigns, from which hidden effects are
 READINGS = (200, 1600)  # of the ordinary test's worlds
@@ -90,8 +86,8 @@ class Cell(NamedTuple):
 
 
 def plan() -> list[Cell]:
-    """All cells, in their order."""
-    return in_order([Cell(name, seed) for name in CAMPAIGNS for seed in range(EACH)])
+    """Return the cells that are measured, in their order."""
+    return in_order([Cell(name, seed) for name in CAMPAIGNS for seed in range(EACH)])[:COUNT]
 
 
 def measured(cell: Cell) -> dict[str, Any]:
@@ -153,11 +149,4 @@ def _hidden(rng: np.random.Generator, instrument: bc.Instrument) -> dict[str, fl
     return cases[int(rng.integers(len(cases)))].hidden
 
 
-def main(arguments: Sequence[str] = ()) -> None:
-    """Run what is missing, and render the page."""
-    if go_through(plan(), measured, PATH, arguments) == PATH:
-        page.write()
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
+BANKS = (Bank("good_records", lambda: ((tuple(c), c) for c in plan()), measured, Cell._fields),)

@@ -1,31 +1,27 @@
 """The ordinary test of a laboratory: a few runs of a temperature profile, and a body that lags behind the thermometer.
 
-    python -m benchmarks ordinary_test
-    python -m benchmarks.ordinary_test.measurement --count 24 --readings 200 1600 --workers 2 --out FILE
-
 Cells: how the body lags × whether the profile repeats × how many readings × five seeds, in an order drawn before any
 was run; in each a random subset of run offsets, warm-up, a quadratic and the supply's voltage is hidden, at random
 sizes, and one of two instruments reads the file. Bodies are integrated numerically (`bodies.py`), evidences of what is
-hidden are exact (`oracle.py`). A line a campaign in results/ordinary_test.jsonl: stopped, it goes on where it was.
+hidden are exact (`oracle.py`).
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.bank import Bank
 from benchmarks.ordinary_test import page
-from benchmarks.ordinary_test.judged import INSTRUMENTS, judged
-from benchmarks.ordinary_test.planned import go_through, in_order
+from benchmarks.ordinary_test.judged import INSTRUMENTS, in_order, judged
 from benchmarks.ordinary_test.worlds import STRUCTURES, Campaign, drawn
-from benchmarks.record import RESULTS
 
-PATH = RESULTS / "ordinary_test.jsonl"
+SAMPLE = 24  # campaigns that a release measures anew
+COUNT = 60  # campaigns, the first of the order
 READINGS = (200, 1600, 16_000)
+LONGEST = 1600  # readings of a campaign that is measured: longer ones take minutes each
 SEEDS = 5
 FURTHER = ("run", "warm-up", "curve", "supply")
 
@@ -47,8 +43,9 @@ class Cell(NamedTuple):
 
 
 def plan() -> list[Cell]:
-    """All cells, in their order."""
-    return in_order([Cell(*c) for c in product(STRUCTURES, (True, False), READINGS, range(SEEDS))])
+    """Return the cells that are measured, in their order."""
+    cells = in_order([Cell(*c) for c in product(STRUCTURES, (True, False), READINGS, range(SEEDS))])
+    return [cell for cell in cells if cell.readings <= LONGEST][:COUNT]
 
 
 def made(cell: Cell) -> tuple[Campaign, str]:
@@ -65,11 +62,5 @@ def measured(cell: Cell) -> dict[str, Any]:
     return judged(*made(cell))
 
 
-def main(arguments: Sequence[str] = ()) -> None:
-    """Run what is missing, and render the page."""
-    if go_through(plan(), measured, PATH, arguments) == PATH:
-        page.write()
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
+BANKS = (Bank("ordinary_test", lambda: ((tuple(c), c) for c in plan()), measured, Cell._fields),)
+render = page.render

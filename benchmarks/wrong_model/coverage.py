@@ -1,14 +1,12 @@
 """What is stated after a search where effects of every size are hidden: intervals, probabilities, completeness.
 
-    python -m benchmarks wrong_model
-
-Campaigns of three instruments whose laws are none of the catalogue's, fitted by `calibrate` alone. A line a campaign in
-results/wrong_model_INSTRUMENT.jsonl.
+Campaigns of three instruments whose laws are none of the catalogue's, fitted by `calibrate` alone.
 """
 
 from __future__ import annotations
 
-import time
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,12 +14,13 @@ import numpy as np
 import bayescal as bc
 import bayescal_models.inclinometer
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
-from benchmarks.hidden_effects.resume import chosen, go_on
-from benchmarks.record import RESULTS
-from benchmarks.wrong_model import page
+from benchmarks import pages
+from benchmarks.bank import Bank
+from benchmarks.pages import Claim, Rows, share, stated_and_true
 from benchmarks.wrong_model.worlds import World, gyro, inclinometer, quartz
 
 COUNT = 200  # campaigns of each
+SAMPLE = 10  # of each, that a release measures anew
 WORLDS = {
     "mems_gyro": (mems_gyro.INSTRUMENT, gyro, {"bias": ("constant", "temperature")}),
     "quartz_beam_accelerometer": (
@@ -62,21 +61,16 @@ BESIDE = {
 Z = 1.959964  # of a 95 % interval
 
 
-def main() -> None:
-    """Run what is missing, and render the page."""
-    for name in chosen(WORLDS):
-        path = RESULTS / f"wrong_model_{name}.jsonl"
-        cases = (((seed,), (name, seed)) for seed in range(COUNT))
-        go_on(path, ("seed",), cases, campaign)
-    page.write()
+def cases(name: str) -> Iterator[tuple[tuple[int], tuple[str, int]]]:
+    """Give the campaigns of an instrument."""
+    return (((seed,), (name, seed)) for seed in range(COUNT))
 
 
-def campaign(case: tuple[str, int]) -> tuple[dict[str, Any], str]:
-    """One campaign as `calibrate` leaves it."""
+def campaign(case: tuple[str, int]) -> dict[str, Any]:
+    """Return the row of a campaign, as `calibrate` leaves it."""
     name, seed = case
     instrument, made, powers = WORLDS[name]
     world: World = made(seed)
-    begun = time.perf_counter()
     path = bc.calibrate(instrument.baseline(), world.readings, method=bc.Marginal())
     used, best = path.calibration, path.final.calibration
     found = path.final.discovery
@@ -87,8 +81,7 @@ def campaign(case: tuple[str, int]) -> tuple[dict[str, Any], str]:
     for effects, probability in shares.items():
         for effect in effects:
             inclusion[effect] = inclusion.get(effect, 0.0) + probability
-    row = {
-        "seed": seed,
+    return {
         "hidden": world.hidden,
         "final": [n for n in best.model.names if n not in instrument.baseline().names],
         "shares": [[list(e), p] for e, p in shares.items()],
@@ -104,9 +97,7 @@ def campaign(case: tuple[str, int]) -> tuple[dict[str, Any], str]:
         "used": _covered(used, world, powers),
         "best": _covered(best, world, powers),
         "baseline": _covered(path.steps[0].calibration, world, powers),
-        "seconds": time.perf_counter() - begun,
     }
-    return row, f"{name} {seed} {sorted(world.hidden)} {row['final']} {row['used']['later']:.2f}"
 
 
 def _covered(calibration: bc.Calibration, world: World, powers: Any) -> dict[str, Any]:
@@ -138,3 +129,92 @@ def _draws(calibration: bc.Calibration, slot: str, name: str) -> np.ndarray:
             values = factor * calibration.samples(other)
             found = found + (values if values.ndim == found.ndim else values[:, None])
     return found[:, calibration.levels["axis"].index(axis)] if axis else found
+
+
+BANKS = tuple(Bank(f"wrong_model_{name}", partial(cases, name), campaign) for name in WORLDS)
+# Two names of one function to first order.
+ONE: dict[str, str] = {"bias.rate": "bias.thermal_lag", "bias.rate_head": "bias.thermal_lag"} | {
+    "scale.rate_head": "scale.thermal_lag"
+}
+
+
+def _output(rows: Rows, which: str, readings: str) -> str:
+    return f"{np.mean([row[which][readings] for row in rows]):.3f}"
+
+
+def _coefficients(rows: Rows, which: str) -> str:
+    held = (v for row in rows for v in row[which].values() if isinstance(v, list))
+    return share(abs(mean - true) <= Z * sd for mean, sd, true in held)
+
+
+def _effects(rows: Rows, low: float, high: float) -> str:
+    """Return how often named effects of a stated probability were there."""
+    pairs = []
+    for row in rows:
+        stated, hidden = dict[str, float](), {ONE.get(e, e) for e in row["hidden"]}
+        for name, p in row["inclusion"].items():
+            one = str(ONE.get(name, name))
+            stated[one] = min(1.0, stated.get(one, 0.0) + p)
+        for name, p in row["missing"].items():
+            stated.setdefault(str(ONE.get(name, name)), p)
+        pairs += [(p, e in hidden) for e, p in stated.items() if "(" not in e]
+    return stated_and_true(pairs, low, high)
+
+
+def _complete(rows: Rows, low: float, high: float) -> str:
+    """Return how often a model of a stated probability to be complete had all that can be seen."""
+    pairs = [
+        (
+            row["complete"],
+            {ONE.get(e, e) for e in row["hidden"] if e not in row["unseen"]}
+            <= {ONE.get(e, e) for e in row["final"]},
+        )
+        for row in rows
+        if row["complete"] is not None
+    ]
+    return stated_and_true(pairs, low, high)
+
+
+CLAIMS: tuple[Claim, ...] = (
+    *(
+        (
+            f"95 % intervals of the expected output, {words}: {what}",
+            partial(_output, which=w, readings=r),
+        )
+        for w, what in (("used", "average"), ("best", "best structure"))
+        for r, words in (("fitted", "fitted readings"), ("later", "new runs"))
+    ),
+    (
+        "95 % intervals of the baseline's coefficients: average",
+        partial(_coefficients, which="used"),
+    ),
+    ("the same: best structure", partial(_coefficients, which="best")),
+    ("gate shut", lambda rows: share(not row["open"] for row in rows)),
+    *(
+        (f"{what}, stated {low:g} to {high:g}, true", partial(say, low=low, high=high))
+        for what, say in (("an effect is there", _effects), ("complete", _complete))
+        for low, high in ((0.05, 0.5), (0.5, 0.95), (0.95, 1.0))
+    ),
+)
+ABOUT = """
+Campaigns of three instruments whose laws are none of the catalogue's: a lag of two stages, a warm-up of two decays,
+a logarithmic drift, saturating gradients and temperatures, a hysteresis that turns round over degrees, offsets of
+runs that are not normal. None to two effects are hidden, at sizes from 0.05 to 5 times the plausible one, so that
+many are too small to be seen. `calibrate` is given the readings alone. *Due*: the central 95 % of what right
+statements give.
+"""
+
+
+def results() -> dict[str, Rows]:
+    """Return the rows of each instrument."""
+    return dict(zip(WORLDS, (bank.rows for bank in BANKS), strict=True))
+
+
+def render() -> pages.Texts:
+    """Return the page from the results that stand."""
+    groups = results()
+    days = [row["day"] for rows in groups.values() for row in rows]
+    title = "Where the model may be wrong"
+    return pages.page(
+        "wrong_model", title, "wrong_model", days, ABOUT, pages.claims_table(groups, CLAIMS)
+    )

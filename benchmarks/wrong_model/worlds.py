@@ -12,7 +12,6 @@ import bayescal_models.inclinometer
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
 
 SIZES = (0.05, 5.0)  # of the plausible one, log-uniform
-OF_DEVICES = 10.0  # how much more devices differ in their zero than one from run to run
 EVERY = 1e4  # s between the beginnings of runs
 SPAN = 5 * EVERY + 2400.0  # s of the runs that are fitted
 LATER = 11  # label of the first hold-out run
@@ -50,23 +49,18 @@ class World:
         return fitted[:count]
 
 
-def gyro(seed: int, hidden: Mapping[str, float] | None = None, *, other: bool = False) -> World:
+def gyro(seed: int, hidden: Mapping[str, float] | None = None) -> World:
     """A gyro at rest through temperature sweeps: 0.05 °/s of noise, a reading a minute.
 
     Args:
         seed: of everything.
         hidden: sizes over the plausible ones; at random if not given.
-        other: the hold-out data are of another device of the same make.
     """
     rng = np.random.default_rng([35, seed])
     hidden = _drawn(rng, _GYRO) if hidden is None else dict(hidden)
     zero, slope = rng.normal(20.0, 5.0), rng.normal(0.05, 0.02)
 
-    own = zero, slope
-
-    def made(
-        runs: int, first: int, zero: float, slope: float
-    ) -> tuple[bc.Measurements, np.ndarray]:
+    def made(runs: int, first: int) -> tuple[bc.Measurements, np.ndarray]:
         run, time, since, temperature = _sweeps(rng, runs, first)
         board = temperature + 4.0 - 3.0 / (1 + since / 500.0)
         at = Sweep(temperature - 55.0, since, time, run)
@@ -86,13 +80,10 @@ def gyro(seed: int, hidden: Mapping[str, float] | None = None, *, other: bool = 
         )
         return readings, truth
 
-    readings, truth = made(6, 1, zero, slope)
-    if other:
-        zero = zero + rng.normal(0.0, OF_DEVICES * 0.1)
-        slope = slope + rng.normal(0.0, 0.02)
-    later, later_truth = made(2, LATER, zero, slope)
+    readings, truth = made(6, 1)
+    later, later_truth = made(2, LATER)
 
-    law = _static(_GYRO, hidden, "bias", own, readings)
+    law = _static(_GYRO, hidden, "bias", (zero, slope), readings)
     return World(readings, truth, later, later_truth, hidden, {"bias": law})
 
 
@@ -339,8 +330,6 @@ _INCLINOMETER: Mapping[str, Callable[[Table], np.ndarray]] = {
     "base_tilt.drift": lambda at: 2.0 * np.log1p(2 * at.time / SPAN) / np.log(3.0),
 }
 
-HIDDEN_IN = {"mems_gyro": sorted(_GYRO), "quartz_beam_accelerometer": sorted(_QUARTZ)}
-
 
 def _uniform(rng: np.random.Generator, count: int) -> np.ndarray:
     """Offsets of unit standard deviation that are not normal."""
@@ -352,31 +341,3 @@ def _drawn(rng: np.random.Generator, laws: Mapping[str, object]) -> dict[str, fl
     names = rng.choice(sorted(laws), size=rng.choice(COUNTS), replace=False)
     low, high = np.log(SIZES)
     return {str(n): float(np.exp(rng.uniform(low, high)) * rng.choice((-1, 1))) for n in names}
-
-
-def one_profile(seed: int) -> bc.Measurements:
-    """Three runs of one profile: offsets of the runs, a body that lags, a warm-up, a weak quadratic.
-
-    All that is thermal is a function of the time within a run there.
-    """
-    rng = np.random.default_rng([37, seed])
-    step, count, runs = 20.0, 200, 3
-    since, run = np.tile(step * np.arange(count), runs), np.repeat(np.arange(runs), count)
-    temperature = 55.0 - 25.0 * np.cos(2 * np.pi * since / 2400.0)
-    at = Sweep(temperature - 55.0, since, since + 1e4 * run, run)
-    output = (
-        rng.normal(20.0, 5.0)
-        + 0.05 * at.warmth
-        + 0.1 * _uniform(rng, runs)[run]
-        + 0.05 * _behind(at, 240.0)
-        + 0.3 * np.exp(-since / 600.0)
-        + 1.3e-4 * at.warmth**2
-        + rng.normal(0.0, 0.05, since.size)
-    )
-    return bc.Measurements.from_arrays(
-        mems_gyro.INSTRUMENT,
-        run=np.array([f"{r + 1}" for r in run]),
-        time=at.time,
-        temperature=temperature,
-        output=output,
-    )

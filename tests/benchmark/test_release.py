@@ -1,78 +1,54 @@
-"""What is stated was measured: a sentence of a page against its rows, and rows against the last release."""
+"""Banks of campaigns: stopped, they go on; a release measures a part of them anew, each beside what it was."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from benchmarks import record, release
-from benchmarks.hidden_effects import resume, triads
-from benchmarks.release import Part, older_than_the_last
-from benchmarks.stated import Stated, otherwise_than
+from benchmarks import bank, pages
+from benchmarks.bank import Bank, same_outcome
 
 
-def test_a_figure_that_was_altered_is_named() -> None:
-    one = Stated("docs/page.md", "Of {} records {} were right", lambda: [1120, "94/94 (96–100 %)"])
-    page = "…\nOf 1,120 records\n94/94 (96–100 %) were right."
-    assert not otherwise_than(one, page)
-    said = otherwise_than(one, page.replace("94/94", "93/94"))
-    assert said.startswith("docs/page.md") and "'Of 1,120 records 93/94" in said
-    assert otherwise_than(one, "nothing").endswith("nothing of it")
+def measured(seed: int) -> dict[str, Any]:
+    return {"final": [str(1 / (seed - 1))]}
 
 
 @pytest.fixture
-def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for module in (record, release):
-        monkeypatch.setattr(module, "RESULTS", tmp_path)
-    for module in (record, release, resume):
-        monkeypatch.setattr(module, "core", lambda: "new")
-    return tmp_path
+def campaigns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bank:
+    monkeypatch.setattr(bank, "RESULTS", tmp_path)
+    return Bank("made_up", lambda: (((seed,), seed) for seed in range(40)), measured)
 
 
-def test_rows_older_than_the_last_release_are_named(results: Path) -> None:
-    part = Part("own_unit", 3)
-    for case, core in enumerate(("old", "released", "released", "new")):
-        record.add_line(results / "own_unit.jsonl", {"case": case, "core": core, "seconds": 1800.0})
-    assert older_than_the_last() == [], "nothing was released"
-    record.write("release", {"of": "released", "rows": {}})
-    (said,) = older_than_the_last()
-    assert said.startswith("own_unit: 1 rows more"), "3 of the 4 suffice to a sample of 12 of them"
-    assert release.left(part) == (4, 1, 2, 1.0)
-    assert release.left(part, every=True) == (4, 1, 3, 1.5)
+def test_bank_keeps_errors_and_measures_nothing_twice(campaigns: Bank) -> None:
+    campaigns.run()
+    rows = campaigns.rows
+    assert [row["seed"] for row in rows] == list(range(40))
+    assert [row["seed"] for row in rows if "crash" in row] == [1]
+    campaigns.run()
+    assert campaigns.rows == rows
 
 
-def test_a_release_draws_cases_and_says_how_many_came_out_as_before(
-    results: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = results / "own_unit.jsonl"
-    for seed in range(40):
-        record.add_line(file, {"seed": seed, "final": ["lag"], "core": "old"})
-    monkeypatch.setenv("BAYESCAL_ANEW", "1")
-    monkeypatch.setenv("BAYESCAL_SAMPLE", "10")
-    for _ in range(2):  # once more measures nothing more
-        resume.go_on_by_seed(
-            file, range(80), lambda seed: ({"seed": seed, "final": ["lag"] * (seed % 2)}, "")
-        )
-    rows = record.read_lines(file)
-    anew = [row for row in rows if row["core"] == "new"]
-    assert len(rows) == 40 and len(anew) == 10, "of cases that have a row, before others"
-    assert sorted(row["seed"] for row in anew) != list(range(10)), "drawn, not the first"
-    same = sum(row["before"]["same"] for row in anew)
-    assert same == sum(row["seed"] % 2 for row in anew)
-    assert f"Of 10 measured anew {same} came out as before" in record.cores_of(rows)
-    assert release.outcome(Part("own_unit", 10)) == {
-        "rows": 40, "of it": 10, "anew": 10, "as before": same,
-    }  # fmt: skip
+def test_release_draws_campaigns_and_compares_them(campaigns: Bank) -> None:
+    campaigns.run()
+    changed = Bank("made_up", campaigns.cases, lambda seed: measured(seed + 2 * (seed % 2)))
+    pairs = changed.again(10, "0.3.0")
+    seeds = [new["seed"] for _, new in pairs]
+    assert len(set(seeds)) == 10 and seeds != [new["seed"] for _, new in changed.again(10, "0.4.0")]
+    assert [same_outcome(*pair) for pair in pairs] == [seed % 2 == 0 for seed in seeds]
+    assert len(changed.rows) == 40
 
 
-def test_counts_of_three_axes_are_summed_up(
-    results: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(triads, "RESULTS", results)
-    row = {"instrument": "gyro_triad", "hidden": {"square.constant": 1.0}, "oracle": 20.0}
-    row |= {"final": ["square.constant"], "sets": [], "seconds": 2.0}
-    record.add_line(results / "triads.jsonl", row)
-    triads.summarise()
-    assert record.read("triads")["all"]["found where the oracle is above 15"].startswith("1/1")
-    assert "gyro_triad" in capsys.readouterr().out
+def test_table_has_a_column_for_each_group_and_one_for_all() -> None:
+    groups = {"one": [{"held": True}, {"held": False}], "two": [{"held": True}]}
+    claim = ("held", lambda rows: pages.share(row["held"] for row in rows))
+    counts, held = pages.claims_table(groups, (claim,)).splitlines()[2:]
+    assert [cell.strip() for cell in counts.strip("|").split("|")] == ["campaigns", "2", "1", "3"]
+    assert "| 1/2 | 1/1 | 2/3 (9–99 %) |" in held
+
+
+def test_right_statements_come_true_as_often_as_is_due() -> None:
+    pairs = [(0.9, i % 10 > 0) for i in range(100)]
+    assert pages.stated_and_true(pairs, 0.5, 0.95) == "90/100, due 84 to 95"
+    assert pages.stated_and_true(pairs, 0.95, 1.0) == "–"

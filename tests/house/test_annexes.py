@@ -93,12 +93,13 @@ BEHIND = {
         _report.whole_folder: AGAIN
         _search.calibrate: Loop QUICK step_of
         _search.candidate: Candidate
-        _search.discover: SEARCH
+        _search.discover: SEARCH missing
         _search.gate: judged
         _search.noise_laws: laws_over
         _search.own_files: in_a_file refuse_unnamed user_effects
         _search.preview: Previews
         _search.search_path: Step steps_table
+        _search.structures: SIZE_FACTORS Structure
         _tables.cells: ORDERS
         _tables.mapping_file: MAPPING save_mapping
         _tables.open_table: TEXT

@@ -32,7 +32,7 @@ def functions_of(module: str) -> set[str]:
 
 @pytest.mark.parametrize("name", command.MODULES)
 def test_a_name_has_its_module(name: str) -> None:
-    assert "main" in functions_of(f"benchmarks.{command.MODULES[name]}")
+    assert {"main", "BANKS", "render"} & functions_of(f"benchmarks.{command.MODULES[name]}")
 
 
 def test_an_unknown_name_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,6 @@ from bayescal_models import INSTRUMENTS
 from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
 from benchmarks.accuracy import coverage
-from benchmarks.accuracy.chunks import collect
 from benchmarks.accuracy.ranks import band, drawn, judge, ranks
 
 SEED = 11
@@ -92,7 +91,7 @@ MARKS = {
 def test_intervals_cover_for_every_instrument(name: str) -> None:
     # What fails on a hundred data sets is tried on twice as many others: chance does not fail twice, a fault does.
     ground = coverage.Ground.of(name)
-    rows = collect(ground, REPLICATES)
+    rows = [ground.run(index) for index in range(REPLICATES // ground.chunk)]
     assert coverage.uneven(rows) <= UNEVEN.get(name, 0.05)
     failed = failures(rows)
     if failed:

@@ -19,7 +19,6 @@ from bayescal_models.differential_pair.pairing import criteria
 from bayescal_models.differential_pair.pairing.selection import judge
 from bayescal_models.differential_pair.simulator import columns_and_truth
 from benchmarks.accuracy import coverage
-from benchmarks.accuracy.chunks import seed_of
 from benchmarks.accuracy.ranks import drawn
 from tests.support.command_line import needs_installation, run
 from tests.support.made_up.pairs import SMALL
@@ -137,7 +136,7 @@ def test_a_factor_of_the_product_is_put_with_the_hyper_parameters(count: int) ->
 def test_the_mode_is_looked_for_on_both_sides_of_a_product() -> None:
     # With the environment's sign turned, sensitivities are far from 1, and the density is some 25 nats less.
     ground = coverage.Ground.of("differential_pair")
-    data, truth = drawn(ground.model, 3, ground.plan, seed_of(ground.name, 0))
+    data, truth = drawn(ground.model, 3, ground.plan, coverage.seed_of(ground.name, 0))
     for one, sensitivity in zip(data, truth["environment.shared[sensitivity]"], strict=True):
         draws, (layout, levels) = coverage.drawn_once(ground.model, one, ground.method, 0)
         best = np.argsort(draws.log_weight)[-200:]
@@ -151,7 +150,7 @@ def test_stretches_of_draws_of_which_none_counts_are_passed_over(monkeypatch) ->
     monkeypatch.setattr(sampling, "IN_CACHE", 1)
     monkeypatch.setattr(sampling, "NEGLIGIBLE", 1e-9)  # only draws beyond all before them count
     ground = coverage.Ground.of("differential_pair")
-    data, _ = drawn(ground.model, 1, ground.plan, seed_of(ground.name, 0))
+    data, _ = drawn(ground.model, 1, ground.plan, coverage.seed_of(ground.name, 0))
     draws, _ = coverage.drawn_once(ground.model, data[0], ground.method, 0)
     assert np.isfinite(draws.log_evidence)
     assert 1 <= np.sum(draws.log_weight > draws.log_weight.min()) < 100

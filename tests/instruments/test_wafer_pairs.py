@@ -8,6 +8,13 @@ import numpy as np
 import pytest
 
 import bayescal as bc
+from bayescal_models.differential_pair.environment import (
+    DISTURBANCE,
+    ORDERS,
+    RATIO,
+    SENSITIVITY_SPREAD,
+    order_sizes,
+)
 from bayescal_models.differential_pair.pairing.selection import judge
 from bayescal_models.differential_pair.pairing.wafer import (
     Wafer,
@@ -15,8 +22,31 @@ from bayescal_models.differential_pair.pairing.wafer import (
     best_pairs,
     expected_residual,
 )
-from benchmarks.fleet.wafer import drawn
 from tests.support.made_up.pairs import made_up
+
+DRAWS = 100
+SHARE = 0.05  # of a device's own departure, in parts of the environment
+KNOWN, RATIO_KNOWN = 5.0, 0.002  # µg an order; of the sensitivity
+
+
+def drawn(devices: int, seed: int) -> Wafer:
+    """Draws of a wafer's devices, half of them outer ones."""
+    rng = np.random.default_rng(seed)
+    shared = order_sizes() * rng.standard_normal(ORDERS)
+    own = RATIO ** np.arange(ORDERS)
+    own = SHARE * DISTURBANCE * own / np.linalg.norm(own)
+    sensitivity = np.exp(SENSITIVITY_SPREAD * rng.standard_normal(devices))
+    departure = own * rng.standard_normal((devices, ORDERS))
+    of_draws = sensitivity * (1 + RATIO_KNOWN * rng.standard_normal((DRAWS, devices)))
+    errors = KNOWN * rng.standard_normal((DRAWS, devices, ORDERS))
+    return Wafer(
+        tuple(f"R{i:05d}" for i in range(devices)),
+        devices // 2,
+        np.full(DRAWS, 1 / DRAWS),
+        1.0 + 1e-4 * rng.standard_normal((DRAWS, devices)),
+        of_draws,
+        (of_draws[..., None] * shared + departure + errors),
+    )
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -354,6 +354,8 @@ def test_unknown_dependence_on_labels_is_refused(readings, name) -> None:
 def test_no_line_ends_in_another_error_than_a_refusal(readings, text) -> None:
     with contextlib.suppress(bc.InputError):
         bc.effect(f"own: s * ({text})", readings=readings, instrument=GYROSCOPE)
+
+
 @pytest.mark.parametrize(
     ("line", "shape", "low", "high"),
     [

@@ -49,14 +49,15 @@ def write_campaign(folder: Path, also: str = "") -> tuple[Path, Path]:
 
 
 class Bench:
-    """`bayescal workbench` with these arguments, until `close`."""
+    """`bayescal workbench` with these arguments, until `close`; it opens `BROWSER`, where one is given."""
 
-    def __init__(self, *arguments: str | Path) -> None:
-        command = [sys.executable, "-c", MAIN, "workbench", *map(str, arguments), "--no-open"]
+    def __init__(self, *arguments: str | Path, **environment: str) -> None:
+        command = [sys.executable, "-c", MAIN, "workbench", *map(str, arguments)]
+        command += [] if environment else ["--no-open"]
         path = f"{ROOT}{os.pathsep}{ROOT / 'models'}"
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT,
-            env={**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"},
+            env={**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1", **environment},
         )  # fmt: skip
         self.said: list[str] = []
         self.url = self._address()

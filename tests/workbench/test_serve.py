@@ -12,6 +12,7 @@ import signal
 import threading
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -150,6 +151,38 @@ def test_a_request_of_a_megabyte_is_refused(server: Server) -> None:
         assert asked_as(server, host, "/", b"x" * 2**20) in (400, 405, 413)
     with contextlib.suppress(ConnectionError, http.client.HTTPException):
         assert asked_as(server, host, "/", Cookie="x" * 2**20) in (400, 431)
+
+
+BROWSER = """#!/bin/sh
+printf '%s\\n' "$@" > {0}.part && mv {0}.part {0}
+"""
+
+
+@pytest.mark.slow
+@needs_installation
+@pytest.mark.skipif(os.name != "posix", reason="a browser that is a script")
+def test_browser_arguments_hold_no_secret(campaign: Campaign, tmp_path: Path) -> None:
+    """The arguments of a process are read by every user: the browser gets a file that only this one can read."""
+    browser, asked = tmp_path / "browser", tmp_path / "asked"
+    browser.write_text(BROWSER.format(asked))
+    browser.chmod(0o700)
+    running = Bench(campaign.file, *GYRO, "--out", tmp_path / "out", BROWSER=f"{browser} %s")
+    try:
+        ends = time.monotonic() + LATE
+        while not asked.exists():
+            assert time.monotonic() < ends and running.process.poll() is None, running.said
+            time.sleep(0.05)
+        argument = asked.read_text().strip()
+        secret = running.url.split("/")[3]
+        assert secret not in argument
+        page = Path(urllib.request.url2pathname(urllib.parse.urlparse(argument).path))
+        assert page.stat().st_mode & 0o777 == 0o600
+        assert page.parent.stat().st_mode & 0o777 == 0o700
+        forwarded = html.unescape(page.read_text("utf-8"))
+        assert running.url in forwarded and get(running.url)[0] == 200
+    finally:
+        assert running.end(signal.SIGINT) in (0, 130)  # while it still loads
+    assert not page.parent.exists()
 
 
 @pytest.mark.nightly

@@ -43,7 +43,6 @@ from bayescal import (
 from bayescal._calibration.posterior_tree import build_tree
 from bayescal._calibration.storage import save
 from bayescal._inference.method import Method
-from bayescal._model.effect import with_forms
 from bayescal._model.formula import Formula
 from bayescal._model.frame import Reference
 from bayescal._model.installed import GROUP, installed_names
@@ -324,14 +323,6 @@ class State:
     def model(self) -> Model:
         return self.step.calibration.model
 
-    @property
-    def sized(self) -> dict[str, Effect]:
-        """What a look would add of the instrument's effects, by name, at the sizes likeliest beside each other."""
-        known = {e.name for e in with_forms(self.model.instrument.candidates)}
-        return {
-            e.name: e for e in (self.discovery.best if self.discovery else ()) if e.name in known
-        }
-
 
 def path_to(states: Mapping[int, Any], number: int) -> list[int]:
     """Numbers of the states from the first to one."""
@@ -536,7 +527,8 @@ LAST = """
 print(calibration)
 print(bc.check(calibration))
 
-# The fit that the report and exports are of.
+# By the method that was asked for. Where nothing more is to be added, the report and exports are of the average over
+# the structures weighed, as bc.calibrate(model, readings).calibration is.
 final = bc.fit(model, readings, {method}, {settings})
 print(final)
 """

@@ -9,11 +9,12 @@ from __future__ import annotations
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from functools import partialmethod
+from functools import partialmethod, reduce
+from operator import sub
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -31,10 +32,10 @@ from bayescal import (
     NotDrawn,
     Preview,
     SearchPath,
+    TimeIsUp,
     budget,
     compare,
     compensator,
-    discover,
     report,
     set_aside,
 )
@@ -46,14 +47,16 @@ from bayescal._annexes.workbench import kept
 from bayescal._annexes.workbench.kept import Origin, SearchOptions, State, path_to, script
 from bayescal._calibration.summary import unknown_rows
 from bayescal._core import deadline
+from bayescal._model.effect import with_forms
 from bayescal._report.section import of_folder
 from bayescal._search.calibrate import Loop, step_of
-from bayescal._search.discover import SEARCH
+from bayescal._search.discover import SEARCH, missing
 from bayescal._search.gate import judged
 from bayescal._search.noise_laws import laws_over
 from bayescal._search.own_files import refuse_unnamed, user_effects
 from bayescal._search.preview import Previews
 from bayescal._search.search_path import Step
+from bayescal._search.structures import SIZE_FACTORS, Structure
 from bayescal._use import correction_files
 from bayescal.workshop import WIDTH, number, plain_table, save_search, unit_label
 
@@ -88,7 +91,7 @@ def changed(
         model: before it.
         kind: one of `KINDS`.
         arguments: as many as that says.
-        own: effects that are not as the instrument states them, by name.
+        own: effects that are not as the instrument states them, by the name under which they are asked for.
         laws: noise laws, by name.
 
     Raises:
@@ -100,7 +103,8 @@ def changed(
         raise InputError(f"{kind!r} with {len(arguments)} argument(s) is none of: {takes}")
     name = str(arguments[0])
     if kind == "add":
-        return Change(model + own.get(name, name), added=name)
+        effect = own.get(name) or model.instrument.effect(name)
+        return Change(model + effect, added=effect.name)
     if kind == "take_out":
         return Change(model - name, in_words=f"− {name}")
     if kind == "free":
@@ -116,6 +120,16 @@ def changed(
     unit = unit_label(model.effect(name).coefficients[0].unit)
     size = f"{number(value)} {unit}".rstrip()
     return Change(model.resize(name, value), in_words=f"{name} of plausible size {size}")
+
+
+KEPT = 4  # of the latest searches
+
+
+def _as_searched(effect: Effect, known: Effect) -> bool:
+    """Return whether an effect is as known, or has one of the sizes that its evidence is averaged over."""
+    first = known.coefficients[0]
+    factor = 1.0 if first.flat else effect.coefficients[0].size / first.size
+    return effect == known or round(factor, 9) in SIZE_FACTORS
 
 
 SUFFIXES = {
@@ -155,13 +169,15 @@ class Session:
     _at: int = 0
     _been: list[int] = field(default_factory=list)  # current states before this one, the last last
     _previews: dict[int, Previews] = field(default_factory=dict)
-    _finals: dict[int, Step] = field(default_factory=dict)
+    _loops: list[Loop] = field(default_factory=list)  # with the structures weighed over models
+    _followers: list[Callable[[SearchPath], None]] = field(default_factory=list)
+    _trails: dict[int, SearchPath] = field(default_factory=dict)
     _decisions: dict[int, Decisions] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)  # of the tree
     _fitting: threading.Lock = field(default_factory=threading.Lock)
     _beside: threading.RLock = field(default_factory=threading.RLock)
-    _looking: threading.Lock = field(default_factory=threading.Lock)
-    _search: deadline.Deadline | None = None  # of the search that is under way
+    _looking: threading.RLock = field(default_factory=threading.RLock)  # of the structures weighed
+    _end: deadline.Deadline | None = None  # of the search that is under way
 
     @classmethod
     def begin(
@@ -322,7 +338,7 @@ class Session:
     def preview(self, wanted: str | Effect) -> Preview:
         """What adding an effect to the current state would do: `bc.preview`, whose refusals it has; kept."""
         if isinstance(wanted, str):
-            wanted = self.current.sized.get(wanted, wanted)
+            wanted = self._named().get(wanted, wanted)
         with self._beside:
             return self._previews_of(self.current).of(wanted)
 
@@ -338,14 +354,26 @@ class Session:
     def act(self, kind: str, *arguments: Any) -> State:
         """Change the current model, and fit it; the state that comes of it is the current one.
 
-        What a look found is added at the size that it found likeliest.
+        What a look found is added in the form and at the size that it found likeliest.
 
         Raises:
             ModelError, InputError: the model cannot be changed so.
         """
         state = self.current
-        wanted = changed(state.model, kind, arguments, {**self.own, **state.sized}, self.laws)
+        wanted = changed(state.model, kind, arguments, self._named(), self.laws)
         return self._become(wanted, state.number)
+
+    def _named(self) -> dict[str, Effect]:
+        """Return effects that are not as the instrument states them, by the name by which they are asked for.
+
+        The user's own; of what a look reports the likeliest form, at its likeliest size where it was found.
+        """
+        own = {e.name: e for e in with_forms(self.own.values())}
+        if (found := self.current.discovery) is None:
+            return own
+        known, best = self.current.model.instrument.effect, [e for e in found.best if not e.open]
+        forms = {c.effect: own.get(c.form) or known(c.form) for c in found.candidates if c.form}
+        return {**own, **forms, **{e.reported: e for e in best}, **{e.name: e for e in best}}
 
     add = partialmethod(act, "add")  # (effect)
     take_out = partialmethod(act, "take_out")  # (effect)
@@ -355,20 +383,12 @@ class Session:
     noise = partialmethod(act, "noise")  # (name, of `laws`)
 
     def look(self) -> Discovery:
-        """What is missing from the current state, with probabilities: `bc.discover`; kept in the state."""
-        number, asked = self.current.number, self.settings
-        with self._looking:  # another page may look for the same
-            state = self.states[number]
-            if state.discovery is not None:
-                return state.discovery
-            found = discover(
-                state.calibration,
-                effects=tuple(self.own.values()),
-                max_effects=asked.max_effects,
-                widen_noise=asked.widen_noise,
-                time_limit=asked.time_limit,
-            )
-            self._keep_found(number, found)
+        """Return what is missing from the current state, by the structures that were weighed; kept in the state."""
+        number = self.current.number
+        with self._in_time():  # another page may look for the same
+            if (found := self.states[number].discovery) is None:
+                found = self._missing(*self._weighed(self.states[number]))
+                self._keep_found(number, found)
         return found
 
     def find_all(self, follow: Callable[[SearchPath], None] = lambda _: None) -> None:
@@ -379,29 +399,94 @@ class Session:
         Raises:
             ModelError: nothing can be learnt from the current model.
         """
-        begin, loop = self.current, self._loop
-        loop.begun, number = time.monotonic(), begin.number
-        with deadline.until(self.settings.time_limit) as self._search:
-            loop.open(begin.step, tuple(self.own.values()), self.settings.widen_noise)
-            if loop.library is None:
-                why = " ".join(map(str, begin.step.against))
-                raise ModelError(f"nothing is looked for: {why}")
+        begin = self.current
+        if begin.step.against and not self._loop.freed(begin.step):
+            raise ModelError(f"nothing is looked for: {' '.join(map(str, begin.step.against))}")
+        self._followers.append(follow)
+        try:
+            with self._in_time():
+                loop, at = self._weighed(begin, go_on=True)
+                assert loop.library is not None
+                structures, steps, number = loop.library.structures, [begin.step], begin.number
+                for before, to, found in loop.way(loop.goal(structures), at):
+                    if before is None:
+                        self._keep_found(number, found)
+                        continue
+                    steps.append(loop.fitted(structures.weigh(to), before, to))
+                    number = self._append(steps[-1], number, found).number
+                    follow(loop.trail(steps=steps))
+        finally:
+            self._followers.remove(follow)
+
+    @contextmanager
+    def _in_time(self) -> Iterator[None]:
+        """Look at structures, one caller at a time, in the time that there is."""
+        with self._looking, deadline.until(self.settings.time_limit) as self._end:
+            yield
+
+    def _weighed(self, state: State, go_on: bool = False) -> tuple[Loop, Structure]:
+        """Return the search that says what is missing from a state, and which of its structures that state is.
+
+        Its structures differ by all that may be added, so that states on the way to the model that it chooses share one
+        posterior with it, and with `calibrate`. What was added against that posterior, or has a size of the user's, is
+        asserted: all of these hold it.
+
+        Args:
+            state: which.
+            go_on: whether to go on with a search that was stopped.
+        """
+        model, first, loop = state.model, self.states[0], self._loop
+        more = (*self.own.values(), *loop.freed(first.step))
+        known = {**model.instrument.known, **{e.name: e for e in more}}
+        weighed = (e for e in model.effects if loop.weighs(e, model, known))
+        given = {e.name: e for e in weighed if e.is_placeholder or _as_searched(e, known[e.name])}
+        core = reduce(sub, given.values(), model.with_noise(first.model.noise))
+        while True:
+            found = self._searched(core, given.values(), more, go_on)
+            assert found.library is not None
+            base, structures = found.steps[0].calibration, found.library.structures
+            laws, goal = {"": base.model.noise, **structures.laws}, found.goal(structures)
+            law = next((n for n in ("", goal.noise) if laws[n] == model.noise), None)
+            asserted = [n for n in given if n not in goal.effects]
+            if given and not base.verdict.ok:
+                core, given = model, {}
+            elif law is None:
+                core = core.with_noise(model.noise)
+            elif asserted:
+                core = core + [given.pop(n) for n in asserted]
+            else:
+                return found, Structure(frozenset(given), law)
+
+    def _searched(
+        self, core: Model, given: Collection[Effect], more: Sequence[Effect], go_on: bool
+    ) -> Loop:
+        """Weigh structures over a model, beginning with its given effects; kept."""
+        for found in self._loops:
+            if found.steps[0].calibration.model == core:
+                break
+        else:
+            same = (s.step for s in self.states.values() if s.model == core)
+            found = replace(self._loop, stopped="not begun", begun=time.monotonic())
+            first = next(same, None) or found.step(core, method=found.quick(core))
+            found.open(first, more, self.settings.widen_noise)
+            go_on = True
+        if found.stopped and go_on:
+
+            def tell() -> None:
+                for follow in tuple(self._followers):
+                    follow(found.trail())
+
             with deadline.sooner(SEARCH):
-                loop.look(lambda: follow(loop.trail()))
-            structures = loop.library.structures
-            for before, at, found in loop.way(loop.goal(structures)):
-                if before is None:
-                    self._keep_found(number, found)
-                    continue
-                step = loop.fitted(structures.weigh(at), before, at)
-                loop.steps.append(step)
-                number = self._append(step, number, found).number
-                follow(loop.trail())
+                found.given = tuple(given)
+                found.look(tell)
+                found.given = ()
+            self._loops = [*(one for one in self._loops if one is not found), found][-KEPT:]
+        return found
 
     def stop(self) -> None:
-        """End `find_all` with the best so far."""
-        if self._search is not None:
-            self._search.interrupt.requested = True
+        """End a search with the best so far."""
+        if self._end is not None:
+            self._end.interrupt.requested = True
 
     def typed(self, line: str) -> Effect:
         """The effect of a typed formula, as `bc.effect` takes it.
@@ -433,7 +518,8 @@ class Session:
             draft.unlink()
             raise
         self.own |= {e.name: e for e in found}
-        self._previews.clear()
+        for made in (self._previews, self._loops, self._trails):
+            made.clear()
         with self._lock:
             files = (*self.origin.effect_files, str(draft.resolve()))
             self.origin = replace(self.origin, effect_files=files)
@@ -445,20 +531,45 @@ class Session:
         """Python that does what was clicked on the way to the current state, with equal numbers."""
         return self._script(self.path())
 
-    def final(self) -> Step:
-        """The current model fitted by the method that was asked for, as `calibrate` leaves its last; kept."""
+    def trail(self) -> SearchPath:
+        """Return the way to the current state as `calibrate` leaves one, its last model by the method asked for; kept.
+
+        Where nothing more is to be added, what is used of it is averaged over the structures weighed.
+        """
         state = self.current
         with self._fitting:
-            if state.number not in self._finals:
-                loop = self._loop
-                step = loop.step(state.model, method=loop.method)
-                step = replace(step, added=state.step.added, changed=state.step.changed)
-                self._finals[state.number] = step
-            return self._finals[state.number]
+            if state.number not in self._trails:
+                self._trails[state.number] = self._judged(state)
+            return self._trails[state.number]
+
+    def _judged(self, state: State) -> SearchPath:
+        loop, way = self._loop, self.path(state.number)
+        step = loop.step(state.model, method=loop.method, start=state.calibration.start or {})
+        step = replace(step, added=state.step.added, changed=state.step.changed)
+        weighed = None
+        if step.calibration.verdict.ok:
+            with suppress(TimeIsUp), self._in_time():
+                weighed = self._weighed(state)
+                self._keep_found(state.number, self._missing(*weighed))
+                way = self.path(state.number)
+        steps = [*(s.step for s in way[:-1]), step]
+        steps = [replace(s, discovery=w.discovery) for s, w in zip(steps, way, strict=True)]
+        if weighed is None or weighed[0].library is None:
+            return SearchPath(*judged(steps), self.holdout)
+        loop, at = weighed
+        if at.effects != loop.goal(weighed[0].library.structures).effects:
+            return SearchPath(*judged(steps), self.holdout)
+        with self._looking:
+            return loop.averaged(steps, at)
+
+    @staticmethod
+    def _missing(loop: Loop, at: Structure) -> Discovery:
+        assert loop.library is not None
+        return missing(loop.library, at, loop.shut, loop.stopped)
 
     def verdict(self) -> str:
         """Whether the current model may be used as it is, and how its fit went."""
-        trail = self._trail()
+        trail = self.trail()
         said = "This result may be used." if trail.ok else "Not to be used as it is."
         told = (said, trail.gate.reason, str(trail.final.calibration.verdict))
         return "\n\n".join([*(textwrap.fill(t, WIDTH) for t in told if t), str(trail)])
@@ -481,11 +592,11 @@ class Session:
 
     def budget(self, at: Mapping[str, float]) -> Budget:
         """`bc.budget` of the current model."""
-        return budget(self.final().calibration, at)
+        return budget(self.trail().calibration, at)
 
     def decide(self, limits: Sequence[str], **how: Any) -> Decisions:
         """`bc.decide` about the current model; its report begins with it."""
-        number, found = self.current.number, decide(self._trail().calibration, limits, **how)
+        number, found = self.current.number, decide(self.trail().calibration, limits, **how)
         self._decisions[number] = found
         return found
 
@@ -567,16 +678,9 @@ class Session:
     def _script(self, way: list[State]) -> str:
         return script(way, self.origin, self.settings, self.folder.resolve())
 
-    def _trail(self) -> SearchPath:
-        """The way to the current state as `calibrate` leaves one: its last model by the method asked for."""
-        way, final = self.path(), self.final()
-        steps = [*(s.step for s in way[:-1]), final]
-        found = [replace(s, discovery=w.discovery) for s, w in zip(steps, way, strict=True)]
-        return SearchPath(*judged(found), self.holdout)
-
     def _result(self) -> tuple[Path, SearchPath]:
         """The current state's folder of results as `bayescal calibrate --out` leaves it, made anew; the trail in it."""
-        trail, number = self._trail(), self.current.number
+        trail, number = self.trail(), self.current.number
         folder = self.folder / f"result_{number:03d}"
         folder.mkdir(exist_ok=True)
         with suppress(

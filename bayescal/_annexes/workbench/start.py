@@ -9,8 +9,11 @@ import importlib.util
 import ipaddress
 import secrets
 import socket
+import tempfile
 import threading
-from collections.abc import Sequence
+import webbrowser
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -88,6 +91,24 @@ class Address:
     def of(self, session: str) -> str:
         """The address of a session, for a browser."""
         return f"http://{self.host}:{self.port}{self.path}/?session={session}"
+
+
+FORWARD = '<!DOCTYPE html><meta http-equiv="refresh" content="0; url={0}"><a href="{0}">bayescal workbench</a>'
+
+
+@contextmanager
+def opened_in_browser(url: str, folder: Path) -> Iterator[None]:
+    """Open an address in the browser by a file that forwards to it, which only this user can read.
+
+    A browser takes what it opens as an argument, and every user can list the arguments of all processes. The file is in
+    the folder, since a confined browser reads no temporary files, and is removed at the end.
+    """
+    with tempfile.TemporaryDirectory(prefix="open_", dir=folder.resolve()) as private:  # mode 700
+        page = Path(private) / "workbench.html"
+        page.touch(0o600)
+        page.write_text(FORWARD.format(html_text(url)), "utf-8")
+        webbrowser.open(page.as_uri())
+        yield
 
 
 def refuse_without_panel() -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import webbrowser
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -82,14 +82,14 @@ def workbench(
         name = [start.FIRST, *start.kept_sessions(next(iter(folders.values())))][-1]
         told = ", ".join(p.name for p in asked.files)
         said = f"bayescal workbench of {told}: {at.of(name)}\n(Ctrl-C ends it; kept in {folder})"
-        with start.Waiting(at, told, "Loading the instrument …") as waiting:
-            print(said, flush=True)
-            if not no_open:
-                webbrowser.open(at.of(name))
-            sessions = _sessions(asked, early, folders, name, waiting, trust or [])
-        from bayescal._annexes.workbench.serve import serve
+        waiting = start.Waiting(at, told, "Loading the instrument …")
+        print(said, flush=True)
+        with nullcontext() if no_open else start.opened_in_browser(at.of(name), folder):
+            with waiting:
+                sessions = _sessions(asked, early, folders, name, waiting, trust or [])
+            from bayescal._annexes.workbench.serve import serve
 
-        serve(sessions, at)
+            serve(sessions, at)
     print("bayescal workbench: ended", flush=True)
 
 

@@ -238,11 +238,6 @@ class ResidualsOfState:
         """Members of the groups among them."""
         return {c.name: c.levels for c in self._columns if c.levels}
 
-    @property
-    def numbers(self) -> dict[str, tuple[np.ndarray, str]]:
-        """Values (n,) and unit of every column that a region can be given in."""
-        return {n: (v, self.units[n]) for n, v in self.covariates.items() if n not in self.levels}
-
     def same_readings(self, other: ResidualsOfState) -> bool:
         """Whether another state is of the same readings, with the same columns to lay residuals against."""
         own, others = self.covariates, other.covariates

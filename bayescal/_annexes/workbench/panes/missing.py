@@ -114,7 +114,7 @@ def _row(c: Candidate, group: str, kind: str) -> dict[str, Any]:
             size = f"{with_error(c.size, c.size_sd or 0.0)} {unit_label(c.unit)}"
             told["text"] = f"{said} · {size}"
         cells.append({"text": said, "title": f"probability {said}; {factor}", **told})
-    add = {"id": "add", "label": "Add", "title": f"fit the model with {c.effect}"}
+    add = {"id": "add", "label": "Add", "title": f"fit the model with {c.form or c.effect}"}
     note, alike = c.reason, c.indistinguishable_from
     if c.kind in ("finding", "lead") and alike:
         more = f" and {len(alike) - 3} more" if len(alike) > 3 else ""

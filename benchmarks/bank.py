@@ -1,0 +1,79 @@
+"""A bank: campaigns that are measured one after another, a row each; stopped, it goes on where it was."""
+
+from __future__ import annotations
+
+import random
+import sys
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from benchmarks.record import RESULTS, read_lines, today, write_lines
+
+Row = dict[str, Any]
+# What a row says of its campaign: where these are the same, it came out as it had before.
+OUTCOME = ("crash", "status", "verdict", "final", "added")
+
+
+@dataclass(frozen=True)
+class Bank:
+    """Campaigns of one file of rows, `benchmarks/results/NAME.jsonl`.
+
+    Attributes:
+        name: of the file.
+        cases: all campaigns in the order in which they are measured, each with the values of `fields` that name it.
+        measure: from a campaign to its row.
+        fields: of a row, that tell campaigns apart.
+    """
+
+    name: str
+    cases: Callable[[], Iterable[tuple[tuple[Any, ...], Any]]]
+    measure: Callable[[Any], Row]
+    fields: tuple[str, ...] = ("seed",)
+
+    @property
+    def rows(self) -> list[Row]:
+        return read_lines(RESULTS / f"{self.name}.jsonl")
+
+    def run(self) -> None:
+        """Measure the campaigns that have no row."""
+        known = {self._key(row) for row in self.rows}
+        for key, case in self.cases():
+            if key not in known:
+                self._keep(self._measured(key, case))
+
+    def again(self, count: int, seed: str) -> list[tuple[Row, Row]]:
+        """Measure some campaigns that have a row anew, drawn at random; return their old and their new rows."""
+        known = {self._key(row): row for row in self.rows}
+        cases = [(key, case) for key, case in self.cases() if key in known]
+        drawn = random.Random(seed).sample(cases, min(count, len(cases)))
+        pairs = [(known[key], self._measured(key, case)) for key, case in drawn]
+        for _, row in pairs:
+            self._keep(row)
+        return pairs
+
+    def _key(self, row: Row) -> tuple[Any, ...]:
+        return tuple(row[field] for field in self.fields)
+
+    def _measured(self, key: tuple[Any, ...], case: Any) -> Row:
+        """A campaign's row; what ends in an error is a row of its own, and no right answer."""
+        begun = time.process_time()
+        row: Row = dict(zip(self.fields, key, strict=True))
+        try:
+            row |= self.measure(case)
+        except Exception as error:
+            row["crash"] = f"{type(error).__name__}: {error}"
+        row |= {"seconds": row.get("seconds", time.process_time() - begun), "day": today()}
+        told = {name: row[name] for name in OUTCOME if name in row}
+        print(f"{self.name} {key}: {row['seconds']:.1f} s {told}", file=sys.stderr, flush=True)
+        return row
+
+    def _keep(self, row: Row) -> None:
+        rows = [one for one in self.rows if self._key(one) != self._key(row)]
+        write_lines(RESULTS / f"{self.name}.jsonl", (*rows, row))
+
+
+def same_outcome(old: Row, new: Row) -> bool:
+    """Return whether a campaign came out as it had before."""
+    return all(old.get(name) == new.get(name) for name in OUTCOME)

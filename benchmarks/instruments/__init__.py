@@ -1,1 +1,0 @@
-"""What calibration makes of each instrument, beside customary estimates and published figures."""

@@ -1,0 +1,220 @@
+"""Public records of others' sensors: what is known of each, what is found, and whether it holds on what was left out.
+
+A record of NIST's Statistical Reference Datasets has an instrument of its own: a constant and a line, a parabola and a
+cubic as candidates, sizes from the range of the sensor. The channels of an inertial unit on a temperature ramp are read
+by `still_sensor`. Every second block is held out, in the order of what drives the record. The records are no part of
+the repository: they are looked for in `../shared/data`, or in `data` of the folder that BAYESCAL_SHARED names.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
+
+import bayescal as bc
+from bayescal import effects
+from bayescal_models import still_sensor
+from benchmarks import pages
+from benchmarks.record import REFERENCE_DATA, read, today, write
+
+BLOCKS, BLOCK = 20, 300.0  # of equal numbers of readings, by what drives them; s, of the ramp
+SOURCE = "plausible size, from the range of the instrument"
+LAGS = np.log(np.geomspace(20.0, 3000.0, 25))  # log s
+RAMP = "thermal_ramp/imu_thermal_ramp.csv"
+AXES = {
+    **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), "rad/s"),  # deg/s, the record says: doubtful
+    **dict.fromkeys(("acc_x", "acc_y", "acc_z"), "m/s^2"),
+}
+
+
+class PublicRecord(NamedTuple):
+    """A record of NIST's, and what its owner knows before a calibration.
+
+    Attributes:
+        file: in the folder of data.
+        known: what NIST certifies.
+        driver, unit: what drives the output; "1" where NIST's data states no unit.
+        output_unit: of the output.
+        range: of the driver, at most.
+        bias, slope: plausible sizes, output unit, and output unit for each unit of the driver.
+    """
+
+    file: str
+    known: str
+    driver: str
+    unit: str
+    output_unit: str
+    range: float
+    bias: float
+    slope: float
+
+
+RECORDS = {
+    "load cell": PublicRecord(
+        "linear/pontius.csv",
+        "a parabola, −3.161e-15 ± 0.049e-15 for each unit of load squared; residual standard deviation 2.05e-4",
+        *("load", "1", "1", 3e6, 1.0, 1e-6),
+    ),
+    "ozone monitor": PublicRecord(
+        "linear/norris.csv",
+        "a line, intercept −0.26 ± 0.23, slope 1.00212 ± 0.00043; residual standard deviation 0.885",
+        *("concentration", "ppb", "ppb", 1000.0, 10.0, 2.0),
+    ),
+    "ultrasonic reference block": PublicRecord(
+        "nonlinear/Chwirut1.csv",
+        "exp(−b₁x)/(b₂ + b₃x); residual standard deviation 3.36",
+        *("distance", "1", "1", 6.0, 100.0, 100.0),
+    ),
+    "dilatometer": PublicRecord(
+        "nonlinear/Hahn1.csv",
+        "a cubic over a cubic; residual standard deviation 0.082",
+        *("temperature", "K", "1", 900.0, 10.0, 0.1),
+    ),
+    "scanning electron microscope": PublicRecord(
+        "nonlinear/Kirby2.csv",
+        "a parabola over a parabola; residual standard deviation 0.164",
+        *("width", "1", "1", 400.0, 100.0, 1.0),
+    ),
+}
+
+
+def instrument_of(record: PublicRecord) -> bc.Instrument:
+    """Return an instrument with a constant and a line; a parabola and a cubic may be missing."""
+
+    def power(name: str, order: int) -> bc.Effect:
+        size = record.slope if order == 1 else 0.5 * record.slope * record.range ** (1 - order)
+        over = "" if record.unit == "1" else f"/{record.unit}" + (f"^{order}" if order > 1 else "")
+        return bc.Effect(
+            f"response.{name}",
+            "response",
+            basis=lambda r: r[record.driver] ** order,
+            coefficients=(bc.Coefficient(f"{record.output_unit}{over}", bc.Normal(0.0, size)),),
+            columns=(record.driver,),
+            source=SOURCE,
+        )
+
+    columns = (bc.Column(record.driver, record.unit), bc.Column("output", record.output_unit))
+    constant = effects.constant("response", record.bias, record.output_unit, source=SOURCE)
+    return bc.Instrument(
+        name=record.driver,
+        title=record.driver,
+        columns=columns,
+        slots=(bc.Slot("response", record.output_unit),),
+        response=lambda slots, r: slots["response"],
+        effects=(constant, power("line", 1)),
+        candidates=(power("quadratic", 2), power("cubic", 3)),
+        noise=bc.White(bc.HalfCauchy(0.1 * record.bias)),
+    )
+
+
+def measured() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Give each record that is there with what was found."""
+    for title, record in RECORDS.items():
+        path = REFERENCE_DATA / "nist_strd" / record.file
+        if path.is_file():
+            y, x = np.genfromtxt(path, delimiter=",", skip_header=1, unpack=True)
+            rank = np.argsort(np.argsort(x, kind="stable"))
+            held = (rank * BLOCKS // x.size) % 2 == 1
+            whole = bc.Measurements.from_arrays(
+                instrument_of(record), **{record.driver: x, "output": y}
+            )
+            row = calibrated(instrument_of(record), whole, held) | peers(x, y, held)
+            yield title, {"known": record.known, "unit": record.output_unit, **row}
+    path = REFERENCE_DATA / RAMP
+    for axis, unit in AXES.items() if path.is_file() else ():
+        columns, units = (
+            {"output": axis, "time": "t_s"},
+            {axis: unit, "t_s": "s", "temperature": "degC"},
+        )
+        whole = bc.set_aside(bc.read(path, still_sensor.INSTRUMENT, columns=columns, units=units))
+        held = (whole["time"] // BLOCK).astype(int) % 2 == 1
+        row = calibrated(still_sensor.INSTRUMENT.for_readings(whole), whole, held)
+        row |= peers(whole["temperature"], whole["output"], held, whole["time"])
+        yield f"chamber ramp, {axis}", {"known": "", "unit": whole.unit("output"), **row}
+
+
+def calibrated(
+    instrument: bc.Instrument, whole: bc.Measurements, held: np.ndarray
+) -> dict[str, Any]:
+    """Return what `calibrate` makes of a record, and its error where it was held out, output unit."""
+    begun = time.process_time()
+    kept = whole.select(held)
+    trail = bc.calibrate(instrument.baseline(), whole.select(~held), holdout=kept)
+    told, base = bc.predict(trail.calibration, kept), instrument.baseline().names
+    return {
+        "found": [n for n in trail.final.calibration.model.names if n not in base],
+        "ok": trail.ok,
+        "reason": trail.gate.reason,
+        "error": told.rmse,
+        "inside": float(np.mean(np.abs(told.residual) < 2 * told.sd)),
+        "seconds": time.process_time() - begun,
+        "day": today(),
+    }
+
+
+def peers(
+    x: np.ndarray, y: np.ndarray, held: np.ndarray, clock: np.ndarray | None = None
+) -> dict[str, Any]:
+    """Return the errors of what is customary: a line, a cubic and, where there is time, a cubic with one lag."""
+    powers = ((x - x.mean()) / np.ptp(x))[:, None] ** np.arange(4)
+
+    def error(columns: np.ndarray) -> tuple[float, float]:
+        """Errors of the readings that are fitted, and of the others."""
+        left = y - columns @ np.linalg.lstsq(columns[~held], y[~held], rcond=None)[0]
+        fitted, other = (float(np.sqrt(np.mean(left[rows] ** 2))) for rows in (~held, held))
+        return fitted, other
+
+    def with_lag(log_tau: float) -> np.ndarray:
+        assert clock is not None
+        share = np.exp(-float(np.median(np.diff(clock))) / np.exp(log_tau))
+        behind, _ = lfilter([1 - share], [1, -share], x, zi=[share * x[0]])
+        return np.column_stack([powers, behind - x, np.exp(-(clock - clock[0]) / np.exp(log_tau))])
+
+    found = {"line": error(powers[:, :2])[1], "cubic": error(powers)[1]}
+    if clock is not None:
+        best = int(np.argmin([error(with_lag(v))[0] for v in LAGS]))
+        ends = LAGS[max(best - 1, 0)], LAGS[min(best + 1, len(LAGS) - 1)]
+        at: Any = minimize_scalar(lambda v: error(with_lag(v))[0], bounds=ends, method="bounded")
+        found["cubic + lag"] = error(with_lag(at.x))[1]
+    return {"peers": found}
+
+
+def main() -> None:
+    """Measure the records that are there."""
+    rows: dict[str, Any] = read("real_records").get("rows", {})
+    for title, row in measured():
+        rows[title] = row
+        print(title, row, flush=True)
+        write("real_records", {"rows": rows})
+
+
+def render() -> pages.Texts:
+    """Return the page from the results that stand."""
+    rows: Mapping[str, dict[str, Any]] = read("real_records")["rows"]
+    head = ["record", "found beside a line", "error held out", "line", "cubic", "cubic + lag"]
+    body = []
+    for title, row in rows.items():
+        others = (row["peers"].get(n) for n in ("line", "cubic", "cubic + lag"))
+        errors = ["–" if e is None else f"{e:.3g}" for e in (row["error"], *others)]
+        reliable = "yes" if row["ok"] else "no"
+        name = f"{title} [{row['unit']}]" + (f": certified {row['known']}" if row["known"] else "")
+        names = ", ".join(row["found"]) or "nothing"
+        body.append([name, names, *errors, f"{100 * row['inside']:.0f} %", reliable])
+    about = """
+Public records of sensors that others have built and measured, calibrated as their owners would. Errors: root mean
+square of the readings held out, every second of twenty blocks (on the ramp: of five minutes), in the record's unit.
+*Within 2 u*: of these readings. *Reliable*: what the command says by its exit status, from the fitted readings
+alone. The chamber ramp is an inertial unit at rest for 71 minutes between −18 and 74 °C (repository
+tofupilot/examples, MIT licence; the record labels the rates deg/s, they are read as rad/s here). Load cell (P.
+Pontius), ozone monitor (J. Norris), ultrasonic block (D. Chwirut), dilatometer (T. Hahn) and electron microscope
+(R. Kirby): [NIST's Statistical Reference Datasets](https://www.itl.nist.gov/div898/strd/), measured and in the
+public domain.
+"""
+    table = pages.table([*head, "within 2 u", "reliable"], body)
+    days = [row["day"] for row in rows.values()]
+    return pages.page("records_of_others", "Records of others", "real_records", days, about, table)

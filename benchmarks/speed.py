@@ -1,0 +1,266 @@
+"""What answers cost beside peers: a command, one fit, ten thousand devices, a posterior; each answer is compared first.
+
+Ours and a peer run in turn on the same machine, which is busy as machines are: the ratios are what can be compared. A
+peer that is not installed leaves its row as it was.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import bayescal as bc
+from bayescal_models import mems_gyro
+from benchmarks import pages
+from benchmarks.record import ROOT, read, today, write
+
+TABLE = ROOT / "models" / "bayescal_models" / "mems_gyro" / "data" / "zero_rate_table.csv"
+SIZES = (
+    50.0,
+    0.05,
+    5e-4,
+)  # prior sd of offset, slope and square, °/s, °/s/°C, °/s/°C²: the instrument's own
+NOISE = 0.1  # half-Cauchy scale of the noise, °/s: the instrument's own
+REPEATS = 5  # of what is timed, of which the least counts
+NEAR = 0.1  # standard deviations that answers may differ by
+DEVICES, SAMPLE = 10_000, 200  # devices, and those that peers fit
+T0, SCATTER = 20.0, 0.2  # °C; °/s
+MODEL = mems_gyro.INSTRUMENT.baseline()
+OURS = (
+    *("from bayescal._cli.main import main; main()", "calibrate", str(TABLE)),
+    *("--instrument", "mems_gyro", "--json"),
+)
+PEER = ("import sys; from benchmarks.speed import peer; peer(sys.argv[1])", str(TABLE))
+Answer = tuple[float, np.ndarray]  # seconds, and numbers to compare
+Row = dict[str, Any]
+
+
+def peer(table: str) -> None:
+    """Fit a line and a quadratic by PyMC and nutpie and compare them: a script of an afternoon; print the slope."""
+    import arviz as az  # pyright: ignore[reportMissingImports]
+    import nutpie  # pyright: ignore[reportMissingImports]
+    import pymc as pm  # pyright: ignore[reportMissingImports]
+
+    temperature, output = np.loadtxt(table, delimiter=",", skiprows=1).T
+    t, traces = temperature - np.round(temperature.mean()), {}
+    for name, degree in (("line", 1), ("quadratic", 2)):
+        with pm.Model() as model:
+            mean = sum(pm.Normal(f"c{i}", 0.0, SIZES[i]) * t**i for i in range(degree + 1))
+            pm.Normal("output", mean, pm.HalfCauchy("noise", NOISE), observed=output)
+        program = nutpie.compile_pymc_model(model)
+        traces[name] = nutpie.sample(program, chains=4, draws=1000, seed=1, progress_bar=False)
+        with model:
+            pm.compute_log_likelihood(traces[name], progressbar=False)
+    az.compare(traces, ic="loo")
+    slope = traces["line"].posterior["c1"]
+    print(json.dumps({"slope": [float(slope.mean()), float(slope.std())]}))
+
+
+def in_a_process(command: tuple[str, ...], folder: Path) -> tuple[float, dict[str, Any]]:
+    """Run a process of this Python, its compiled code kept in a folder; return its processor seconds and its JSON.
+
+    Raises:
+        RuntimeError: it failed.
+    """
+    own = {
+        "BAYESCAL_CACHE": str(folder / "bayescal"),
+        "NUMBA_CACHE_DIR": str(folder / "numba"),
+        "PYTENSOR_FLAGS": f"base_compiledir={folder / 'pytensor'}",
+    }
+    used = _children()
+    environment = {**os.environ, **own, "MPLBACKEND": "Agg"}
+    command = (sys.executable, "-c", *command)
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command[2:])}: status {done.returncode}: {done.stderr}")
+    return _children() - used, json.loads(done.stdout[done.stdout.index("{") :])
+
+
+def _children() -> float:
+    """Return the processor seconds of the children that ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def commands() -> Iterator[Row]:
+    """Time a command on a table of 18 rows, and the peer's script, first with nothing compiled, then again."""
+    with tempfile.TemporaryDirectory() as one, tempfile.TemporaryDirectory() as other:
+        for start in ("cold", "warm"):
+            seconds, told = in_a_process(OURS, Path(one))
+            (slope,) = (r for r in told["coefficients"] if r["name"] == "bias.temperature")
+            theirs, found = in_a_process(PEER, Path(other))
+            answers = np.array([slope["mean"]]), np.array([found["slope"][0]])
+            what = f"`calibrate` of 18 readings, {start}, beside a script of PyMC and nutpie"
+            yield compared(what, (seconds, answers[0]), (theirs, answers[1]), found["slope"][1])
+
+
+def compared(what: str, ours: Answer, theirs: Answer, sd: Any) -> Row:
+    """Return a row.
+
+    Raises:
+        RuntimeError: the answers differ by more than a tenth of their standard deviations.
+    """
+    apart = float(np.max(np.abs(ours[1] - theirs[1]) / sd))
+    if not apart <= NEAR:
+        raise RuntimeError(f"{what}: answers are {apart:.2g} standard deviations apart")
+    return {"what": what, "ours_s": ours[0], "peer_s": theirs[0], "apart_sd": apart, "day": today()}
+
+
+def least(work: Callable[[], np.ndarray]) -> Answer:
+    """Return the least processor seconds of several runs, and what the last one found."""
+    taken, found = [], np.zeros(0)
+    for _ in range(REPEATS):
+        begun = time.process_time()
+        found = work()
+        taken.append(time.process_time() - begun)
+    return min(taken), found
+
+
+def line_by(name: str) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Return how a peer fits offset and slope of one device: output over °C from T0, with the instrument's priors."""
+    from scipy.optimize import least_squares
+
+    def residuals(x: np.ndarray, t: np.ndarray, output: np.ndarray) -> np.ndarray:
+        return np.append(output - x[0] - x[1] * t, SCATTER * x / np.array(SIZES[:2]))
+
+    def by_scipy(t: np.ndarray, output: np.ndarray) -> np.ndarray:
+        return least_squares(residuals, np.zeros(2), method="lm", args=(t, output)).x
+
+    if name == "scipy":
+        return by_scipy
+    import lmfit  # pyright: ignore[reportMissingImports]
+
+    def by_lmfit(t: np.ndarray, output: np.ndarray) -> np.ndarray:
+        start = lmfit.create_params(offset=0.0, slope=0.0)
+        made = lambda p: residuals(np.array([*p.valuesdict().values()]), t, output)  # noqa: E731
+        return np.array([*lmfit.minimize(made, start).params.valuesdict().values()])
+
+    return by_lmfit
+
+
+def lot() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return device, °C from T0 and output, °/s, of 25 readings of each device."""
+    rng = np.random.default_rng(2026)
+    device = np.repeat(np.arange(DEVICES), 25)
+    t = rng.uniform(-60.0, 65.0, len(device))
+    offset, slope = rng.normal(2.0, 5.0, DEVICES), rng.normal(0.03, 0.01, DEVICES)
+    return device, t, offset[device] + slope[device] * t + rng.normal(0.0, SCATTER, len(device))
+
+
+def devices() -> Iterator[Row]:
+    """Time ten thousand devices by `fit_batch`, and peers' loops on a sample, scaled."""
+    device, t, output = lot()
+    names = np.array([f"G{i:05d}" for i in range(DEVICES)])
+    columns = {"device": names[device], "temperature [degC]": T0 + t, "output [deg/s]": output}
+    with tempfile.TemporaryDirectory() as folder:
+        pd.DataFrame(columns).to_parquet(file := Path(folder) / "lot.parquet")
+        split = bc.split_devices(file, mems_gyro.INSTRUMENT)
+    chosen = [names[i] for i in range(0, DEVICES, DEVICES // SAMPLE)]
+    sd = np.zeros(0)
+
+    def ours() -> np.ndarray:
+        nonlocal sd
+        found = bc.fit_batch(MODEL, split, reference={"T0": T0})
+        sd = np.array([found[n].sd[:2] for n in chosen])
+        return np.array([found[n].mean[:2] for n in chosen])
+
+    own = least(ours)
+    parts = [(t[device == int(n[1:])], output[device == int(n[1:])]) for n in chosen]
+    for name in ("scipy", "lmfit"):
+        one = line_by(name)
+        seconds, found = least(lambda one=one: np.array([one(*part) for part in parts]))
+        scaled = seconds * DEVICES / SAMPLE, found
+        yield compared(
+            f"a line for each of 10,000 devices, beside a loop of {name}", own, scaled, sd
+        )
+
+
+def single() -> Iterator[Row]:
+    """Time one fit by least squares of 600 readings."""
+    t = lot()[1][:600]
+    output = 2.0 + 0.03 * t + np.random.default_rng(5).normal(0.0, SCATTER, 600)
+    readings = bc.Measurements.from_arrays(
+        mems_gyro.INSTRUMENT, temperature=T0 + t, output=output, time=10.0 * np.arange(600.0)
+    )
+    how: dict[str, Any] = {"reference": {"T0": T0}}
+    fit = bc.fit(MODEL, readings, bc.LeastSquares(), **how)
+    names = ("bias.constant", "bias.temperature")
+    sd = np.array([float(np.std(fit.samples(n))) for n in names])
+
+    def ours() -> np.ndarray:
+        found = bc.fit(MODEL, readings, bc.LeastSquares(), **how)
+        return np.array([float(np.mean(found.samples(n))) for n in names])
+
+    own = least(ours)
+    for name in ("scipy", "lmfit"):
+        one = line_by(name)
+        yield compared(
+            f"a line through 600 readings, beside {name}",
+            own,
+            least(lambda one=one: one(t, output)),
+            sd,
+        )
+
+
+def posteriors() -> Iterator[Row]:
+    """Time effective draws of a gyroscope's runs over a parabola: importance sampling beside NumPyro's NUTS."""
+    model = MODEL + "bias.run" + "bias.temperature_quadratic"
+    readings = mems_gyro.simulate({"bias.run": 0.1}, seed=1)
+    rates, means, sd = [], [], np.zeros(0)
+    for method in (bc.Marginal(), bc.NUTS()):
+        begun = time.process_time()
+        found = bc.fit(model, readings, method, strict=False)
+        rates.append((time.process_time() - begun) / (found.verdict.ess or np.nan) * 1000)
+        own = [found.samples(n) for n in ("bias.temperature", "bias.temperature_quadratic")]
+        means.append(np.array([np.mean(one) for one in own]))
+        sd = np.array([np.std(one) for one in own])
+    what = "1,000 effective draws, compilation included, beside NumPyro's NUTS of the same program"
+    yield compared(what, (rates[0], means[0]), (rates[1], means[1]), sd)
+
+
+def main() -> None:
+    """Measure all; a row whose peer is not installed stays."""
+    rows = {row["what"]: row for row in read("speed").get("rows", [])}
+    for part in (commands, devices, single, posteriors):
+        try:
+            for row in part():
+                rows[row["what"]] = row
+                print(row, flush=True)
+        except (ImportError, RuntimeError) as error:
+            print(f"speed: {part.__name__}: {error}", file=sys.stderr)
+    write("speed", {"rows": list(rows.values())})
+
+
+def render() -> pages.Texts:
+    """Return the page from the results that stand."""
+    rows = read("speed")["rows"]
+    table = pages.table(
+        ["processor seconds, on one machine", "bayescal", "peer", "peer over bayescal", "measured"],
+        [
+            [
+                r["what"],
+                f"{r['ours_s']:.3g}",
+                f"{r['peer_s']:.3g}",
+                f"{r['peer_s'] / r['ours_s']:.2g}",
+                r["day"],
+            ]
+            for r in rows
+        ],
+    )
+    about = """
+Answers are compared before their times: within a tenth of a standard deviation. `calibrate` also checks the line
+and weighs every candidate effect; `fit` also finds the noise, draws, names and judges, where a peer is told the
+noise. *Effective draws*: as the verdict of each fit states them.
+"""
+    return pages.page("speed", "Speed", "speed", [r["day"] for r in rows], about, table)

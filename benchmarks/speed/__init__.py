@@ -1,1 +1,0 @@
-"""What answers cost in seconds and memory, beside peers in the same run on the same machine."""

@@ -1,1 +1,0 @@
-"""Effective draws per second: ours beside other samplers on the same log densities."""

@@ -1,1 +1,0 @@
-"""What computing costs, and how the cost grows with the readings."""
