@@ -10,7 +10,7 @@ from bayescal._model.frame import reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.equivalence import equivalents, separating_experiments
 from benchmarks.hidden_effects.bank import INSTRUMENTS, instrument_named
-from benchmarks.markdown import table
+from benchmarks.pages import table
 from benchmarks.record import DOCS
 
 ALL = (*INSTRUMENTS, "accelerometer_dividing_head", "accelerometer_triad", "gyro_triad")

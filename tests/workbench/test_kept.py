@@ -79,6 +79,7 @@ def test_a_file_read_with_every_option_is_gone_on_with(campaign: Campaign, tmp_p
         },
         **{"nominal_scale": "250 mV/(deg/s)", "nominal_zero": "2 mV", "ignore": ("a", "b")},
         **{"missing": "drop", "decimal": ",", "date_order": "dmy", "unwrap": {"time": "2^32us"}},
+        "begin": {"": "2026-05-13 10:14"},
     }
     read_by = set(inspect.signature(bc.read).parameters) - {"path_or_paths", "instrument"}
     assert how.keys() == read_by - {"outputs", "allow_one_temperature", "max_bytes", "like"}

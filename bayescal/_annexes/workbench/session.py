@@ -32,7 +32,6 @@ from bayescal import (
     NotDrawn,
     Preview,
     SearchPath,
-    TimeIsUp,
     budget,
     compare,
     compensator,
@@ -548,7 +547,7 @@ class Session:
         step = replace(step, added=state.step.added, changed=state.step.changed)
         weighed = None
         if step.calibration.verdict.ok:
-            with suppress(TimeIsUp), self._in_time():
+            with suppress(deadline.TimeIsUp), self._in_time():
                 weighed = self._weighed(state)
                 self._keep_found(state.number, self._missing(*weighed))
                 way = self.path(state.number)
