@@ -1,6 +1,6 @@
 """Commands for what instruments offer, for the whole loop, and from readings to a calibration.
 
-What instruments offer: instruments, effects, simulate; of some, pairs of devices, a demonstration. The whole loop:
+What instruments offer: instruments, effects, simulate; of some, pairs of devices. The whole loop:
 `calibrate`, of one output or of several channels of one unit. From readings to a calibration: fit, check, discover,
 compare, predict; and to the noise of a sensor.
 
@@ -9,8 +9,8 @@ Imports stand where they are first needed: a bad file is refused before a sample
 
 from __future__ import annotations
 
-import contextlib
 import inspect
+import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -53,9 +53,6 @@ if TYPE_CHECKING:
     pass
 
 commands = Commands()
-DEMONSTRATIONS = "bayescal.demos"
-"""`run(folder, seed)` writes a demonstration to an existing folder."""
-
 PAIR_SELECTIONS = "bayescal.pair_selections"
 """`select(calibration, criterion=…)` gives a table of pairs that prints itself and has `data()`, plain JSON."""
 
@@ -153,26 +150,25 @@ def pairs(
 
 
 @commands.example("bayescal demo --out demo_output")
-def demo(
-    out: Path = Path("demo_output"),
-    instrument: str = "mems_gyro",
-    seed: int = 0,
-    json_: bool = False,
-) -> Answer:
-    """A gyroscope's table against its published line, then a hidden effect found and added."""
-    chosen = instrument_named(instrument)
-    demonstrate = offered(DEMONSTRATIONS, chosen.name)
-    if demonstrate is None:
-        raise InputError(f"instrument {chosen.name!r} has no demonstration")
-    with (
-        result_folder(out),
-        contextlib.redirect_stdout(sys.stderr if json_ else sys.stdout),
-    ):
-        with whole_folder(out) as hidden:
-            made = drawn(demonstrate, hidden, seed)
-        print(f"\nwritten to {out}: {', '.join([*files_of(out), MANIFEST])}")
-    text = (out / "result.json").read_text(encoding="utf-8").rstrip("\n") if json_ else None
-    return Answer(text, pictures=lambda: made)
+def demo(out: Path = Path("demo_output"), seed: int = 0, json_: bool = False) -> Answer:
+    """The main job on a simulated gyroscope: a hidden effect is found and added, and the error falls."""
+    files = out / "readings.csv", out / "holdout.csv"
+    with result_folder(out):
+        for number, file in enumerate(files, 1):
+            how = {"effect": ["bias.thermal_lag=0.05"], "seed": seed + number}
+            print_notes([simulate(instrument="mems_gyro", out=file, **how).shown])
+        given = "mems_gyro", [files[0]], ColumnOptions(), ModelOptions()
+        asked = SearchRequest(*given, holdout=[files[1]], seed=seed)
+        found = calibrate(asked=asked, out=out, json_=json_)
+    called = sys.argv[0]
+    own = "bayescal" if shutil.which("bayescal") == called else called
+    line = f"{own} calibrate FILE.csv --instrument mems_gyro --out result"
+
+    def written() -> str:
+        of_demo = found.written() if found.written else ""
+        return f"{of_demo}\nthe picture: {out / 'loop.png'}\nwith readings of your own: {line}"
+
+    return replace(found, written=written)
 
 
 def offered(group: str, instrument: str) -> Callable[..., Any] | None:

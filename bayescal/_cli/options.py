@@ -438,16 +438,20 @@ class Commands(typer.Typer):
     def example(
         self, line: str, *, data: bool = True, endless: bool = False
     ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-        """A command, as `typer.Typer.command` takes it.
+        """Have a function as a command, as `typer.Typer.command` does; it stays callable.
 
         Args:
             line: how it is called, for the end of its help.
             data: whether its answer is printed as JSON with --json, an option that it need not declare.
             endless: whether it says itself what it does.
         """
-        return lambda command: self.command(epilog=f"Example: {line}")(
-            answering(command, data, endless, self.words, self.more)
-        )
+
+        def taken(command: Callable[..., Any]) -> Callable[..., Any]:
+            answered = answering(command, data, endless, self.words, self.more)
+            self.command(epilog=f"Example: {line}")(answered)
+            return command
+
+        return taken
 
 
 def answering(

@@ -83,5 +83,4 @@ def test_the_demonstration(tmp_path: Path) -> None:
     done = run("demo", "--out", tmp_path / "demo", "--json")
     assert done.status == 0, done.err
     assert done.data["steps"][-1]["added"].startswith("bias.thermal_lag"), "in one of its forms"
-    assert "AGAINST THE LINE ITS PAPER PRINTS" in done.err
     assert (tmp_path / "demo" / "loop.png").is_file()

@@ -106,8 +106,6 @@ REFUSED = (
     ("pairs {table} --instrument mems_gyro", "does not choose its devices in pairs"),
     ("report no.nc --out {folder}/r.html", "There is no file no.nc"),
     ("workbench {no_unit} --instrument mems_gyro --no-open --out {new}", "unit"),
-    ("demo --instrument gyro --out {new}", "no instrument is called 'gyro'"),
-    ("demo --instrument {level}:INSTRUMENT --out {new}", "has no demonstration"),
     ("demo --out {saved}", "cannot write to the folder"),
 )
 

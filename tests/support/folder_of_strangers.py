@@ -32,7 +32,7 @@ def strangers_folder(place: Path) -> Path:
     offers = folder / "stranger-1.0.dist-info"
     offers.mkdir()
     (offers / "METADATA").write_text("Name: stranger\nVersion: 1.0\n", "utf-8")
-    groups = ("bayescal.instruments", "bayescal.demos", "bayescal.pair_selections")
+    groups = ("bayescal.instruments", "bayescal.pair_selections")
     points = "".join(f"[{group}]\nmems_gyro = json:INSTRUMENT\n" for group in groups)
     (offers / "entry_points.txt").write_text(points, "utf-8")
     return folder
