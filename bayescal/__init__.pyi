@@ -56,6 +56,7 @@ from ._model.vector import Vector as Vector
 from ._model.model import Model as Model
 from ._model.effect import Effect as Effect
 from ._model.formula import effect as effect
+from ._core.xp import xp as xp  # functions of arrays, for bases and responses
 from ._model.effect import Coefficient as Coefficient
 from ._model.effect import Shape as Shape
 from ._model.frame import Frame as Frame

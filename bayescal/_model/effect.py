@@ -12,11 +12,11 @@ from dataclasses import field, replace
 from functools import cached_property
 from typing import Any, Literal
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jit import by_value, importable, written_by_value
+from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._model.frame import Frame
 from bayescal._model.prior import (
@@ -358,12 +358,16 @@ def matrix(
     name: str,
     frame: Frame,
     shapes: Mapping[str, Any],
-) -> Float[Array, "n p"]:
-    """`Effect.evaluate` of a basis by itself: with how many coefficients, and whose it is."""
-    columns = jnp.asarray(basis(frame, **shapes), dtype=float)
-    if columns.ndim < 2:
-        columns = jnp.broadcast_to(columns, (frame.size,))[:, None]
-    if columns.shape != (frame.size, count):
+    lead: tuple[int, ...] = (),
+) -> Float[Array, "*s n p"]:
+    """`Effect.evaluate` of a basis by itself: with how many coefficients, and whose it is.
+
+    On the host, shapes may have several values (*s, 1), `lead` of them, which lead in the columns.
+    """
+    columns = xp.asarray(basis(frame, **shapes), dtype=float)
+    if columns.ndim < 2 + len(lead):
+        columns = xp.broadcast_to(columns, (*lead, frame.size))[..., None]
+    if columns.shape != (*lead, frame.size, count):
         raise ModelError(
             f"effect {name!r}: its basis returned shape {columns.shape}; with {count} coefficient(s) and "
             f"{frame.size} readings it must return {(frame.size, count)}"

@@ -23,11 +23,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from bayescal._core.jit import given
+from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import OPEN, Coefficient, Effect, Shape
 from bayescal._model.prior import Normal
@@ -98,10 +97,9 @@ def process_columns(position: Any, terms: int) -> Any:
         position: of each reading in the covariate's range, 0 to 1; a NumPy or a JAX array (n,), as is the result.
         terms: how many eigenfunctions.
     """
-    xp = position.__array_namespace__()  # NumPy's outside of a program, JAX's within
     centred = xp.clip(2 * position - 1, -WIDER_RATIO, WIDER_RATIO)
     order = xp.arange(1, terms + 1) * math.pi / (2 * WIDER_RATIO)
-    return xp.sin(order * (centred[:, None] + WIDER_RATIO)) / math.sqrt(WIDER_RATIO)
+    return xp.sin(order * (centred[..., None] + WIDER_RATIO)) / math.sqrt(WIDER_RATIO)
 
 
 def process_weights(length: Any, terms: int) -> Any:
@@ -111,7 +109,6 @@ def process_weights(length: Any, terms: int) -> Any:
         length: of the process, in parts of the range.
         terms: how many eigenfunctions.
     """
-    xp = jnp if isinstance(length, jax.Array) else np
     order = np.arange(1, terms + 1) * math.pi / (2 * WIDER_RATIO)
     scale = 2 * length
     return xp.sqrt(scale * math.sqrt(2 * math.pi)) * xp.exp(-((scale * order) ** 2) / 4)
@@ -235,7 +232,7 @@ def cycle(slot: str, low: float, high: float, unit: str, *, name: str = "") -> E
 
 
 def _step(covariate, r, place):
-    return 0.5 * jnp.tanh((r.position(covariate) - place) / SHARP)
+    return 0.5 * xp.tanh((r.position(covariate) - place) / SHARP)
 
 
 def _straight(covariate, r):
@@ -244,12 +241,12 @@ def _straight(covariate, r):
 
 def _hinge(covariate, r, place):
     beyond = r.position(covariate) - place
-    return 0.5 * (beyond + jnp.sqrt(beyond**2 + SHARP**2))
+    return 0.5 * (beyond + xp.sqrt(beyond**2 + SHARP**2))
 
 
 def _waves(covariate, r, cycles):
     angle = 2 * math.pi * cycles * r.position(covariate)
-    return jnp.stack([jnp.sin(angle), jnp.cos(angle)], axis=1)
+    return xp.stack([xp.sin(angle), xp.cos(angle)], axis=-1)
 
 
 def _even(amplitude):

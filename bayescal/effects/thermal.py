@@ -9,9 +9,9 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
+from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import run_codes
 from bayescal._data.unit_conversion import unit_label
@@ -330,7 +330,7 @@ def _smoothed_rate(column: str, r: Frame, window: Any) -> Any:
 
 
 def _directions(column: str, r: Frame, width: Any) -> Any:
-    return jnp.stack(r.direction(width, column), axis=1)
+    return xp.stack(r.direction(width, column), axis=-1)
 
 
 def _stages(modes: Callable[..., Modes], column: str, r: Frame, tau: Any, ratio: Any) -> Any:
@@ -352,11 +352,11 @@ _ACTING = (_body, _stages, _paths)  # by the number of shapes beside τ
 
 def _followed(modes: Modes, column: str, r: Frame, tau: Any) -> Any:
     behind = sum(w * r.behind(m * tau, column) for m, w in modes)
-    return jnp.stack([sum(w * jnp.exp(-r.elapsed / (m * tau)) for m, w in modes), behind], axis=1)
+    return xp.stack([sum(w * xp.exp(-r.elapsed / (m * tau)) for m, w in modes), behind], axis=-1)
 
 
 def _lagging(column: str, r: Frame, tau: Any) -> Any:
-    return jnp.stack([r.lag(tau, column), jnp.exp(-r.elapsed / tau)], axis=1)
+    return xp.stack([r.lag(tau, column), xp.exp(-r.elapsed / tau)], axis=-1)
 
 
 def _lag_by_temperature(column: str, r: Frame, tau: Any) -> Any:
@@ -366,7 +366,7 @@ def _lag_by_temperature(column: str, r: Frame, tau: Any) -> Any:
 def _one_way(column: str, widths: tuple[float, float, str], readings: Measurements) -> str | None:
     """Why a column that does not go both ways shows no hysteresis, if so."""
     frame = build_frame(readings, reference_of(readings))
-    turned = np.asarray(frame.direction(jnp.asarray(math.sqrt(math.prod(widths[:2]))), column)[0])
+    turned = np.asarray(frame.direction(math.sqrt(math.prod(widths[:2])), column)[0])
     least = DIRECTION_SHARE
     warmed, cooled = (turned > 0.5).mean() >= least, (turned < -0.5).mean() >= least
     if warmed and cooled:

@@ -43,11 +43,11 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 import bayescal as bc
+from bayescal import xp
 from bayescal_models.catalogue import EffectTable, Maker, centred, effect, one, progress, recorded
 from bayescal_models.inclinometer import COLUMNS
 from bayescal_models.inclinometer.campaign import Campaign
@@ -59,14 +59,14 @@ KNOTS = np.deg2rad(np.arange(-45.0, 46.0, 15.0))  # of the spline table
 
 
 def _response(slots, r):
-    leak = slots["cross_axis"] * jnp.sin(r["placement_angle"])
+    leak = slots["cross_axis"] * xp.sin(r["placement_angle"])
     rig = slots["dividing"] + slots["base_tilt"]
     if "true_angle" not in r.columns:
         return slots["zero"] + leak + rig
     tilt = r["true_angle"] + ARCSEC * rig
     zero = ARCSEC * slots["zero"]
-    sine = sensed(jnp.sin(tilt), zero, jnp.cos(tilt), 0.0, slots["scale"], ARCSEC * leak)
-    return jnp.arcsin(jnp.clip(sine, -1.0, 1.0)) / ARCSEC
+    sine = sensed(xp.sin(tilt), zero, xp.cos(tilt), 0.0, slots["scale"], ARCSEC * leak)
+    return xp.arcsin(xp.clip(sine, -1.0, 1.0)) / ARCSEC
 
 
 # Bases.
@@ -81,7 +81,7 @@ def _sweep(r: bc.Frame) -> Any:
 
 
 def _of_tilt(r: bc.Frame) -> Any:
-    return 1 / jnp.cos(r["true_angle"])
+    return 1 / xp.cos(r["true_angle"])
 
 
 def _of_tilt_from_level(r: bc.Frame) -> Any:
@@ -89,17 +89,17 @@ def _of_tilt_from_level(r: bc.Frame) -> Any:
 
 
 def _exact_less_linear(r: bc.Frame) -> Any:
-    return exact_placement(r["true_angle"], r["placement_angle"], jnp) - r["placement_angle"]
+    return exact_placement(r["true_angle"], r["placement_angle"], xp) - r["placement_angle"]
 
 
 def _waves(orders: tuple[int, ...], r: bc.Frame) -> Any:
     angle = r["placement_angle"]
-    return jnp.stack([f(m * angle) for m in orders for f in (jnp.cos, jnp.sin)], axis=1)
+    return xp.stack([f(m * angle) for m in orders for f in (xp.cos, xp.sin)], axis=-1)
 
 
 def _exact_waves(r: bc.Frame) -> Any:
-    angle = exact_placement(r["true_angle"], r["placement_angle"], jnp)
-    return jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
+    angle = exact_placement(r["true_angle"], r["placement_angle"], xp)
+    return xp.stack([xp.cos(angle), xp.sin(angle)], axis=-1)
 
 
 def _spline(r: bc.Frame) -> Any:
@@ -107,13 +107,13 @@ def _spline(r: bc.Frame) -> Any:
     angle = r["placement_angle"]
     spline = CubicSpline(KNOTS, np.eye(KNOTS.size), bc_type="natural")
     low, high = KNOTS[0], KNOTS[-1]
-    inside = jnp.clip(angle, low, high)
+    inside = xp.clip(angle, low, high)
     step = KNOTS[1] - KNOTS[0]
-    piece = jnp.clip(jnp.floor((inside - low) / step).astype(int), 0, KNOTS.size - 2)
-    h = (inside - low - piece * step)[:, None]
-    c = jnp.asarray(spline.c)[:, piece]
-    slope = jnp.where((angle < low)[:, None], spline(low, 1), spline(high, 1))
-    return c[3] + h * (c[2] + h * (c[1] + h * c[0])) + (angle - inside)[:, None] * slope
+    piece = xp.clip(xp.floor((inside - low) / step).astype(int), 0, KNOTS.size - 2)
+    h = (inside - low - piece * step)[..., None]
+    c = xp.take(spline.c, piece, axis=1)
+    slope = xp.where((angle < low)[..., None], spline(low, 1), spline(high, 1))
+    return c[3] + h * (c[2] + h * (c[1] + h * c[0])) + (angle - inside)[..., None] * slope
 
 
 def _one_way(readings: bc.Measurements) -> str | None:

@@ -32,11 +32,10 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 import bayescal as bc
+from bayescal import xp
 from bayescal_models import catalogue
 from bayescal_models.catalogue import MINUTE, SIGNS, EffectTable, Maker, effect, one
 from bayescal_models.quartz_beam_accelerometer import COLUMNS, NOMINAL_SCALE, PER_G
@@ -101,11 +100,10 @@ def _slipped(r: bc.Frame) -> Any:
 
     def advance(seat, row):
         now, begin = row
-        seat = jnp.where(begin, now, jnp.clip(seat, now - SLIP, now + SLIP))
+        seat = xp.where(begin, now, xp.clip(seat, now - SLIP, now + SLIP))
         return seat, (now - seat) / SLIP
 
-    _, strain = jax.lax.scan(advance, here[0], (here, begins))
-    return jnp.zeros_like(strain).at[r.order].set(strain)
+    return xp.placed(r.order, xp.scan(advance, here[0], (here, begins)))
 
 
 def _one_way(readings: bc.Measurements) -> str | None:

@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-import jax.numpy as jnp
-
 import bayescal as bc
+from bayescal import xp
 from bayescal_models.catalogue import Maker, effect, family, one, progress
 
 
@@ -54,7 +53,7 @@ def _departure(order: int, r: bc.Frame) -> Any:
 
 
 def _behind(count: int, r: bc.Frame, tau: Any) -> Any:
-    return jnp.broadcast_to(r.lag(tau)[:, None], (r.size, count))
+    return xp.broadcast_to(r.lag(tau)[..., None], (r.size, count))
 
 
 def unknown_directions(readings: bc.Measurements) -> str | None:
