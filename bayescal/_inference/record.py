@@ -357,6 +357,8 @@ class Record:
         """
         if isinstance(self.of, Record):
             return self.of.affine
+        if (found := self._affine_on_host()) is not None:
+            return found
         base, slopes = self._response({}, {})
         # An affine function has one slope everywhere: two random places tell it from all others but for a null set.
         random = np.random.default_rng(0)
@@ -374,6 +376,32 @@ class Record:
                 # not "larger than": outside of an arcsine there is no slope to compare
                 if not np.max(change, initial=0.0) <= AFFINE * scale:
                     return None
+        return base, slopes
+
+    def _affine_on_host(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+        """The same by NumPy, slopes as what an imaginary slot adds; None where the response is JAX's, or not affine."""
+
+        def respond(slots: Mapping[str, Any]) -> Any:
+            every = {name: slots.get(name, np.zeros(self.size)) for name in self.slots}
+            return np.broadcast_to(self.instrument.response(every, self.frame), (self.size,))
+
+        random, reach = np.random.default_rng(0), float(np.ptp(self.y)) or 1.0
+        try:
+            with np.errstate(all="ignore"):
+                base = respond({})
+                slopes = {n: respond({n: np.full(self.size, 1j)}).imag for n in self.slots}
+                for _ in range(2):
+                    slots, change = dict[str, np.ndarray](), np.zeros(self.size)
+                    for name, slope in slopes.items():
+                        steep = float(np.max(np.abs(slope), initial=0.0))
+                        size = min(1.0, reach / steep) if steep > 0 else 1.0
+                        slots[name] = size * random.standard_normal(self.size)
+                        change = change + slope * slots[name]
+                    miss = np.abs(respond(slots) - base - change)
+                    if not np.max(miss) <= AFFINE * np.max(np.abs(change)):
+                        return None
+        except Exception:  # of numbers that it cannot take
+            return None
         return base, slopes
 
     def columns_of_draws(

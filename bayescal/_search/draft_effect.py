@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.calibration import Calibration
@@ -70,7 +69,7 @@ def shape_of(calibration: Calibration, name: str) -> DraftShape:
     coefficients = np.stack([calibration.samples(n) for n in names], axis=1)
     shapes = {s.name: calibration.samples(effect.shape_name(s)) for s in effect.column_shapes}
     # In place of readings: a covariate that goes through its range.
-    places = jnp.linspace(0.0, 1.0, POINTS)
+    places = np.linspace(0.0, 1.0, POINTS)
     ramp: Any = SimpleNamespace(position=lambda covariate: places)
     # Two hundred draws, spread over all: mean and scatter of a curve to a fourteenth of its scatter.
     step, draws = max(1, len(coefficients) // 200), []
@@ -113,7 +112,6 @@ def draft_effect(calibration: Calibration, name: str) -> str:
 DRAFT = """\
 # {looks}
 import bayescal as bc
-import jax.numpy as jnp
 
 
 def {word}(r):  # columns in the units of the instrument, others in base units, ratios as plain numbers
@@ -129,11 +127,11 @@ def _closest(shape: DraftShape) -> tuple[str, str]:
     x = np.linspace(-0.5, 0.5, POINTS)
     forms = [("a line", "x"), ("a parabola", "x**2"), ("a cubic", "x**3")]
     forms += [
-        (f"an exponential of width {w:g} of the range", f"jnp.exp(-(x + 0.5) / {w:g})")
+        (f"an exponential of width {w:g} of the range", f"bc.xp.exp(-(x + 0.5) / {w:g})")
         for w in WIDTHS
     ]
     forms += [
-        (f"a step at {p + 0.5:.2g} of the range", f"jnp.where(x > {p:.3g}, 0.5, -0.5)")
+        (f"a step at {p + 0.5:.2g} of the range", f"bc.xp.where(x > {p:.3g}, 0.5, -0.5)")
         for p in PLACES
     ]
     curves = [x, x**2, x**3, *(np.exp(-(x + 0.5) / w) for w in WIDTHS)]
@@ -149,7 +147,7 @@ def _closest(shape: DraftShape) -> tuple[str, str]:
         if wave > share:
             # a·sin + b·cos = √(a² + b²)·sin(· + φ), tan φ = b/a.
             angle = f"{2 * math.pi / period:.4g} * x + {math.atan2(cosine, sine):.4g}"
-            words, basis = f"a sine of period {period:.2g} of the range", f"jnp.sin({angle})"
+            words, basis = f"a sine of period {period:.2g} of the range", f"bc.xp.sin({angle})"
             share = wave
     return f"resembles {words} ({100 * share:.0f} % of its variance); is that the physics?", basis
 

@@ -14,7 +14,7 @@ It is solved for the stimulus of each reading, for draws of θ or to first order
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -65,11 +65,12 @@ class Lag(NamedTuple):
         return None if self.shape is None else f"{self.name}_by_tau"
 
 
+@dataclass(frozen=True, eq=False)
 class OneReading(Frame):
     """One reading as a frame; lags come from outside, in the order in which bases ask for them."""
 
     lags: tuple[Float[Array, "n"], ...] = ()
-    asked: list[tuple[str, Any]] = eqx.field(static=True, default_factory=list)
+    asked: list[tuple[str, Any]] = field(default_factory=list)
 
     def behind(self, tau, name="temperature"):
         self.asked.append((name, tau))
