@@ -24,6 +24,7 @@ from bayescal._inference.noise_on_record import (
 )
 from bayescal._inference.problem import SHIFT, Problem, Values, differences
 from bayescal._inference.products import DEGREES, Axes, Polynomials, Products, basis_of
+from bayescal._inference.tabulated import Evaluation, Tabulated
 from bayescal._model.composition import Linearised
 
 NOWHERE = -1e300  # log density where there is none
@@ -64,7 +65,18 @@ class Density:
         self._lines: dict[tuple[float, ...], tuple[Linearised, Gram | None]] = {}
         self._kept: dict[bytes, tuple[float, Values, Prior, Conditional | None]] = {}
         self._mode = self.x  # of x, where it was sought
+        self._evaluated: tuple[np.ndarray, Evaluation | None] | None = None
         self._last: tuple[Values, tuple[float, dict[str, float]]] | None = None
+
+    @cached_property
+    def tabulated(self) -> Tabulated | None:
+        """The structure on the record's table of products; None of laws and structures that no table tells."""
+        problem = self.problem
+        nodes = None
+        if not (problem.corrected or problem.noisy or any(t.place == "phi" for t in problem.terms)):
+            nodes = problem.record.nodes(problem.noise)
+        there = np.zeros(len(problem.hypers)) if self.there is None else self.there
+        return None if nodes is None else Tabulated(problem, nodes, self.x, there)
 
     @cached_property
     def products(self) -> Products | None:
@@ -229,8 +241,21 @@ class Density:
             return NOWHERE, hyper, prior, None
         return found.log_marginal + self.problem.log_prior(v), hyper, prior, found
 
+    def evaluate(self, v: np.ndarray, sloped: bool = True) -> Evaluation | None:
+        """Return the tabulated density at a coordinate; the latest with slopes is kept."""
+        assert self.tabulated is not None
+        if self._evaluated is None or not np.array_equal(self._evaluated[0], v):
+            found = self.tabulated.evaluate(v, self.flat, sloped)
+            if not sloped:
+                return found
+            self._evaluated = v.copy(), found
+        return self._evaluated[1]
+
     def at(self, v: np.ndarray) -> tuple[float, Conditional | None]:
         """The log density at a coordinate, and x given φ there; none where there is no density."""
+        if self.tabulated is not None:
+            made = self.evaluate(v, False)
+            return (NOWHERE, None) if made is None else (made.log_density, made.given)
         value, _, _, found = self._given(v)
         if found is None or not math.isfinite(value):
             return NOWHERE, None
@@ -238,7 +263,7 @@ class Density:
 
     def values(self, vs: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k"]:
         """The log density at several coordinates."""
-        if self.alone:
+        if self.alone and self.tabulated is None:
             problem = self.problem
             law, record, hyper = problem.noise, problem.record, problem.hyper(vs.T)
             if record.long and not law.independent:  # their slopes take longer than they do
@@ -251,6 +276,9 @@ class Density:
     def slope(self, v: np.ndarray) -> tuple[float, np.ndarray]:
         """The log density and its gradient."""
         problem = self.problem
+        if self.tabulated is not None:
+            there = self.evaluate(v)
+            return (NOWHERE, np.zeros(len(v))) if there is None else (there.log_density, there.gradient)
         value, hyper, prior, found = self._given(v)
         if found is None or not math.isfinite(value):
             return NOWHERE, np.zeros(len(v))

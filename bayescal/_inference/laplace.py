@@ -222,6 +222,8 @@ def climb(
     if not dim:
         return starts[0], np.zeros((0, 0))
     v = starts[int(np.argmax(density.values(np.array(starts))))] if len(starts) > 1 else starts[0]
+    if density.tabulated is not None:
+        return newton(density, v, wanted_from)
     wide = 0.1 * np.eye(dim)
     if covariance is not None and np.all(np.isfinite(covariance)):
         wide = covariance
@@ -251,6 +253,36 @@ def climb(
             wide = left @ wide @ left.T + np.outer(step, step) / bend
         v, value, slope = v + step, there, next_slope
     return v, wide
+
+
+def newton(
+    density: Density, v: Float[np.ndarray, "d"], wanted_from: float = -math.inf
+) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d d"]]:
+    """φ̂ of a tabulated density by Newton's steps, and the covariance of the Gaussian fit there.
+
+    Directions that the density bends up along are gone the other way, those that it hardly bends along as if it did
+    (J. Nocedal and S. Wright, Numerical Optimization, 2006, §3.4).
+    """
+    here = density.evaluate(v)
+    if here is None:
+        return v, 0.1 * np.eye(len(v))
+    for _ in range(CLIMB):
+        bend, vectors = np.linalg.eigh(here.curvature)
+        bend = np.maximum(np.abs(bend), LEAST_CURVATURE)
+        step = vectors @ (vectors.T @ here.gradient / bend)
+        gain = float(step @ here.gradient)
+        if 0.5 * gain < (NOTHING_LEFT if here.log_density > wanted_from else ROUGHLY):
+            break
+        share = min(1.0, LONGEST_STEP_SD / float(np.max(np.abs(step))))
+        for _ in range(HALVINGS):
+            there = density.evaluate(v + share * step)
+            if there is not None and there.log_density >= here.log_density + 1e-4 * share * gain:
+                break
+            share *= 0.3
+        else:
+            break
+        v, here = v + share * step, there
+    return v, (vectors / bend) @ vectors.T
 
 
 def prior_draws(problem: Problem) -> list[np.ndarray]:
@@ -358,8 +390,12 @@ def gaussian_fit(
     """
     # Laplace: log ∫p ≈ log p(φ̂) + ½·d·log 2π − ½·log|H|, H minus the curvature of log p at φ̂ (L. Tierney and J.
     # Kadane, JASA 81 (1986) 82).
-    here = density.slope(v)[1] if quick else None
-    bends = curvature(lambda at: density.slope(at)[1], v, CURVED, here)
+    if density.tabulated is not None:
+        made = density.evaluate(v)
+        bends = np.full((len(v), len(v)), np.nan) if made is None else made.curvature
+    else:
+        here = density.slope(v)[1] if quick else None
+        bends = curvature(lambda at: density.slope(at)[1], v, CURVED, here)
     if not np.all(
         np.isfinite(bends)
     ):  # a step away the density is nowhere: no hill that a Gaussian describes

@@ -25,6 +25,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.fft import dct
 
+from bayescal._data.time_in_runs import EVEN_STEPS
 from bayescal._model.noise_law import WHITE, Noise
 from bayescal._model.noise_spectrum import eigenvalues, end_transform
 
@@ -81,13 +82,14 @@ class OneNode:
 
 
 class AlongColumn(OneNode):
-    """Independent noise whose variance is a smooth function of a column's place z, −1 to 1 over the readings."""
+    """Independent noise whose variance is a smooth function of a place z (`Noise.variance_place`)."""
 
     count = COLUMN_NODES
 
     def __init__(self, z: Float[np.ndarray, "n"]) -> None:
         super().__init__(len(z))
-        self.nodes = _chebyshev_nodes(-1.0, 1.0, COLUMN_NODES)
+        low, high = float(np.min(z)), float(np.max(z))
+        self.nodes = _chebyshev_nodes(low, high if high > low else low + 1.0, COLUMN_NODES)
         self.share = _lagrange(self.nodes, z)
         self.rows = self.share.sum(axis=0)
 
@@ -96,7 +98,8 @@ class AlongColumn(OneNode):
         return (wide @ b[0]).reshape(self.count, a[0].shape[1], b[0].shape[1])
 
     def weights(self, law, values):
-        variance = law.variance_along(values, self.nodes)
+        own = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
+        variance = law.variance_along(own, self.nodes)
         return Weights(1 / variance, np.log(variance) @ self.rows, {}, {})
 
 
@@ -188,6 +191,22 @@ class InFrequency(OneNode):
             ends[n, sign] = whitened[:, :, here]
             log_det = log_det + self.times[n] * np.linalg.slogdet(core)[1]
         return Weights(inverse, log_det, ends, inner)
+
+
+def in_frequency(
+    order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]
+) -> InFrequency | None:
+    """Return the nodes of stationary noise; None where steps are uneven or a run has fewer than 3 readings.
+
+    Args:
+        order: of the readings in time, run after run.
+        step: since the reading before, s; −1 at a run's first.
+    """
+    first, inside = np.flatnonzero(step < 0), step[step >= 0]
+    usual = float(np.median(inside)) if len(inside) else 0.0
+    runs = np.split(order, first[1:])
+    even = usual > 0 and np.max(np.abs(inside - usual)) <= EVEN_STEPS * usual
+    return InFrequency(runs, float(np.mean(inside))) if even and min(map(len, runs)) >= 3 else None
 
 
 class Products:

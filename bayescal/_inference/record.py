@@ -20,8 +20,12 @@ from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
 from bayescal._inference import programs
 from bayescal._inference.chebyshev import BETWEEN, NODES, REACH, weights
+from bayescal._data.column import UNCERTAINTY
 from bayescal._inference.column_products import ColumnProducts
+from bayescal._inference.column_table import ColumnTable
+from bayescal._inference.expansion import Expansion, Expansions
 from bayescal._inference.host_columns import HostColumns
+from bayescal._inference.noise_nodes import AlongColumn, OneNode, in_frequency
 from bayescal._model.channel_at_rest import CHANNEL
 from bayescal._model.composition import columns_read
 from bayescal._model.effect import Effect
@@ -85,6 +89,8 @@ class Record:
     _bases: dict[Any, Basis | None] = field(default_factory=dict)
     _bytes: int = 0
     _latest: dict[Any, tuple[float, np.ndarray]] = field(default_factory=dict)
+    _expansions: dict[Any, Expansions] = field(default_factory=dict)
+    _nodes: dict[Any, OneNode | None] = field(default_factory=dict)
     _last: tuple[Any, Any] | None = None  # slots, and what the instrument responded to them
     _for_laws: dict[Noise, tuple[Noise, programs.Leaves]] = field(default_factory=dict)
     plain: dict[Any, Any] = field(default_factory=dict)  # what problems know of a coefficient
@@ -119,6 +125,7 @@ class Record:
     def beside(self, library: tuple[Effect, ...] = (), frame: Frame | None = None) -> Record:
         """The same readings once more, with columns that no shape moves, or those of another membership in groups."""
         own = {"_fixed": self._fixed, "_bases": self._bases, "library": library, "of": self}
+        own |= {"_expansions": self._expansions, "_nodes": self._nodes}
         made = Record(self.instrument, self.frame if frame is None else frame, self.y, **own)
         if frame is None:
             vars(made).update(codes=self.codes, on_host=self.on_host, _for_laws=self._for_laws)
@@ -152,7 +159,7 @@ class Record:
 
     def of_noise(self, left: Float[np.ndarray, "n"]) -> Record:
         """What a model leaves of the readings, as the output of a channel at rest: a fit of noise alone."""
-        made = Record(CHANNEL, self.frame, left, _for_laws=self._for_laws)
+        made = Record(CHANNEL, self.frame, left, _for_laws=self._for_laws, _nodes=self._nodes)
         one = {slot: np.ones(self.size) for slot in made.slots}
         vars(made)["affine"] = np.zeros(self.size), one  # nothing to compile
         return made
@@ -175,6 +182,61 @@ class Record:
     def products(self) -> ColumnProducts:
         """Columns of an affine output that structures share, and their products."""
         return ColumnProducts(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
+
+    @cached_property
+    def table(self) -> ColumnTable:
+        """Columns of an affine output that structures share, and their products at nodes of noise laws."""
+        return ColumnTable(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
+
+    def expansion(
+        self,
+        effect: ColumnsOf,
+        held: tuple[float | None, ...],
+        v: Float[np.ndarray, "d"],
+        sloped: bool,
+    ) -> Expansion:
+        """Return an effect's columns near coordinates of its free shapes.
+
+        Args:
+            effect: whose.
+            held: values of shapes that are not free; None for those that are.
+            v: coordinates of the others.
+            sloped: whether slopes by these will be asked for.
+        """
+        key = effect.key, held
+        if key not in self._expansions:
+
+            def columns(v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s n k"]:
+                along = iter(v.T)
+                values = [
+                    np.full(len(v), h) if h is not None else prior.value(next(along))
+                    for h, prior in zip(held, effect.priors, strict=True)
+                ]
+                return self._computed(effect, values, {}) if values else self.columns(effect, ())[None]
+
+            free = sum(h is None for h in held)
+            self._expansions[key] = Expansions(columns, free)
+        return self._expansions[key].at(v, sloped)
+
+    def nodes(self, law: Noise) -> OneNode | None:
+        """Return the nodes at which products tell all settings of a noise law; None where none do."""
+        place = law.variance_place(self.frame)
+        if law.even(self.frame):
+            key: Any = "even"
+        elif place is not None:
+            key = place.tobytes()
+        elif UNCERTAINTY in self.frame.columns or not law.stationary:
+            return None
+        else:
+            key = "in frequency"
+        if key not in self._nodes:
+            if key == "even":
+                self._nodes[key] = OneNode(self.size)
+            elif place is not None:
+                self._nodes[key] = AlongColumn(place)
+            else:
+                self._nodes[key] = in_frequency(*self.in_time)
+        return self._nodes[key]
 
     @cached_property
     def read(self) -> frozenset[str]:

@@ -61,6 +61,13 @@ class White(Noise):
     def shared_variance(self, values):
         return values[WHITE] ** 2
 
+    def variance_place(self, frame):
+        known = frame.columns.get(UNCERTAINTY)
+        return None if known is None or not np.all(known > 0) else np.log(np.asarray(known))
+
+    def variance_along(self, values, place):
+        return values[WHITE] ** 2 + np.exp(2 * place)
+
     def variance(self, parameters, frame):
         return own_variance(parameters, frame)
 
@@ -134,6 +141,19 @@ class Heteroscedastic(Noise):
 
     def unit(self, name: str, output: str) -> str:
         return "1" if name in (SLOPE, CURVATURE) else output
+
+    def variance_place(self, frame):
+        if UNCERTAINTY in frame.columns:
+            return None
+        if self.proportional:
+            return np.asarray(self._share(frame))
+        return np.clip(2 * np.asarray(frame.position(self.column)) - 1, -1.0, 1.0)
+
+    def variance_along(self, values, place):
+        if self.proportional:
+            return values[WHITE] ** 2 + (values[PROPORTIONAL] * place) ** 2
+        growth = values[SLOPE] * place + values[CURVATURE] * (1.5 * place**2 - 0.5)
+        return values[WHITE] ** 2 * np.exp(2 * growth)
 
     def variance(self, parameters, frame):
         if not self.proportional:

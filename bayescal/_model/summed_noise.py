@@ -107,6 +107,10 @@ class SumOfTerms(Noise, interface=True):
             (white, *(f"{c} {w}" if c > 1 else w for w, c in counts.items()))
         )
 
+    @property
+    def stationary(self) -> bool:
+        return not (self.column or self.scatter)
+
     def spectrum(
         self, values: Parameters, step: float, lam: Float[np.ndarray, "j"]
     ) -> list[SpectralTerm]:
