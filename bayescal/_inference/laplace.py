@@ -35,6 +35,7 @@ STEP_VARIANCE, FINEST = 0.1, 1e-5  # of a step's square over the variance there,
 CLIMB, LONGEST_STEP_SD = 100, 1.5  # steps uphill at most; the longest, in prior standard deviations
 NOTHING_KNOWN: Mapping[str, float] = MappingProxyType({})
 NOTHING_LEFT = 1e-8  # log density that a step would gain, below which φ̂ is found,
+NEWTON_NATS = 1e-7  # the same of a step of Newton's,
 ROUGHLY = 0.01  # and where nothing hangs on it
 
 
@@ -271,7 +272,7 @@ def newton(
         bend = np.maximum(np.abs(bend), LEAST_CURVATURE)
         step = vectors @ (vectors.T @ here.gradient / bend)
         gain = float(step @ here.gradient)
-        if 0.5 * gain < (NOTHING_LEFT if here.log_density > wanted_from else ROUGHLY):
+        if 0.5 * gain < (NEWTON_NATS if here.log_density > wanted_from else ROUGHLY):
             break
         share = min(1.0, LONGEST_STEP_SD / float(np.max(np.abs(step))))
         for _ in range(HALVINGS):

@@ -93,21 +93,13 @@ class Tabulated:
         self.noise = [i for i, kind in enumerate(problem.kinds) if kind == "noise"]
         self.parts = self._parts()
         self._tables: dict[Any, _Rows] = {}
+        self.slopes = problem.slopes(x, problem.hyper(there))
         if problem.affine:
-            self.slopes = problem.slopes(x, {})
             self.table: ColumnTable = problem.record.table
+            self.table.take([*self._plain])
         else:
-            hyper = problem.hyper(there)
-            self.slopes = problem.slopes(x, hyper)
-            line = problem.linearise(x, hyper)
-            residual = problem.record.y - line.mean + line.jacobian @ x
-            for part in self.parts:  # what is held is in the mean already
-                if np.any(held := np.where(part.owners == problem.size, -part.amounts, 0.0)):
-                    expansion = self.expansion(part, there, False)
-                    share = expansion.shares(there[part.free]).value
-                    residual = residual + self._columns(part, expansion) @ np.kron(held, share)
-            self.table = ColumnTable(residual)
-        self._take()
+            self.table = self._about(x, there)
+        self.at = self._counted_from()
 
     def _parts(self) -> list[Part]:
         problem, effects = self.problem, dict[int, list[Term]]()
@@ -155,32 +147,51 @@ class Tabulated:
             columns.append(spread.transpose(1, 2, 0).reshape(len(own), -1))
         return np.concatenate(columns, axis=1)
 
-    def _take(self) -> None:
-        """Choose where coefficients are counted from: what a first fit took of the readings, or their priors' means.
+    @cached_property
+    def _plain(self) -> dict[Any, Part]:
+        """Parts that nothing moves, by their key in the table; without curves, whose columns are nearly alike."""
+        middle = np.zeros(len(self.problem.hypers))
+        return {
+            self._block(part, self.expansion(part, middle, False)): part
+            for part in self.parts
+            if not part.free and part.terms[0].known.effect.weights is None
+        }
 
-        Columns whose sizes φ moves are counted from the means, so that φ moves row weights alone.
+    def _about(self, x: Float[np.ndarray, "p"], there: Float[np.ndarray, "d"]) -> ColumnTable:
+        """Return the table of a nonlinear output linearised at x: that of plain parts counted from there."""
+        problem = self.problem
+        residual = problem.record.y - problem.linearise(x, problem.hyper(there)).mean
+        self.table = ColumnTable(residual)
+        taken = dict.fromkeys(self._plain)
+        for part in self.parts:
+            expansion = self.expansion(part, there, False)
+            inside = part.owners < problem.size
+            amounts = np.where(inside, np.append(x, 0.0)[part.owners], -part.amounts)
+            if (key := (*part.key, expansion)) in taken:
+                taken[key] = amounts
+            else:
+                share = expansion.shares(there[part.free]).value
+                residual += self._columns(part, expansion) @ np.kron(amounts, share)
+        self.table.taken = taken
+        return self.table
+
+    def _counted_from(self) -> Float[np.ndarray, "p"]:
+        """Return where coefficients are counted from: what the table took of the readings, or their priors' means.
+
+        The means, where the prior tells more than a fit without it does.
         """
         problem = self.problem
-        self.at, middle = problem.mean_of_x.copy(), np.zeros(len(problem.hypers))
-        weight, sd = problem.weight_of_x, problem.sizes.plain
-        self.at[weight == 0] = 0.0
-        plain = {}
-        for part in self.parts:
-            learned = part.terms[0].known.effect.weights is not None or any(
-                t.group_sd_name is not None for t in part.terms
-            )
-            if not part.free and not learned:
-                plain[self._block(part, self.expansion(part, middle, True))] = part
-        # Nonlinear outputs are tabulated anew wherever they are linearised: small residuals either way.
-        self.table.take(list(plain))
-        for key, part in plain.items():
-            amounts = self.table.taken.get(key)
-            for i, amount in zip(part.owners, amounts, strict=True) if amounts is not None else ():
-                near = i < problem.size and (
-                    weight[i] == 0 or abs(amount - self.at[i]) < FAR_SD * sd[i]
-                )
-                if near:
-                    self.at[i] = amount
+        at, weight, sd = problem.mean_of_x.copy(), problem.weight_of_x, problem.sizes.plain.copy()
+        at[weight == 0] = 0.0
+        sd[weight == 0] = np.inf
+        for members in problem.sizes.members.values():
+            sd[members > 0] = np.inf
+        for key, part in self._plain.items():
+            if (amounts := self.table.taken.get(key)) is not None:
+                inside = part.owners < problem.size
+                own, amounts = part.owners[inside], amounts[inside]
+                at[own] = np.where(np.abs(amounts - at[own]) < FAR_SD * sd[own], amounts, at[own])
+        return at
 
     # rows -------------------------------------------------------------------------------------------------------
 
@@ -282,9 +293,15 @@ class Tabulated:
         if self.noise:
             traces = rows.products.traces(weights, rows.spread(E)) + weights.log_det
             B[np.ix_(self.noise, self.noise)] = 0.5 * _second_differences(traces, q)
+        # The prior's mean is at f = (mean − at)/sd, which moves with sd: w·f in p and w·f² in ρ with it.
         t = _from_point(found, prior, self.at)
+        far = prior.weight * (t - found.z)
+        line, z = lines[:, :p], prior.weight * found.z
+        gradient -= line @ (z * far)
+        B += (line * (far**2 - z * far)) @ line.T
+        B.flat[:: len(v) + 1] += bends[:, :p] @ (z * far)
         dM = dW[:, :p, :p]
-        pull = dW[:, :p, p] - dM @ t
+        pull = dW[:, :p, p] - dM @ t - line * far
         X = C @ dM
         H = B - 0.5 * np.einsum("kij,lji->kl", X, X) - pull @ C @ pull.T
         H.flat[:: len(H) + 1] -= prior_bend
