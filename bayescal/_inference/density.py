@@ -263,7 +263,10 @@ class Density:
 
     def values(self, vs: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k"]:
         """The log density at several coordinates."""
-        if self.alone and self.tabulated is None:
+        if self.tabulated is not None:
+            found = self.tabulated.log_densities(np.asarray(vs), self.flat)
+            return np.nan_to_num(found, nan=NOWHERE, neginf=NOWHERE)
+        if self.alone:
             problem = self.problem
             law, record, hyper = problem.noise, problem.record, problem.hyper(vs.T)
             if record.long and not law.independent:  # their slopes take longer than they do

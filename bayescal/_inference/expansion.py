@@ -19,6 +19,8 @@ from jaxtyping import Float
 COUNT = 9  # Chebyshev points of a box
 BOX_WIDTH = 1.2  # of the largest box, prior standard deviations of a shape
 HALVINGS = 7  # of a box's width at most
+FAILURES = 2  # places without a box, from which on none is tried for
+REACH = 5.0  # prior standard deviations, beyond which each coordinate is computed by itself
 KEPT_TERM, TOLERANCE = 1e-9, 1e-8  # of the largest number in a column: least term, error between nodes
 DIFFERENCE = 2e-3  # of a coordinate, for slopes about a place
 MOST_PLACES = 8  # about which Taylor series are kept
@@ -96,7 +98,7 @@ class Expansions:
     ) -> None:
         self._columns, self.dim = columns, dim
         self._boxes, self._places = list[Expansion](), list[Expansion]()
-        self._halvings = 0 if dim == 1 else HALVINGS + 1
+        self._halvings, self._failures = 0, 0 if dim == 1 else FAILURES
 
     def at(self, v: Float[np.ndarray, "d"], sloped: bool) -> Expansion:
         """Return an expansion that holds at a coordinate, the nearest box first.
@@ -119,21 +121,42 @@ class Expansions:
         self._places = [*self._places[1 - MOST_PLACES :], place]
         return place
 
+    def cover(self, v: Float[np.ndarray, "b d"]) -> tuple[list[Expansion], np.ndarray]:
+        """Return expansions that hold at several coordinates, and which of them is for each, (b,)."""
+        if not self.dim:
+            return [self.at(v[0], False)], np.zeros(len(v), dtype=int)
+        found, which = list[Expansion](), np.full(len(v), -1)
+        while len(left := np.flatnonzero(which < 0)):
+            start = left[np.argmin(v[left, 0])]
+            near = abs(v[start, 0]) <= REACH
+            half = 0.5 * BOX_WIDTH * 2.0**-self._halvings if near and self._failures < FAILURES else 0.0
+            nearest = self.at(v[start], False)
+            if not nearest.half and half and (box := self._box(v[start] + 0.99 * half)) is not None:
+                self._boxes.append(box)
+                nearest = self.at(v[start], False)
+            inside = [i for i in left if nearest.distance(v[i]) <= 1] if not nearest.half else left[
+                np.abs(v[left, 0] - nearest.middle[0]) <= nearest.half
+            ]
+            which[inside] = len(found)
+            found.append(nearest)
+        return found, which
+
     def _box(self, v: Float[np.ndarray, "d"]) -> Expansion | None:
         """Return the largest box that a series describes; None where there is none."""
-        while self._halvings <= HALVINGS:
-            half = 0.5 * BOX_WIDTH * 2.0**-self._halvings
+        for halvings in range(self._halvings, HALVINGS + 1) if self._failures < FAILURES else ():
+            half = 0.5 * BOX_WIDTH * 2.0**-halvings
             made = self._columns(v + half * np.append(_NODES, _TRIED)[:, None])
             nodes, there = made[:COUNT].reshape(COUNT, -1), made[COUNT:].reshape(len(_TRIED), -1)
             coefficients = _TO_COEFFICIENTS @ nodes
             largest = np.max(np.abs(nodes), initial=1e-300)
             error = np.max(np.abs(_polynomials(_TRIED) @ coefficients - there), initial=0.0)
             if error <= TOLERANCE * largest:
+                self._halvings = halvings
                 size = np.max(np.abs(coefficients), axis=1, initial=0.0)
                 kept = np.flatnonzero((size > KEPT_TERM * largest) | (_ORDERS == 0))
                 parts = coefficients[kept].reshape(-1, *made.shape[1:])
                 return Expansion(np.moveaxis(parts, 0, 2), v, half, kept)
-            self._halvings += 1
+        self._failures += 1
         return None
 
     def _about(self, v: Float[np.ndarray, "d"]) -> Expansion:

@@ -100,9 +100,10 @@ def find_mode(
             top = highest(top, climbed([np.where(promoted, -top.v, top.v)], x))
         for along in across(problem, top.v):  # and one of many maxima may be higher
             top = highest(top, climbed([*along], top.x))
-    if not curved and top.value > NOWHERE:
-        return Mode(top.x, top.v, top.wide, top.value, top.value, top.change, flat, False)
     density = top.density
+    costly = density is None or density.tabulated is None
+    if costly and not curved and top.value > NOWHERE:
+        return Mode(top.x, top.v, top.wide, top.value, top.value, top.change, flat, False)
     if density is None:
         density = Density(problem, top.x, flat, top.v)
     return at_mode(density, top.v, top.change, top.x)
@@ -375,6 +376,8 @@ def at_mode(
 
 def with_fit(problem: Problem, mode: Mode) -> Mode:
     """A mode whose Gaussian fit was not made, with it; its curvatures are by differences on one side."""
+    if mode.log_evidence != mode.log_density:  # it was made
+        return mode
     density = Density(problem, mode.x, mode.flat, mode.v)
     return at_mode(density, mode.v, mode.change, quick=True)
 

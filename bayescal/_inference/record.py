@@ -23,7 +23,7 @@ from bayescal._inference.chebyshev import BETWEEN, NODES, REACH, weights
 from bayescal._data.column import UNCERTAINTY
 from bayescal._inference.column_products import ColumnProducts
 from bayescal._inference.column_table import ColumnTable
-from bayescal._inference.expansion import Expansion, Expansions
+from bayescal._inference.expansion import Expansions
 from bayescal._inference.host_columns import HostColumns
 from bayescal._inference.noise_nodes import AlongColumn, OneNode, in_frequency
 from bayescal._model.channel_at_rest import CHANNEL
@@ -125,7 +125,7 @@ class Record:
     def beside(self, library: tuple[Effect, ...] = (), frame: Frame | None = None) -> Record:
         """The same readings once more, with columns that no shape moves, or those of another membership in groups."""
         own = {"_fixed": self._fixed, "_bases": self._bases, "library": library, "of": self}
-        own |= {"_expansions": self._expansions, "_nodes": self._nodes}
+        own |= {"_nodes": self._nodes}
         made = Record(self.instrument, self.frame if frame is None else frame, self.y, **own)
         if frame is None:
             vars(made).update(codes=self.codes, on_host=self.on_host, _for_laws=self._for_laws)
@@ -188,35 +188,28 @@ class Record:
         """Columns of an affine output that structures share, and their products at nodes of noise laws."""
         return ColumnTable(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
 
-    def expansion(
-        self,
-        effect: ColumnsOf,
-        held: tuple[float | None, ...],
-        v: Float[np.ndarray, "d"],
-        sloped: bool,
-    ) -> Expansion:
-        """Return an effect's columns near coordinates of its free shapes.
+    def expansions(self, effect: ColumnsOf, held: tuple[float | None, ...]) -> Expansions:
+        """Return an effect's columns as functions of the coordinates of its free shapes.
 
         Args:
             effect: whose.
             held: values of shapes that are not free; None for those that are.
-            v: coordinates of the others.
-            sloped: whether slopes by these will be asked for.
         """
         key = effect.key, held
         if key not in self._expansions:
 
             def columns(v: Float[np.ndarray, "s d"]) -> Float[np.ndarray, "s n k"]:
+                if not held:
+                    return self.columns(effect, ())[None]
                 along = iter(v.T)
                 values = [
                     np.full(len(v), h) if h is not None else prior.value(next(along))
                     for h, prior in zip(held, effect.priors, strict=True)
                 ]
-                return self._computed(effect, values, {}) if values else self.columns(effect, ())[None]
+                return self._computed(effect, values, {})
 
-            free = sum(h is None for h in held)
-            self._expansions[key] = Expansions(columns, free)
-        return self._expansions[key].at(v, sloped)
+            self._expansions[key] = Expansions(columns, sum(h is None for h in held))
+        return self._expansions[key]
 
     def nodes(self, law: Noise) -> OneNode | None:
         """Return the nodes at which products tell all settings of a noise law; None where none do."""

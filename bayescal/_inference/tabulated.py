@@ -26,8 +26,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._inference.column_table import RESIDUAL, ColumnTable
-from bayescal._inference.expansion import Expansion
-from bayescal._inference.gaussian import Conditional, Gram, Prior, condition
+from bayescal._inference.expansion import Expansion, Expansions
+from bayescal._inference.gaussian import Conditional, Gram, Prior, condition, draw
 from bayescal._inference.noise_nodes import OneNode, Products, Weights
 from bayescal._inference.problem import Problem, Values
 from bayescal._model.composition import by_member
@@ -35,6 +35,7 @@ from bayescal._model.terms import Term
 
 DIFFERENCE = 1e-3  # of a coordinate, for slopes of priors, of weights of curves and of the noise
 FAR_SD = 1e3  # prior standard deviations, beyond which a fit without priors says nothing of a coefficient
+NUMBERS_AT_ONCE = 2_000_000  # in products of several φ that are computed together, which bounds memory
 KEPT_TABLES = 3  # of a structure's rows in boxes, the latest
 
 
@@ -128,9 +129,10 @@ class Tabulated:
 
     def expansion(self, part: Part, v: Float[np.ndarray, "d"], sloped: bool) -> Expansion:
         """Return the columns of a part's effect near φ."""
-        return self.problem.record.expansion(
-            part.terms[0].known.columns, part.key[1], v[part.free], sloped
-        )
+        return self._expansions(part).at(v[part.free], sloped)
+
+    def _expansions(self, part: Part) -> Expansions:
+        return self.problem.record.expansions(part.terms[0].known.columns, part.key[1])
 
     def _block(self, part: Part, expansion: Expansion) -> Any:
         """Return the key of a part's columns in the table: for each coefficient and member as many as the rank."""
@@ -195,17 +197,17 @@ class Tabulated:
 
     # rows -------------------------------------------------------------------------------------------------------
 
-    def rows(self, v: Float[np.ndarray, "d"], sloped: bool) -> _Rows:
-        """Return the structure's rows in the boxes that φ is in."""
-        expansions = tuple(self.expansion(part, v, sloped) for part in self.parts)
-        return self.rows_in(expansions)
-
-    def rows_in(self, expansions: tuple[Expansion, ...]) -> _Rows:
+    def rows(self, expansions: tuple[Expansion, ...]) -> _Rows:
+        """Return the structure's rows in some boxes; the latest are kept."""
         if expansions not in self._tables:
             while len(self._tables) >= KEPT_TABLES:
                 del self._tables[next(iter(self._tables))]
             self._tables[expansions] = _Rows(self, expansions)
         return self._tables[expansions]
+
+    def is_boxed(self, v: Float[np.ndarray, "d"]) -> bool:
+        """Whether all columns about a φ are functions of it, so that many φ cost no columns."""
+        return all(self.expansion(part, v, True).half > 0 for part in self.parts if part.free)
 
     # the density ------------------------------------------------------------------------------------------------
 
@@ -238,7 +240,8 @@ class Tabulated:
         prior = problem.prior(hyper, flat)
         if not np.all(np.isfinite(prior.sd)):
             return None
-        rows, weights = self.rows(v, sloped), self.weights(v, sloped)
+        rows = self.rows(tuple(self.expansion(part, v, sloped) for part in self.parts))
+        weights = self.weights(v, sloped)
         if not np.isfinite(weights.log_det[0]):
             return None
         shares, slopes = rows.shares(v, sloped)
@@ -306,6 +309,33 @@ class Tabulated:
         H = B - 0.5 * np.einsum("kij,lji->kl", X, X) - pull @ C @ pull.T
         H.flat[:: len(H) + 1] -= prior_bend
         return Evaluation(value, found, gradient, 0.5 * (H + H.T))
+
+    def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
+        """Return weighted products of J and r, counted from `at`, at several φ."""
+        p, covers = self.problem.size, [self._expansions(p).cover(vs[:, p.free]) for p in self.parts]
+        found, log_det = np.empty((len(vs), p + 1, p + 1)), np.empty(len(vs))
+        boxes = np.array([which for _, which in covers]).reshape(len(covers), len(vs)).T
+        for box in np.unique(boxes, axis=0):
+            own = np.flatnonzero(np.all(boxes == box, axis=1))
+            rows = self.rows(tuple(e[i] for (e, _), i in zip(covers, box, strict=True)))
+            for some in np.array_split(own, -(-len(own) * rows.width**2 // NUMBERS_AT_ONCE)):
+                weights = self._weights_at(vs[some][:, self.noise])
+                gram = rows.products.gram(weights)
+                if not rows.plain:
+                    gram = gram[:, rows.column[:, None], rows.column]
+                unit = rows.values(vs[some])[:, :, None] * rows.owned
+                found[some], log_det[some] = unit.transpose(0, 2, 1) @ (gram @ unit), weights.log_det
+        return Gram.of(found, log_det)
+
+    def log_densities(
+        self, vs: Float[np.ndarray, "b d"], flat: Float[np.ndarray, "p"]
+    ) -> Float[np.ndarray, "b"]:
+        """Return the log density at several φ; −∞ where there is none."""
+        problem = self.problem
+        prior = problem.prior(problem.hyper(vs.T), flat, (len(vs),))
+        nothing = np.zeros((len(vs), problem.size))
+        made = draw(self.grams(vs), problem.record.size, prior, self.at, nothing)
+        return made.log_marginal + problem.log_priors(vs)
 
     def _log_prior(self, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:
         """Return the log prior of φ, its slopes and its second slopes."""
@@ -404,6 +434,13 @@ class _Rows:
             if part.free:
                 at = np.flatnonzero((self.column >= own.start) & (self.column < own.stop))
                 found.append((i, at, (self.column[at] - own.start) % self.expansions[i].rank))
+        return found
+
+    def values(self, vs: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b R"]:
+        """Return each row's factor at several φ in these boxes."""
+        found = np.tile(self.amount, (len(vs), 1))
+        for i, at, which in self._moving:
+            found[:, at] *= self.expansions[i].values(vs[:, self.parts[i].free])[:, which]
         return found
 
     def shares(self, v: Float[np.ndarray, "d"], sloped: bool) -> tuple[np.ndarray, list[Any]]:
