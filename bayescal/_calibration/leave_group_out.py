@@ -92,8 +92,6 @@ def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
         return None
     kind, members, codes = groups_of(calibration.readings)
     mode, whole = calibration.mode, calibration.problem
-    # Products of all readings, once: a part's are these less the others'.
-    _ = Density(whole, mode.x, mode.flat, mode.v).products
     scores, surprise, by_chance = np.full((3, len(members)), np.nan)
     residual, model = np.full((2, len(codes)), np.nan)
     for i in range(len(members)):

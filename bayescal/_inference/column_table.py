@@ -38,6 +38,14 @@ class ColumnTable:
             self._bytes += self._blocks[key].nbytes
         return self._blocks[key]
 
+    def drop(self, key: Any) -> None:
+        """Forget a block, and what was made of it."""
+        self._bytes -= self._blocks.pop(key).nbytes
+        for transformed, pairs in self._nodes.values():
+            transformed.pop(key, None)
+            for pair in [pair for pair in pairs if key in pair]:
+                del pairs[pair]
+
     def take(self, keys: Sequence[Any]) -> None:
         """Take what some blocks explain out of the residual, by least squares; once, nearly none of what they share."""
         if self._started:
@@ -45,7 +53,10 @@ class ColumnTable:
         self._started = True
         if not keys:
             return
-        columns, residual = np.concatenate([self._blocks[k] for k in keys], axis=1), self._blocks[RESIDUAL]
+        columns, residual = (
+            np.concatenate([self._blocks[k] for k in keys], axis=1),
+            self._blocks[RESIDUAL],
+        )
         # Columns of unit length: `SHARED` is then of directions, not of units.
         size = np.sqrt(np.sum(columns**2, axis=0))
         scale = np.where(size > 0, 1 / np.where(size > 0, size, 1.0), 0.0)

@@ -1,6 +1,6 @@
 """The log density of φ with the coefficients integrated out, about a point, and its slopes.
 
-From the structure's products where these are functions of φ (`Products`), else from the readings at each φ.
+From a table of products where one tells them (`Tabulated`), else from the readings at each φ.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from bayescal._inference.noise_on_record import (
     variance,
 )
 from bayescal._inference.problem import SHIFT, Problem, Values, differences
-from bayescal._inference.products import DEGREES, Axes, Polynomials, Products, basis_of
+from bayescal._inference.products import BOX, DEGREES, Axes, Polynomials, Products
 from bayescal._inference.tabulated import Evaluation, Tabulated
 from bayescal._model.composition import Linearised
 
@@ -77,17 +77,6 @@ class Density:
             nodes = problem.record.nodes(problem.noise)
         there = np.zeros(len(problem.hypers)) if self.there is None else self.there
         return None if nodes is None else Tabulated(problem, nodes, self.x, there)
-
-    @cached_property
-    def products(self) -> Products | None:
-        """The structure's products as functions of φ; None where φ moves them otherwise than by shapes."""
-        problem = self.problem
-        if not self.even or problem.corrected or any(t.place == "phi" for t in problem.terms):
-            return None
-        if any(basis_of(t, problem) is None for t in problem.terms):
-            return None
-        there = np.zeros(len(problem.hypers)) if self.there is None else self.there
-        return Products(problem, self.x, np.clip(there, -4.0, 4.0))
 
     # from the readings ------------------------------------------------------------------------------------------
 
@@ -216,7 +205,7 @@ class Density:
     # the density ------------------------------------------------------------------------------------------------
 
     def _given(self, v: np.ndarray) -> tuple[float, Values, Prior, Conditional | None]:
-        """The log density, φ by name, the prior of x and x itself; coefficients that products hold are among x.
+        """The log density, φ by name, the prior of x and x itself.
 
         The last one is kept: where a climb ends, its value, slope and curvature are asked for in turn.
         """
@@ -227,16 +216,10 @@ class Density:
 
     def _found(self, v: np.ndarray) -> tuple[float, Values, Prior, Conditional | None]:
         hyper = self.problem.hyper(v)
-        prior, at = self.problem.prior(hyper, self.flat), self.x
-        products = self.products
-        if products is not None and products.reaches(v):
-            prior, at = products.prior(prior), products.at
-            gram = products.gram(v, hyper)
-        else:
-            gram = self.gram(v, hyper)
+        prior, gram = self.problem.prior(hyper, self.flat), self.gram(v, hyper)
         if not math.isfinite(gram.rtr + gram.logdet) or not np.all(np.isfinite(prior.sd)):
             return NOWHERE, hyper, prior, None
-        found = condition(gram, self.problem.record.size, prior, at)
+        found = condition(gram, self.problem.record.size, prior, self.x)
         if found is None:
             return NOWHERE, hyper, prior, None
         return found.log_marginal + self.problem.log_prior(v), hyper, prior, found
@@ -259,7 +242,7 @@ class Density:
         value, _, _, found = self._given(v)
         if found is None or not math.isfinite(value):
             return NOWHERE, None
-        return value, found.first(self.problem.size)
+        return value, found
 
     def values(self, vs: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k"]:
         """The log density at several coordinates."""
@@ -281,19 +264,21 @@ class Density:
         problem = self.problem
         if self.tabulated is not None:
             there = self.evaluate(v)
-            return (NOWHERE, np.zeros(len(v))) if there is None else (there.log_density, there.gradient)
+            return (
+                (NOWHERE, np.zeros(len(v)))
+                if there is None
+                else (there.log_density, there.gradient)
+            )
         value, hyper, prior, found = self._given(v)
         if found is None or not math.isfinite(value):
             return NOWHERE, np.zeros(len(v))
         made = problem.log_prior_slope(v)
         # Fisher's identity: the slope of log p(y|φ) is the posterior mean of that of log p(y, x|φ). By log s the
         # normal prior has the slope z² − 1, of which the mean is z̄² + var z − 1.
-        excess = ((found.z**2 + found.variance_of_z - 1) * prior.weight)[: problem.size]
+        excess = (found.z**2 + found.variance_of_z - 1) * prior.weight
         for i, log_sd in problem.log_sd_slopes(v, hyper):
             made[i] += excess @ log_sd
-        if self.products is not None and self.products.reaches(v):
-            made += self.products.slopes(v, hyper, prior, found)
-        elif self.alone:
+        if self.alone:
             made += by_parameter(problem, v, self._of_noise(hyper)[1])
         elif problem.noise.gaussian:
             made += self._slopes_by_readings(v, hyper, prior, found)
@@ -411,9 +396,11 @@ def about(
         proposals: φ that will be asked for; none are made where it costs less to compute each from the readings.
     """
     problem = density.problem
-    axes = Axes(problem)
+    if not np.all(np.isfinite(covariance)):
+        return None
+    axes = Axes(problem, v, BOX * np.sqrt(np.diag(covariance)))
     dim = len(axes.names)
-    if dim not in DEGREES or not np.all(np.isfinite(covariance)):
+    if dim not in DEGREES:
         return None
     # They must hold where the importance sampler goes: draws of the Gaussian fit say how far that is along each axis.
     normal = np.random.default_rng(0).standard_normal((400, len(v)))

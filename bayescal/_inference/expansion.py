@@ -21,8 +21,12 @@ BOX_WIDTH = 1.2  # of the largest box, prior standard deviations of a shape
 HALVINGS = 7  # of a box's width at most
 FAILURES = 2  # places without a box, from which on none is tried for
 REACH = 5.0  # prior standard deviations, beyond which each coordinate is computed by itself
-KEPT_TERM, TOLERANCE = 1e-9, 1e-8  # of the largest number in a column: least term, error between nodes
+KEPT_TERM, TOLERANCE = (
+    1e-9,
+    1e-8,
+)  # of the largest number in a column: least term, error between nodes
 DIFFERENCE = 2e-3  # of a coordinate, for slopes about a place
+LISTED = 32  # coordinates whose columns are listed together
 MOST_PLACES = 8  # about which Taylor series are kept
 
 _ORDERS = np.arange(COUNT)
@@ -85,6 +89,16 @@ class Expansion:
         return _polynomials((v[:, 0] - self.middle[0]) / self.half)[:, self.orders]
 
 
+class Listed(Expansion):
+    """Columns at each of some coordinates (r, d), without slopes."""
+
+    def values(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b r"]:
+        return np.all(v[:, None] == self.middle, axis=2).astype(float)
+
+    def of_rows(self, rows: np.ndarray) -> Listed:
+        return Listed(self.columns[rows], self.middle)
+
+
 class Expansions:
     """Expansions of one effect's columns, made where they are asked for and kept.
 
@@ -126,19 +140,21 @@ class Expansions:
         if not self.dim:
             return [self.at(v[0], False)], np.zeros(len(v), dtype=int)
         found, which = list[Expansion](), np.full(len(v), -1)
-        while len(left := np.flatnonzero(which < 0)):
+        near = np.all(np.abs(v) <= REACH, axis=1)
+        while self.dim == 1 and len(left := np.flatnonzero((which < 0) & near)):
             start = left[np.argmin(v[left, 0])]
-            near = abs(v[start, 0]) <= REACH
-            half = 0.5 * BOX_WIDTH * 2.0**-self._halvings if near and self._failures < FAILURES else 0.0
-            nearest = self.at(v[start], False)
-            if not nearest.half and half and (box := self._box(v[start] + 0.99 * half)) is not None:
+            box = min(self._boxes, key=lambda box: box.distance(v[start]), default=None)
+            if box is None or box.distance(v[start]) > 1:
+                box = self._box(v[start] + 0.49 * BOX_WIDTH * 2.0**-self._halvings)
+                if box is None:
+                    break
                 self._boxes.append(box)
-                nearest = self.at(v[start], False)
-            inside = [i for i in left if nearest.distance(v[i]) <= 1] if not nearest.half else left[
-                np.abs(v[left, 0] - nearest.middle[0]) <= nearest.half
-            ]
-            which[inside] = len(found)
-            found.append(nearest)
+            which[left[np.abs(v[left, 0] - box.middle[0]) <= box.half]] = len(found)
+            found.append(box)
+        left = np.flatnonzero(which < 0)
+        for some in np.array_split(left, -(-len(left) // LISTED)) if len(left) else ():
+            which[some] = len(found)
+            found.append(Listed(np.moveaxis(self._columns(v[some]), 0, 2), v[some]))
         return found, which
 
     def _box(self, v: Float[np.ndarray, "d"]) -> Expansion | None:

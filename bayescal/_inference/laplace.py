@@ -20,7 +20,6 @@ from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import LOG_2PI, Conditional, column_scale, condition
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
-from bayescal._model.terms import ColumnsOf
 
 STILL_SD = 1e-4  # standard deviations that a round moves anything by, below which the mode is found
 ROUNDS = 12  # alternations of x̂ and φ̂ at most
@@ -198,9 +197,6 @@ def across(problem: Problem, v: np.ndarray) -> list[Float[np.ndarray, "k d"]]:
         if (name := e.shape_name(s)) in names:
             made.append(np.tile(v, (len(AHEAD), 1)))
             made[-1][:, names.index(name)] = AHEAD
-            if len(e.column_shapes) == 1:
-                values = [float(s.prior.value(one)) for one in AHEAD]
-                problem.record.keep_along(ColumnsOf.of(e), values)
     return made
 
 

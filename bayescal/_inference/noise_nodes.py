@@ -193,9 +193,7 @@ class InFrequency(OneNode):
         return Weights(inverse, log_det, ends, inner)
 
 
-def in_frequency(
-    order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]
-) -> InFrequency | None:
+def in_frequency(order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> InFrequency | None:
     """Return the nodes of stationary noise; None where steps are uneven or a run has fewer than 3 readings.
 
     Args:
@@ -278,9 +276,7 @@ def _chebyshev_nodes(low: float, high: float, count: int) -> Float[np.ndarray, "
     return 0.5 * (low + high) + 0.5 * (high - low) * points
 
 
-def _lagrange(
-    nodes: Float[np.ndarray, "c"], x: Float[np.ndarray, "n"]
-) -> Float[np.ndarray, "n c"]:
+def _lagrange(nodes: Float[np.ndarray, "c"], x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n c"]:
     """Return Lagrange's polynomials at Chebyshev's points, by the barycentric formula.
 
     Source: J.-P. Berrut and L. Trefethen, SIAM Review 46 (2004) 501, eq. 5.3.

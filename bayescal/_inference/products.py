@@ -1,13 +1,10 @@
-"""Products over the readings as functions of φ: the one table that searches, fits and samplers read.
+"""Products over the readings as polynomials along parameters of φ, where no table tells them (`tabulated`).
 
-The columns of all coefficients stand beside each other in one table Φ (n, m), what the expected output leaves of the
-readings beside them: one column where nothing moves it; where it moves with a shape, the few that it is a sum of, with
-shares s(ψ) interpolated between Chebyshev's points: J(ψ) = Φ·S(ψ). The log evidence and its slopes by every entry of φ
-then follow from the products of the table with itself, JᵀΣ⁻¹J = Sᵀ·(ΦᵀΣ⁻¹Φ)·S, and the readings are not touched again.
-
-Where one variance holds for all readings, ΦᵀΣ⁻¹Φ is ΦᵀΦ over it; an affine output keeps these products for all its
-structures at once (`ColumnProducts`). Parameters of correlated or uneven noise, promoted coefficients and shapes that
-cannot be interpolated are *outer axes*: along them ΦᵀΣ⁻¹Φ is a polynomial, fitted about a Laplace fit.
+The columns of all coefficients stand beside each other in one matrix Φ (n, m), what the expected output leaves of the
+readings beside them: one column where nothing moves it; where it moves with a shape within a box, the few that it is a
+sum of: J(ψ) = Φ·S(ψ). Parameters of correlated noise on uneven steps, promoted coefficients and other shapes are *outer
+axes*: along them ΦᵀΣ⁻¹Φ is a polynomial, fitted about a Laplace fit. The log evidence follows from these products,
+JᵀΣ⁻¹J = Sᵀ·(ΦᵀΣ⁻¹Φ)·S, and the readings are not touched again.
 Source: G. Migliorati et al., Found. Comput. Math. 14 (2014) 419 (polynomials by least squares at Chebyshev's density).
 """
 
@@ -23,12 +20,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._data.column import UNCERTAINTY
-from bayescal._inference.chebyshev import REACH, weights, weights_and_slopes
-from bayescal._inference.column_products import ColumnProducts
-from bayescal._inference.gaussian import Conditional, Gram, Prior
+from bayescal._inference.expansion import Expansion
+from bayescal._inference.gaussian import Gram, Prior
 from bayescal._inference.noise_on_record import Whitening
 from bayescal._inference.problem import Problem, Values
-from bayescal._inference.record import Basis
 from bayescal._model.composition import Linearised, by_member
 from bayescal._model.prior import Normal
 from bayescal._model.terms import Term
@@ -47,40 +42,21 @@ class Columns(NamedTuple):
         plain: coefficients whose columns nothing moves (f,); they are the table's first.
         moving: coefficients whose columns move with a shape (k,).
         owner: for each further column of the table, which of `moving` it belongs to (r,).
-        by: entries of φ that give the shares, each with the columns that follow it.
-        shares: at the nodes of that entry's coordinate (r, nodes).
+        by: entries of φ that give the shares, each with the columns that follow it and what these are.
     """
 
     plain: Int[np.ndarray, "f"]
     moving: Int[np.ndarray, "k"]
     owner: Int[np.ndarray, "r"]
-    by: tuple[tuple[int, Int[np.ndarray, "_"]], ...]
-    shares: Float[np.ndarray, "r s"]
+    by: tuple[tuple[int, Int[np.ndarray, "_"], Expansion], ...]
 
     def at(self, v: Float[np.ndarray, "*b d"]) -> Float[np.ndarray, "*b r k"]:
         """Shares at coordinates of φ, as a matrix from the table's further columns to the moving coefficients."""
         found = np.zeros((*v.shape[:-1], len(self.owner), len(self.moving)))
-        for i, own in self.by:
-            # A column at ψ is Σᵣ uᵣ·sᵣ(ψ) of singular vectors u; their shares s are known at the nodes, and between
-            # them by the weights of Chebyshev's interpolation.
-            found[..., own, self.owner[own]] = weights(v[..., i]) @ self.shares[own].T
+        for i, own, expansion in self.by:
+            shares = expansion.values(v[..., [i]].reshape(-1, 1)).reshape(*v.shape[:-1], -1)
+            found[..., own, self.owner[own]] = shares
         return found
-
-    def slopes(self, v: Float[np.ndarray, "d"]) -> Float[np.ndarray, "r"]:
-        """Of each share, by its own entry of φ."""
-        found = np.empty(len(self.owner))
-        for i, own in self.by:
-            found[own] = self.shares[own] @ weights_and_slopes(v[i])[1]
-        return found
-
-
-def basis_of(t: Term, problem: Problem) -> Basis | None:
-    """The columns of a term's effect as sums of a few; None where they cannot be interpolated along its free shapes."""
-    fixed = problem.fixed_values
-    if t.known.shape_names and all(name in fixed for name in t.known.shape_names):
-        values = tuple(float(fixed[name]) for name in t.known.shape_names)
-        return Basis(problem.record.columns(t.known.columns, values)[:, :, None], None)
-    return problem.record.basis_along(t.known.columns)
 
 
 class Products:
@@ -90,7 +66,7 @@ class Products:
         problem: the structure on its record.
         x: x̂.
         there: coordinates of φ at which a nonlinear output is linearised in its shapes too.
-        outer: the axes along which they are polynomials; None where there is none.
+        outer: the axes along which they are polynomials.
         at: where what is left of the readings was taken, held coefficients last (q,): zero for what shapes move.
     """
 
@@ -99,24 +75,20 @@ class Products:
         problem: Problem,
         x: Float[np.ndarray, "p"],
         there: Float[np.ndarray, "d"],
-        outer: Axes | None = None,
+        outer: Axes,
     ) -> None:
         self.problem, self.x, self.there, self.outer = problem, x, there, outer
         self.size = problem.record.size
         # Where columns of the readings are corrected, every coefficient moves all columns: J is taken as it is.
         places = ("x",) if problem.corrected else ("x", "fixed")
         self.terms = [t for t in problem.terms if t.place in places]
-        self._bases = [self._basis(t) for t in self.terms]
         self._held = np.array(
             [t.value for t in self.terms if t.place == "fixed" for _ in range(t.size)]
         )
         self.columns = self._laid_out()
         self.at = np.append(x, self._held)
         self.at[self.columns.moving] = 0.0
-        self._inner = [i for i, _ in self.columns.by]
         self.polynomials: Polynomials | None = None
-        if outer is None:
-            self._sets = self._once()[None]
 
     @property
     def width(self) -> int:
@@ -125,48 +97,42 @@ class Products:
 
     # what the table is ------------------------------------------------------------------------------------------
 
-    def _basis(self, t: Term) -> Basis | None:
-        """The columns of a term's effect; None where an outer axis moves them."""
-        moved = self.outer is not None and set(t.known.shape_names) & set(self.outer.names)
-        return None if moved or self.problem.corrected else basis_of(t, self.problem)
-
     def _laid_out(self) -> Columns:
         names, end = [h.name for h in self.problem.hypers], self.problem.size
-        plain, moving, owner = [np.zeros(0, int)], [], []
-        by: dict[int, list[int]] = {}
-        shares = [np.zeros((0, len(weights(0.0))))]
-        for t, basis in zip(self.terms, self._bases, strict=True):
+        plain, moving, owner, by = [np.zeros(0, int)], [], [], []
+        for t in self.terms:
             place = (
                 np.arange(t.at.start, t.at.stop) if t.place == "x" else np.arange(end, end + t.size)
             )
             end += t.size if t.place == "fixed" else 0
-            if basis is None or basis.shares is None:
+            box = self.outer.box_of(t)
+            if box is None:
                 plain.append(place)
                 continue
-            along = by.setdefault(names.index(t.known.shape_names[0]), [])
             for member in place:
-                along += range(len(owner), len(owner) + basis.rank)
-                owner += [len(moving)] * basis.rank
-                shares.append(basis.shares)
+                own = len(owner) + np.arange(box.rank)
+                by.append((names.index(t.known.shape_names[0]), own, box))
+                owner += [len(moving)] * box.rank
                 moving.append(member)
         return Columns(
             plain=np.concatenate(plain),
             moving=np.array(moving, dtype=int),
             owner=np.array(owner, dtype=int),
-            by=tuple((i, np.array(own)) for i, own in by.items()),
-            shares=np.concatenate(shares),
+            by=tuple(by),
         )
 
     def _in_order(self, parts: list[np.ndarray]) -> np.ndarray:
         """What belongs to the terms' columns, last axis, in the table's order."""
-        is_plain = [b is None or b.shares is None for b in self._bases]
+        is_plain = [self.outer.box_of(t) is None for t in self.terms]
         order = [p for p, first in zip(parts, is_plain, strict=True) if first]
         order += [p for p, first in zip(parts, is_plain, strict=True) if not first]
         return np.concatenate(order, axis=-1)
 
-    def _of_term(self, t: Term, basis: Basis, slope: np.ndarray) -> Float[np.ndarray, "n w"]:
-        """The table's columns of a term: for each member of its group, as many as its basis has."""
-        columns = (slope * t.factor)[:, None] * basis.columns[:, t.index]
+    def _of_term(
+        self, t: Term, columns: Float[np.ndarray, "n k r"], slope: np.ndarray
+    ) -> Float[np.ndarray, "n w"]:
+        """The table's columns of a term: for each member of its group, as many as its columns are sums of."""
+        columns = (slope * t.factor)[:, None] * columns[:, t.index]
         codes = None if t.known.per is None else self.problem.record.codes[t.known.per]
         # by_member spreads the last axis: (r, n) to (r, n, members), then members before the columns of the basis
         found = by_member(np, columns.T, codes, t.size)
@@ -179,11 +145,13 @@ class Products:
         if problem.corrected:
             return np.column_stack([line.jacobian, residual])
         slopes, parts = problem.slopes(self.x, hyper), []
-        for t, basis in zip(self.terms, self._bases, strict=True):
-            if basis is None:
+        for t in self.terms:
+            if (box := self.outer.box_of(t)) is not None:
+                columns = box.columns
+            else:
                 shapes = tuple(float(hyper[name]) for name in t.known.shape_names)
-                basis = Basis(problem.record.columns(t.known.columns, shapes)[:, :, None], None)
-            parts.append(self._of_term(t, basis, slopes[t.slot]))
+                columns = problem.record.columns(t.known.columns, shapes)[:, :, None]
+            parts.append(self._of_term(t, columns, slopes[t.slot]))
         if not parts:
             return residual[:, None]
         table, moving = self._in_order(parts), self.columns.moving
@@ -191,41 +159,6 @@ class Products:
             amounts = self.columns.at(v) @ np.append(self.x, self._held)[moving]
             residual = residual + table[:, len(self.columns.plain) :] @ amounts
         return np.column_stack([table, residual])
-
-    def _once(self) -> Float[np.ndarray, "m1 m1"]:
-        """Products where no outer axis moves them; an affine output's from those that its record keeps."""
-        problem = self.problem
-        if not problem.affine:
-            hyper = problem.hyper(self.there)
-            table = self._table(hyper, self.there, problem.linearise(self.x, hyper))
-            return table.T @ table
-        store: ColumnProducts = problem.record.products
-        slopes, parts = problem.slopes(self.x, {}), [np.zeros(0, int)]
-        for t, basis in zip(self.terms, self._bases, strict=True):
-            assert basis is not None
-            held = (
-                None
-                if basis.shares is not None
-                else [self.problem.fixed_values.get(n) for n in t.known.shape_names]
-            )
-            key = (t.known.key, t.index, t.slot, t.factor, t.known.per, tuple(held or ()))
-            if key not in store.places:
-                store.places[key] = store.add(self._of_term(t, basis, slopes[t.slot]))
-            parts.append(store.places[key])
-        places = self._in_order(parts[1:]) if len(parts) > 1 else parts[0]
-        plain = places[: len(self.columns.plain)]
-        if not store.taken:  # by the columns of named effects: those of a curve are nearly alike
-            own = [
-                p
-                for t, p in zip(self.terms, parts[1:], strict=True)
-                if t.known.effect.weights is None
-            ]
-            store.take(np.intersect1d(plain, np.concatenate([plain[:0], *own])))
-        # The products are about what named columns left of the readings: coefficients are counted from what these
-        # took.
-        self.at = np.zeros(len(self.at))
-        self.at[self.columns.plain] = [store.taken.get(int(i), 0.0) for i in plain]
-        return store.beside_residual(places)
 
     # at one φ ---------------------------------------------------------------------------------------------------
 
@@ -239,25 +172,19 @@ class Products:
         return Prior(np.append(own.mean, self._held), sd, np.append(own.weight, np.ones(more)))
 
     def reaches(self, vs: Float[np.ndarray, "*b d"]) -> Any:
-        """Whether columns are interpolated there, and polynomials were fitted."""
-        inside = np.all(np.abs(vs[..., self._inner]) <= REACH, axis=-1)
-        if self.polynomials is None:
-            return inside
+        """Whether columns are sums of few there, and polynomials were fitted."""
+        assert self.polynomials is not None
         hyper = self.problem.hyper(np.moveaxis(vs, -1, 0))
-        return inside & self.polynomials.reach(self._axes.of(hyper, vs))
-
-    @property
-    def _axes(self) -> Axes:
-        assert self.outer is not None
-        return self.outer
+        found = self.polynomials.reach(self.outer.of(hyper, vs))
+        for i, box in self.outer.boxes.items():
+            found = found & (np.abs(vs[..., i] - box.middle[0]) <= box.half)
+        return found
 
     def _whole(self, v: np.ndarray, hyper: Values) -> tuple[Float[np.ndarray, "m1 m1"], float]:
         """[Φ r]ᵀΣ⁻¹[Φ r] and log|Σ|."""
-        if self.polynomials is None:
-            variance = float(self.problem.noise.shared_variance(hyper))
-            return self._sets[0] / variance, self.size * math.log(variance)
-        unit = float(self._axes.unit(hyper))
-        terms = self.polynomials.terms(self._axes.of(hyper, v[None]))[0]
+        assert self.polynomials is not None
+        unit = float(self.outer.unit(hyper))
+        terms = self.polynomials.terms(self.outer.of(hyper, v[None]))[0]
         made = (terms @ self._flat_sets).reshape(self._sets.shape[1:])
         return made / unit, float(terms @ self.polynomials.volumes) + self.size * math.log(unit)
 
@@ -291,53 +218,15 @@ class Products:
             made[:, moving[:, None], moving] = block.transpose(0, 2, 1) @ right[:, f:-1]
         return made
 
-    def slopes(
-        self, v: Float[np.ndarray, "d"], hyper: Values, prior: Prior, found: Conditional
-    ) -> Float[np.ndarray, "d"]:
-        """Slopes of the log marginal density by φ's coordinates, where no outer axis moves the products.
-
-        With x̄ and C the posterior mean and covariance of x and E = [[m·mᵀ + C, −m], [−mᵀ, 1]], m = x̄ − at, a change
-        dG of the products moves it by −½·(tr E·dG + d log|Σ|): nothing else moves to first order (envelope theorem).
-        """
-        made = np.zeros(len(v))
-        # tr E·G: squares of the residuals at the mean, and the degrees of freedom that x took
-        taken = found.squares + len(found.z) - float(prior.weight @ found.variance_of_z)
-        for i, kind in enumerate(self.problem.kinds):
-            if kind == "noise":
-                made[i] = 0.5 * (taken - self.size) * self.problem.log_variance_slope(v, i)
-        moving, (places, kept), f = self.columns.moving, self._places, len(self.columns.plain)
-        if not len(moving):
-            return made
-        whole, _ = self._whole(v, hyper)
-        # The columns of E that belong to moving coefficients. With d(SᵀGS) = SᵀG·dS and its transpose, −½·tr
-        # E·d(SᵀGS) is −tr E·SᵀG·dS, and dS has one entry a share: in its own row, in the column of its owner.
-        move, root = found.mean - self.at, found.root
-        spread = np.concatenate(
-            [np.outer(move, move[moving]) + root @ root[moving].T, -move[None, moving]]
-        )
-        selected = np.zeros(
-            (len(whole), len(self.at) + 1)
-        )  # S, with what is left of the readings last
-        selected[kept, places] = 1.0
-        selected[f:-1, moving] = self.columns.at(v)
-        pull = whole[f:-1] @ (selected @ spread)
-        along = self.columns.slopes(v) * pull[np.arange(len(pull)), self.columns.owner]
-        for i, own in self.columns.by:
-            made[i] -= along[own].sum()
-        return made
-
     # at many φ --------------------------------------------------------------------------------------------------
 
     def grams(self, vs: Float[np.ndarray, "b d"], hyper: Mapping[str, Any]) -> Gram:
         """Weighted products of J and r at several φ."""
-        whole, logdet = self._sets, 0.0
-        if self.polynomials is None:
-            unit = np.broadcast_to(self.problem.noise.shared_variance(hyper), len(vs))
-        else:
-            unit = np.broadcast_to(self._axes.unit(hyper), len(vs))
-            terms = self.polynomials.terms(self._axes.of(hyper, vs))
-            whole = (terms @ self._flat_sets).reshape(len(vs), *self._sets.shape[1:])
-            logdet = terms @ self.polynomials.volumes
+        assert self.polynomials is not None
+        unit = np.broadcast_to(self.outer.unit(hyper), len(vs))
+        terms = self.polynomials.terms(self.outer.of(hyper, vs))
+        whole = (terms @ self._flat_sets).reshape(len(vs), *self._sets.shape[1:])
+        logdet = terms @ self.polynomials.volumes
         made = self._selected(whole, self.columns.at(vs)) / unit[:, None, None]
         return Gram.of(made, logdet + self.size * np.log(unit))
 
@@ -354,8 +243,8 @@ class Products:
 
     def row(self, coordinates: Float[np.ndarray, "m"]) -> Float[np.ndarray, "s"]:
         """Products at one point of the outer axes in units of the noise there, and log|Σ| likewise."""
-        hyper, v = self._axes.values(coordinates, self.there)
-        unit = float(self._axes.unit(hyper))
+        hyper, v = self.outer.values(coordinates, self.there)
+        unit = float(self.outer.unit(hyper))
         line = self.problem.linearise(self.x, hyper)
         white = Whitening(self.problem.noise, hyper, self.problem.record, self.problem.extra(line))
         # In units of the noise there the products hardly follow its amplitude, so that a low degree describes them.
@@ -370,9 +259,17 @@ class Axes:
 
     Attributes:
         names: shapes, promoted coefficients and parameters of the noise.
+        boxes: entries of φ that are none of these, since columns are sums of few along them.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(
+        self, problem: Problem, v: Float[np.ndarray, "d"], reach: Float[np.ndarray, "d"]
+    ) -> None:
+        """Args:
+        problem: the structure on its record.
+        v: coordinates of φ that products are about.
+        reach: how far from there they are asked for.
+        """
         self.problem = problem
         hypers, noise, record = problem.hypers, problem.noise, problem.record
         free = {h.name for h in hypers}
@@ -382,14 +279,17 @@ class Axes:
             if t.place == "phi" and t.group_sd_name is not None
             for name in t.members
         }
-        smooth = {
-            t.known.shape_names[0]
-            for t in problem.terms
-            if t.place in ("x", "fixed")
-            and t.known.shape_names
-            and not problem.corrected
-            and basis_of(t, problem) is not None
-        }
+        self.boxes = dict[int, Expansion]()
+        self._boxes = dict[Any, Expansion]()
+        places = {h.name: i for i, h in enumerate(hypers)}
+        moving = [t for t in problem.terms if t.place in ("x", "fixed") and t.known.shape_names]
+        for t in () if problem.corrected else moving:
+            i = places.get(t.known.shape_names[0])
+            if len(t.known.shape_names) == 1 and i is not None:
+                box = record.expansions(t.known.columns, (None,)).at(v[[i]], True)
+                if box.half - abs(v[i] - box.middle[0]) >= reach[i]:
+                    self.boxes[i] = self._boxes[t.known.key] = box
+        smooth = {hypers[i].name for i in self.boxes}
         self._shapes = {
             h.name: i for i, h in enumerate(hypers) if h.kind == "shape" and h.name not in smooth
         }
@@ -410,6 +310,10 @@ class Axes:
         ]
         self._linear = {n for n, prior in priors.items() if isinstance(prior, Normal)}
         self.names = (*self._shapes, *self._promoted, *self._noise)
+
+    def box_of(self, t: Term) -> Expansion | None:
+        """Return the columns of a term's effect as sums of few; None where none are or an outer axis moves them."""
+        return self._boxes.get(t.known.key)
 
     def unit(self, hyper: Mapping[str, Any]) -> Any:
         """A variance that the products are about inversely proportional to."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 from weakref import WeakValueDictionary
 
 import jax
@@ -16,12 +16,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._core.errors import ModelError
-from bayescal._core.parallel import on_one_thread
+from bayescal._data.column import UNCERTAINTY
 from bayescal._data.measurements import Measurements
 from bayescal._inference import programs
-from bayescal._inference.chebyshev import BETWEEN, NODES, REACH, weights
-from bayescal._data.column import UNCERTAINTY
-from bayescal._inference.column_products import ColumnProducts
 from bayescal._inference.column_table import ColumnTable
 from bayescal._inference.expansion import Expansions
 from bayescal._inference.host_columns import HostColumns
@@ -32,41 +29,13 @@ from bayescal._model.effect import Effect
 from bayescal._model.frame import Frame, Reference, build_frame
 from bayescal._model.instrument import Instrument
 from bayescal._model.noise_law import Noise
-from bayescal._model.terms import ColumnsOf, Correction, coordinates
+from bayescal._model.terms import ColumnsOf, Correction
 
 NOTHING_ACTS: Mapping[Correction, tuple[float, ...]] = MappingProxyType({})
 KEPT_BYTES = 256 * 2**20  # bytes of columns at shapes, of which the latest are kept
 AFFINE = 1e-9  # change of a slope, relative to the largest, up to which it does not change
 DRAWS_A_CALL = 48  # draws in one call of a program, or half of that,
 CALL_NUMBERS = 16_384  # and more of a short record: draws times readings, up to which the call itself is what costs
-# As good as this part of the largest number in a column, tried between some nodes.
-INTERPOLATED = 1e-9
-RANKED_ROWS = 4096  # of many readings, by which the sums are chosen
-KEPT_OF_IT = 1e-10  # part of the largest singular value, down to which the columns are sums of singular vectors
-
-
-class Basis(NamedTuple):
-    """Columns of an effect along its shape, as sums of a few.
-
-    Attributes:
-        columns: for each coefficient, those that its column is a sum of (n, k, r).
-        shares: of these at the nodes of the shape's coordinate (r, s); None where there is no shape, and r is one.
-    """
-
-    columns: Float[np.ndarray, "n k r"]
-    shares: Float[np.ndarray, "r s"] | None
-
-    @property
-    def rank(self) -> int:
-        return self.columns.shape[2]
-
-    def at(self, v: float | Float[np.ndarray, "b"]) -> Float[np.ndarray, "*b n k"]:
-        """The columns at coordinates of the shape."""
-        assert self.shares is not None
-        amounts = weights(v) @ self.shares.T
-        found = self.columns.reshape(-1, self.rank) @ amounts.T
-        n, k, _ = self.columns.shape
-        return found.reshape(n, k) if amounts.ndim == 1 else found.T.reshape(-1, n, k)
 
 
 @dataclass(eq=False)
@@ -86,9 +55,7 @@ class Record:
     library: tuple[Effect, ...] = ()
     _fixed: dict[programs.Basis, np.ndarray] = field(default_factory=dict)
     _shaped: OrderedDict[Any, np.ndarray] = field(default_factory=OrderedDict)
-    _bases: dict[Any, Basis | None] = field(default_factory=dict)
     _bytes: int = 0
-    _latest: dict[Any, tuple[float, np.ndarray]] = field(default_factory=dict)
     _expansions: dict[Any, Expansions] = field(default_factory=dict)
     _nodes: dict[Any, OneNode | None] = field(default_factory=dict)
     _last: tuple[Any, Any] | None = None  # slots, and what the instrument responded to them
@@ -124,7 +91,7 @@ class Record:
 
     def beside(self, library: tuple[Effect, ...] = (), frame: Frame | None = None) -> Record:
         """The same readings once more, with columns that no shape moves, or those of another membership in groups."""
-        own = {"_fixed": self._fixed, "_bases": self._bases, "library": library, "of": self}
+        own = {"_fixed": self._fixed, "library": library, "of": self}
         own |= {"_nodes": self._nodes}
         made = Record(self.instrument, self.frame if frame is None else frame, self.y, **own)
         if frame is None:
@@ -177,11 +144,6 @@ class Record:
     def ordered(self) -> bool:
         """Whether readings stand in the order of time already."""
         return bool(np.all(np.diff(self.in_time[0]) == 1))
-
-    @cached_property
-    def products(self) -> ColumnProducts:
-        """Columns of an affine output that structures share, and their products."""
-        return ColumnProducts(self.y - self.affine[0])  # pyright: ignore[reportOptionalSubscript]
 
     @cached_property
     def table(self) -> ColumnTable:
@@ -247,22 +209,9 @@ class Record:
         return programs.Responding(self.instrument.response, self.instrument.vector is not None)
 
     def columns(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
-        """Columns of an effect at values of its shapes, on the readings as measured; not to be written to.
-
-        Those of one shape are interpolated along it where they run smoothly.
-        """
+        """Columns of an effect at values of its shapes, on the readings as measured; not to be written to."""
         if not effect.shapes:
             return self._fixed_columns(effect.basis)
-        near = len(values) == 1 and abs(v := effect.priors[0].coordinate(values[0])) <= REACH
-        if near and (basis := self.basis_along(effect)) is not None:
-            last = self._latest.get(effect.key)
-            if last is None or last[0] != v:
-                self._latest[effect.key] = last = v, basis.at(v)
-            return last[1]
-        return self._kept_at(effect, values)
-
-    def _kept_at(self, effect: ColumnsOf, values: tuple[float, ...]) -> Float[np.ndarray, "n k"]:
-        """Columns at shapes, of which the latest are kept."""
         key = (effect.key, values)
         found = self._shaped.pop(key, None)
         if found is None:
@@ -272,66 +221,6 @@ class Record:
                 self._bytes -= self._shaped.popitem(last=False)[1].nbytes
         self._shaped[key] = found
         return found
-
-    def keep_along(self, effect: ColumnsOf, values: Sequence[float]) -> None:
-        """Columns at many values of the only shape, in one program, for when each is asked for."""
-        if effect.corrections or len(values) * self.size * 8 > KEPT_BYTES / 2:
-            return
-        left = [value for value in values if (effect.key, (value,)) not in self._shaped]
-        if left:
-            made = self._computed(effect, [np.array(left)], {})
-            self._bytes += made.nbytes
-            self._shaped |= {(effect.key, (v,)): one for v, one in zip(left, made, strict=True)}
-
-    def basis_along(self, effect: ColumnsOf) -> Basis | None:
-        """Columns as sums of a few along one shape; None where they run too sharply, or along several shapes."""
-        if not effect.shapes:
-            return Basis(self.columns(effect, ())[:, :, None], None)
-        if len(effect.shapes) > 1 or effect.ragged:
-            return None
-        if effect.key not in self._bases:
-            self._interpolate(effect)
-        return self._bases[effect.key]
-
-    @on_one_thread
-    def _interpolate(self, effect: ColumnsOf) -> None:
-        """Columns at the nodes; of a short record those of the whole library, in one program."""
-
-        def at_nodes(of: ColumnsOf) -> Float[np.ndarray, "s"]:
-            return of.priors[0].value(np.append(NODES, BETWEEN))
-
-        if effect.corrections or self.long:
-            self._bases[effect.key] = self._summed(self._computed(effect, [at_nodes(effect)], {}))
-            return
-        every = {of.key: of for of in (effect, *map(ColumnsOf.of, self.library))}
-        some = [
-            of
-            for key, of in every.items()
-            if len(of.shapes) == 1 and not (of.corrections or of.ragged or key in self._bases)
-        ]
-        made = self.columns_of_several(some, [[at_nodes(of)] for of in some])
-        for of, columns in zip(some, made, strict=True):
-            self._bases[of.key] = self._summed(columns)
-
-    def _summed(self, found: Float[np.ndarray, "s n k"]) -> Basis | None:
-        """The singular vectors of columns at the nodes, where they interpolate between some of these."""
-        count = found.shape[2]
-        found = found.reshape(len(found), -1)
-        nodes, there = found[: len(NODES)], found[len(NODES) :]
-        apart = np.max(np.abs(weights(BETWEEN) @ nodes - there))
-        largest = np.max(np.abs(nodes), initial=1e-300)
-        if not apart <= INTERPOLATED * largest:
-            return None
-        # A family of columns that runs smoothly along its shape has low numerical rank. The right singular vectors are
-        # the shares at the nodes, and times these the columns are sums of few; some rows of many tell them as well,
-        # where all others are then found to be such sums.
-        for step in {max(1, nodes.shape[1] // RANKED_ROWS): None, 1: None}:
-            _, size, vh = np.linalg.svd(np.linalg.qr(nodes.T[::step], mode="r"))
-            shares = vh[: max(1, int(np.sum(size > KEPT_OF_IT * size[0])))]
-            columns = nodes.T @ shares.T
-            if step == 1 or np.max(np.abs(columns @ shares - nodes.T)) <= KEPT_OF_IT * largest:
-                break
-        return Basis(columns.reshape(self.size, count, len(shares)), shares)
 
     def columns_of_several(
         self,
@@ -472,16 +361,6 @@ class Record:
         if not values and not moves:
             return self.columns(effect, ())
         values = _one_a_draw(values, moves)
-        count = max(len(v) for v in (*values, *moves.values()))
-        basis = self.basis_along(effect) if not moves and len(values) == 1 else None
-        if basis is not None:
-            at = coordinates(effect.priors[0], values[0])
-            near = np.abs(at) <= REACH
-            found = np.empty((count, self.size, basis.columns.shape[1]))
-            found[near] = basis.at(at[near])
-            if not np.all(near):
-                found[~near] = self._computed(effect, [values[0][~near]], moves)
-            return found
         return self._computed(effect, values, moves)
 
     def _computed(

@@ -132,29 +132,37 @@ class ManyPhi:
     """The log density of many φ at once, x integrated out, and x given each.
 
     Attributes:
-        products: as functions of φ; None where each φ costs a pass over the readings.
+        table: of products, where one tells them.
+        products: as polynomials of φ, where they will do.
+        direct: whether each φ costs a pass over the readings.
         exact: whether the closed form is that of φ itself.
     """
 
     def __init__(self, problem: Problem, mode: Mode, proposals: float | None = None) -> None:
         self.problem, self.mode, self.size = problem, mode, problem.record.size
         self.density = Density(problem, mode.x, mode.flat, mode.v)
-        self.products = self.density.products
-        if self.products is None and problem.noise.gaussian:
+        self.table, self.products = self.density.tabulated, None
+        if self.table is not None and not self.table.is_boxed(mode.v):
+            self.table = None
+        if self.table is None and problem.noise.gaussian:
             close = CLOSE_NATS if self.size <= COSTLY_READINGS else CLOSER_NATS
             expected = FEWER_PROPOSALS if proposals is None else proposals
             self.products = about(self.density, mode.v, mode.covariance, close, expected)
-        self.polynomial = self.products is not None and self.products.outer is not None
-        self.exact = problem.noise.gaussian and not self.polynomial
+        self.exact = problem.noise.gaussian and self.products is None
+        self.direct = self.table is None and self.products is None
         self.together = max(16, NUMBERS // (problem.size + 1) ** 2)
-        if self.products is None:  # few at a time, so that the deadline is asked
+        if self.direct:  # few at a time, so that the deadline is asked
             self.together = min(self.together, max(16, IN_CACHE // self.size))
         self.highest, self.top = float(mode.log_density), mode.v
 
     def at(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> tuple[np.ndarray, Drawn]:
         """Log density of each φ, and the x that standard normal numbers stand for given it."""
         prior = self.problem.log_priors(v)
-        if self.products is None:
+        if self.table is not None:
+            own = self.problem.prior(self.problem.hyper(v.T), self.mode.flat, (len(v),))
+            found = draw(self.table.grams(v), self.size, own, self.table.at, normal)
+            total = _sum(found.log_marginal, prior)
+        elif self.products is None:
             found = self._by_readings(v, normal)
             total = _sum(found.log_marginal, prior)
         else:
@@ -174,9 +182,7 @@ class ManyPhi:
         found = found._replace(x=found.x[:, : self.problem.size])
         total = _sum(found.log_marginal, prior)
         # Where interpolation or polynomials end or have lost their definiteness, φ that may count are computed.
-        beyond = ~products.reaches(v)
-        if self.polynomial:
-            beyond = (beyond & (total > self.highest - FAR_NATS)) | (total <= NOWHERE)
+        beyond = ~products.reaches(v) & (total > self.highest - FAR_NATS) | (total <= NOWHERE)
         if beyond.any():
             exact = self._by_readings(v[beyond], normal[beyond])
             for all_of_it, new in zip(found, exact, strict=True):
@@ -188,9 +194,8 @@ class ManyPhi:
         """Which φ nothing but nonlinearity corrects, or lie where polynomials were fitted to a long record."""
         if self.exact:
             return np.ones(len(v), dtype=bool)
-        if self.size <= COSTLY_READINGS or not self.polynomial:
+        if self.size <= COSTLY_READINGS or self.products is None:
             return np.zeros(len(v), dtype=bool)
-        assert self.products is not None
         return self.products.reaches(v)
 
     def _by_readings(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> Drawn:
@@ -432,7 +437,7 @@ def _fill(
     Ends early where a draw lies higher than the mode may.
     """
     mode, prior, first = density.mode, pool.prior, not pool.mixtures
-    direct = density.products is None
+    direct = density.direct
     if direct and len(mode.v):
         mode = mode._replace(covariance=_as_wide_as_it_is(density))
     if not first:
@@ -466,7 +471,7 @@ def proposals_of(density: ManyPhi) -> int:
     """How many: fewer where each costs a pass over many readings, or a large matrix."""
     # A pass over many readings for each φ buys fewer proposals in the same time; weights that are uneven ask for
     # more.
-    problem, direct = density.problem, density.products is None
+    problem, direct = density.problem, density.direct
     long = problem.record.size > COSTLY_READINGS
     if direct and (long or not problem.noise.gaussian):
         return FEWEST_PROPOSALS

@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._inference.column_table import RESIDUAL, ColumnTable
-from bayescal._inference.expansion import Expansion, Expansions
+from bayescal._inference.expansion import Expansion, Expansions, Listed
 from bayescal._inference.gaussian import Conditional, Gram, Prior, condition, draw
 from bayescal._inference.noise_nodes import OneNode, Products, Weights
 from bayescal._inference.problem import Problem, Values
@@ -35,7 +35,9 @@ from bayescal._model.terms import Term
 
 DIFFERENCE = 1e-3  # of a coordinate, for slopes of priors, of weights of curves and of the noise
 FAR_SD = 1e3  # prior standard deviations, beyond which a fit without priors says nothing of a coefficient
-NUMBERS_AT_ONCE = 2_000_000  # in products of several φ that are computed together, which bounds memory
+NUMBERS_AT_ONCE = (
+    2_000_000  # in products of several φ that are computed together, which bounds memory
+)
 KEPT_TABLES = 3  # of a structure's rows in boxes, the latest
 
 
@@ -112,7 +114,9 @@ class Tabulated:
             held = tuple(fixed.get(n) for n in names)
             config = [(t.index, t.slot, t.factor, t.known.per, t.size) for t in terms]
             owners = [
-                np.arange(t.at.start, t.at.stop) if t.place == "x" else np.full(t.size, problem.size)
+                np.arange(t.at.start, t.at.stop)
+                if t.place == "x"
+                else np.full(t.size, problem.size)
                 for t in terms
             ]
             amounts = [np.full(t.size, 1.0 if t.place == "x" else -t.value) for t in terms]
@@ -247,9 +251,13 @@ class Tabulated:
         shares, slopes = rows.shares(v, sloped)
         grams = rows.products.gram(weights, slice(0, 1 + 2 * q if sloped else 1))
         gram = rows.select(grams[0])
-        unit = shares[:, None] * rows.owned  # (R, p + 1): of J itself, output unit per reported unit
+        unit = (
+            shares[:, None] * rows.owned
+        )  # (R, p + 1): of J itself, output unit per reported unit
         pulled = gram @ unit
-        found = condition(Gram.of(unit.T @ pulled, weights.log_det[0]), problem.record.size, prior, self.at)
+        found = condition(
+            Gram.of(unit.T @ pulled, weights.log_det[0]), problem.record.size, prior, self.at
+        )
         if found is None:
             return None
         log_prior, prior_slope, prior_bend = self._log_prior(v)
@@ -312,7 +320,10 @@ class Tabulated:
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Return weighted products of J and r, counted from `at`, at several φ."""
-        p, covers = self.problem.size, [self._expansions(p).cover(vs[:, p.free]) for p in self.parts]
+        p, covers = (
+            self.problem.size,
+            [self._expansions(p).cover(vs[:, p.free]) for p in self.parts],
+        )
         found, log_det = np.empty((len(vs), p + 1, p + 1)), np.empty(len(vs))
         boxes = np.array([which for _, which in covers]).reshape(len(covers), len(vs)).T
         for box in np.unique(boxes, axis=0):
@@ -324,7 +335,13 @@ class Tabulated:
                 if not rows.plain:
                     gram = gram[:, rows.column[:, None], rows.column]
                 unit = rows.values(vs[some])[:, :, None] * rows.owned
-                found[some], log_det[some] = unit.transpose(0, 2, 1) @ (gram @ unit), weights.log_det
+                found[some], log_det[some] = (
+                    unit.transpose(0, 2, 1) @ (gram @ unit),
+                    weights.log_det,
+                )
+        for part, (expansions, _) in zip(self.parts, covers, strict=True):
+            for listed in (e for e in expansions if isinstance(e, Listed)):
+                self.table.drop((*part.key, listed))
         return Gram.of(found, log_det)
 
     def log_densities(
@@ -390,7 +407,9 @@ class _Rows:
             amount.append(np.repeat(part.amounts, r))
             # The residual is counted from what was taken; x from `at`.
             inside = part.owners < p
-            off = np.where(inside, -whole.at[np.minimum(part.owners, max(p - 1, 0))] if p else 0.0, 0.0)
+            off = np.where(
+                inside, -whole.at[np.minimum(part.owners, max(p - 1, 0))] if p else 0.0, 0.0
+            )
             off += table.taken.get(key, 0.0)
             off = np.repeat(off, r)
             put_back = np.flatnonzero(off)
@@ -456,7 +475,9 @@ class _Rows:
         return found, slopes
 
 
-def _from_point(found: Conditional, prior: Prior, at: Float[np.ndarray, "p"]) -> Float[np.ndarray, "p"]:
+def _from_point(
+    found: Conditional, prior: Prior, at: Float[np.ndarray, "p"]
+) -> Float[np.ndarray, "p"]:
     """Return t: how far the mean of x is from a point, in standard deviations of its prior."""
     off = prior.weight * (prior.mean - at)
     return found.z + np.where(off == 0, 0.0, off / np.where(prior.sd > 0, prior.sd, 1.0))
@@ -476,7 +497,9 @@ def _moments(
 def _stencil(q: int) -> Float[np.ndarray, "s q"]:
     """Return shifts of the noise's coordinates: none; each up, each down; each two up, both down."""
     unit = np.eye(q)
-    two = np.array([unit[k] + unit[l] for k in range(q) for l in range(k)]).reshape(q * (q - 1) // 2, q)
+    two = np.array([unit[i] + unit[j] for i in range(q) for j in range(i)]).reshape(
+        q * (q - 1) // 2, q
+    )
     return DIFFERENCE * np.concatenate([np.zeros((1, q)), unit, -unit, two, -two])
 
 
@@ -484,7 +507,7 @@ def _second_differences(f: Float[np.ndarray, "s"], q: int) -> Float[np.ndarray, 
     """Return second slopes of what was computed on the stencil."""
     here, up, down = f[0], f[1 : 1 + q], f[1 + q : 1 + 2 * q]
     both = f[1 + 2 * q :].reshape(2, q * (q - 1) // 2).sum(axis=0)
-    found, pairs = np.diag(up - 2 * here + down), [(k, l) for k in range(q) for l in range(k)]
-    for (k, l), two in zip(pairs, both, strict=True):
-        found[k, l] = found[l, k] = 0.5 * (two - up[k] - down[k] - up[l] - down[l] + 2 * here)
+    found, pairs = np.diag(up - 2 * here + down), [(i, j) for i in range(q) for j in range(i)]
+    for (i, j), two in zip(pairs, both, strict=True):
+        found[i, j] = found[j, i] = 0.5 * (two - up[i] - down[i] - up[j] - down[j] + 2 * here)
     return found / DIFFERENCE**2

@@ -22,7 +22,7 @@ from bayescal._inference.laplace import across, find_mode
 from bayescal._inference.linear_model import sized
 from bayescal._inference.noise_on_record import total_log_density, whitening
 from bayescal._inference.problem import Problem
-from bayescal._inference.record import INTERPOLATED, Record, record_of
+from bayescal._inference.record import Record, record_of
 from bayescal._inference.sampling import ManyPhi, weighted_draws
 from bayescal._model import forward
 from bayescal._model.parameters import Layout, bind
@@ -280,17 +280,37 @@ def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
     assert values[0] == pytest.approx(direct, abs=1e-7)
 
 
-def test_a_structure_as_data_and_one_computed_anew_are_the_same(monkeypatch) -> None:
-    """Where columns are interpolated, and beyond."""
-    for case in ("gyro", "gyro, held", "quartz", "inclinometer", "still"):
-        a = assembled(case)
-        _, v = somewhere(a)
-        flat = column_scale(a.linearise(a.start, a.hyper(v)).jacobian)
-        as_data, anew = Density(a, a.start, flat, v), Density(a, a.start, flat, v)
-        assert as_data.products is not None
-        monkeypatch.setitem(vars(anew), "products", None)
-        assert as_data.at(v)[0] == pytest.approx(anew.at(v)[0], rel=1e-8, abs=1e-5)
-        np.testing.assert_allclose(as_data.at(v)[1].mean, anew.at(v)[1].mean, rtol=1e-5, atol=1e-7)  # pyright: ignore[reportOptionalMemberAccess]
+TABULATED = ("gyro", "gyro, wandering", "gyro, scatter", "gyro, known uncertainties", "gyro, held")
+TABULATED = (*TABULATED, "gyro, unknown", "gyro, paths", "quartz", "inclinometer", "still", "pair")
+
+
+@pytest.mark.parametrize("case", TABULATED)
+def test_tabulated_density_is_that_of_the_readings(monkeypatch, case: str) -> None:
+    a = assembled(case)
+    x, v = somewhere(a)
+    flat = column_scale(a.linearise(a.start, a.hyper(v)).jacobian)
+    x = a.start if a.affine else x
+    table, readings = Density(a, x, flat, v), Density(a, x, flat, v)
+    monkeypatch.setitem(vars(readings), "tabulated", None)
+    assert table.at(v)[0] == pytest.approx(readings.at(v)[0], rel=1e-8, abs=1e-5)
+    np.testing.assert_allclose(table.at(v)[1].mean, readings.at(v)[1].mean, rtol=1e-5, atol=1e-7)  # pyright: ignore[reportOptionalMemberAccess]
+    vs = v + 0.3 * np.random.default_rng(2).standard_normal((3, len(v)))
+    vs = vs if a.affine else v[None]
+    one_by_one = [table.at(one)[0] for one in vs]
+    np.testing.assert_allclose(table.values(vs), one_by_one, rtol=1e-8, atol=1e-5)
+
+
+@pytest.mark.parametrize("case", TABULATED)
+def test_tabulated_curvature_is_the_difference_of_slopes(case: str) -> None:
+    a = assembled(case)
+    x, v = somewhere(a)
+    flat = column_scale(a.linearise(a.start, a.hyper(v)).jacobian)
+    density = Density(a, a.start if a.affine else x, flat, v)
+    found, step = density.evaluate(v), 1e-4
+    assert found is not None and found.curvature is not None
+    for row, unit in zip(found.curvature, step * np.eye(len(v)), strict=True):
+        difference = (density.slope(v - unit)[1] - density.slope(v + unit)[1]) / (2 * step)
+        np.testing.assert_allclose(row, difference, rtol=1e-3, atol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -459,12 +479,14 @@ def test_promoted_coefficients_stand_in_phi() -> None:
 
 
 @pytest.mark.parametrize("tau", [61.0, 300.0, 1150.0])
-def test_columns_along_a_shape_are_interpolated_as_well_as_they_are_computed(tau: float) -> None:
+def test_columns_in_a_box_are_as_good_as_computed(tau: float) -> None:
     a = assembled("gyro")
     effect = ColumnsOf.of(GYRO.effect("bias.thermal_lag"))
-    found = a.record.columns(effect, (tau,))
-    exact, _ = a.record.moved_columns(effect, (tau,), {})
-    assert np.max(np.abs(found - exact)) < 10 * INTERPOLATED * np.max(np.abs(exact))
+    v = np.array([effect.priors[0].coordinate(tau)])
+    box = a.record.expansions(effect, (None,)).at(v + 0.2, True)
+    exact = a.record.columns(effect, (tau,))
+    assert box.half > 0 and box.distance(v) < 1
+    assert np.max(np.abs(box.columns @ box.shares(v).value - exact)) < 1e-7 * np.max(np.abs(exact))
 
 
 @pytest.mark.parametrize("known", [False, True])
