@@ -22,8 +22,9 @@ from bayescal._inference.noise_on_record import (
     total_log_density,
     variance,
 )
+from bayescal._inference.polynomials import BOX, DEGREES, Polynomials
 from bayescal._inference.problem import SHIFT, Problem, Values, differences
-from bayescal._inference.products import BOX, DEGREES, Axes, Polynomials, Products
+from bayescal._inference.products import Axes, Products
 from bayescal._inference.tabulated import Evaluation, Tabulated
 from bayescal._model.composition import Linearised
 

@@ -16,17 +16,20 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from bayescal._inference.polynomials import DEGREES, Polynomials
+
 COUNT = 9  # Chebyshev points of a box
 BOX_WIDTH = 1.2  # of the largest box, prior standard deviations of a shape
 HALVINGS = 7  # of a box's width at most
 FAILURES = 2  # places without a box, from which on none is tried for
-REACH = 5.0  # prior standard deviations, beyond which each coordinate is computed by itself
 KEPT_TERM, TOLERANCE = (
     1e-9,
     1e-8,
 )  # of the largest number in a column: least term, error between nodes
 DIFFERENCE = 2e-3  # of a coordinate, for slopes about a place
-LISTED = 32  # coordinates whose columns are listed together
+TRIED_DRAWS = 12  # draws at which fitted polynomials are tried
+KEPT_SHARE = 1e-7  # of the largest principal direction of polynomials' coefficients, down to which they are kept
+LISTED = 8  # coordinates whose columns are listed together
 MOST_PLACES = 8  # about which Taylor series are kept
 
 _ORDERS = np.arange(COUNT)
@@ -99,6 +102,26 @@ class Listed(Expansion):
         return Listed(self.columns[rows], self.middle)
 
 
+class Fitted(Expansion):
+    """Columns as polynomials of the shapes where a Gaussian fit of φ has its draws, without slopes."""
+
+    def __init__(
+        self,
+        columns: Float[np.ndarray, "n k r"],
+        polynomials: Polynomials,
+        share: Float[np.ndarray, "t r"],
+    ) -> None:
+        super().__init__(columns, polynomials.centre)
+        self.polynomials, self.share = polynomials, share
+
+    def values(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b r"]:
+        return self.polynomials.terms(v) @ self.share
+
+    def reaches(self, v: Float[np.ndarray, "b d"]) -> np.ndarray:
+        """Return whether coordinates are where the polynomials were fitted."""
+        return self.polynomials.reach(v)
+
+
 class Expansions:
     """Expansions of one effect's columns, made where they are asked for and kept.
 
@@ -140,22 +163,38 @@ class Expansions:
         if not self.dim:
             return [self.at(v[0], False)], np.zeros(len(v), dtype=int)
         found, which = list[Expansion](), np.full(len(v), -1)
-        near = np.all(np.abs(v) <= REACH, axis=1)
-        while self.dim == 1 and len(left := np.flatnonzero((which < 0) & near)):
-            start = left[np.argmin(v[left, 0])]
-            box = min(self._boxes, key=lambda box: box.distance(v[start]), default=None)
-            if box is None or box.distance(v[start]) > 1:
-                box = self._box(v[start] + 0.49 * BOX_WIDTH * 2.0**-self._halvings)
-                if box is None:
-                    break
-                self._boxes.append(box)
-            which[left[np.abs(v[left, 0] - box.middle[0]) <= box.half]] = len(found)
-            found.append(box)
+        for box in self._boxes:
+            inside = (which < 0) & (np.abs(v[:, 0] - box.middle[0]) <= box.half)
+            if inside.any():
+                which[inside] = len(found)
+                found.append(box)
         left = np.flatnonzero(which < 0)
         for some in np.array_split(left, -(-len(left) // LISTED)) if len(left) else ():
             which[some] = len(found)
             found.append(Listed(np.moveaxis(self._columns(v[some]), 0, 2), v[some]))
         return found, which
+
+    def fitted(self, draws: Float[np.ndarray, "s d"]) -> Fitted | None:
+        """Return columns as polynomials where some draws of the free shapes are; None where they are none there."""
+        for degree in DEGREES.get(self.dim, ()):
+            polynomials = Polynomials(draws, degree)
+            points = np.concatenate([polynomials.points, draws[:TRIED_DRAWS]])
+            made = self._columns(points)
+            count = len(polynomials.points)
+            values, there = made[:count].reshape(count, -1), made[count:].reshape(TRIED_DRAWS, -1)
+            if not np.all(np.isfinite(made)):
+                return None
+            coefficients = polynomials.fit(values)
+            error = polynomials.terms(points[count:]) @ coefficients - there
+            if np.max(np.abs(error), initial=0.0) <= TOLERANCE * np.max(
+                np.abs(values), initial=1e-300
+            ):
+                # As few columns as span these: principal directions of the coefficients.
+                size, vectors = np.linalg.eigh(coefficients @ coefficients.T)
+                shares = vectors[:, size > KEPT_SHARE**2 * size[-1]]
+                columns = (shares.T @ coefficients).reshape(-1, *made.shape[1:])
+                return Fitted(np.moveaxis(columns, 0, 2), polynomials, shares)
+        return None
 
     def _box(self, v: Float[np.ndarray, "d"]) -> Expansion | None:
         """Return the largest box that a series describes; None where there is none."""

@@ -5,7 +5,6 @@ readings beside them: one column where nothing moves it; where it moves with a s
 sum of: J(ψ) = Φ·S(ψ). Parameters of correlated noise on uneven steps, promoted coefficients and other shapes are *outer
 axes*: along them ΦᵀΣ⁻¹Φ is a polynomial, fitted about a Laplace fit. The log evidence follows from these products,
 JᵀΣ⁻¹J = Sᵀ·(ΦᵀΣ⁻¹Φ)·S, and the readings are not touched again.
-Source: G. Migliorati et al., Found. Comput. Math. 14 (2014) 419 (polynomials by least squares at Chebyshev's density).
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cached_property
-from itertools import combinations_with_replacement
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,14 +21,11 @@ from bayescal._data.column import UNCERTAINTY
 from bayescal._inference.expansion import Expansion
 from bayescal._inference.gaussian import Gram, Prior
 from bayescal._inference.noise_on_record import Whitening
+from bayescal._inference.polynomials import Polynomials
 from bayescal._inference.problem import Problem, Values
 from bayescal._model.composition import Linearised, by_member
 from bayescal._model.prior import Normal
 from bayescal._model.terms import Term
-
-BOX = 5.0  # standard deviations of a Gaussian fit of φ, up to which polynomials are fitted
-FEW = {1: (6, 12, 20), 2: (4, 8, 12, 17), 3: (3, 5, 7, 9)}
-DEGREES = FEW | {4: (2, 4, 6), 5: (2, 4), 6: (2, 3, 4)}  # tried in turn, by the number of axes
 
 
 class Columns(NamedTuple):
@@ -186,7 +181,7 @@ class Products:
         unit = float(self.outer.unit(hyper))
         terms = self.polynomials.terms(self.outer.of(hyper, v[None]))[0]
         made = (terms @ self._flat_sets).reshape(self._sets.shape[1:])
-        return made / unit, float(terms @ self.polynomials.volumes) + self.size * math.log(unit)
+        return made / unit, float(terms @ self._volumes) + self.size * math.log(unit)
 
     def gram(self, v: Float[np.ndarray, "d"], hyper: Values) -> Gram:
         """Weighted products of J and r at a φ."""
@@ -226,7 +221,7 @@ class Products:
         unit = np.broadcast_to(self.outer.unit(hyper), len(vs))
         terms = self.polynomials.terms(self.outer.of(hyper, vs))
         whole = (terms @ self._flat_sets).reshape(len(vs), *self._sets.shape[1:])
-        logdet = terms @ self.polynomials.volumes
+        logdet = terms @ self._volumes
         made = self._selected(whole, self.columns.at(vs)) / unit[:, None, None]
         return Gram.of(made, logdet + self.size * np.log(unit))
 
@@ -235,6 +230,7 @@ class Products:
     def refit(self, polynomials: Polynomials, rows: Float[np.ndarray, "c s"]) -> None:
         """Take polynomials through products at some points, as `row` gives them."""
         table = polynomials.fit(rows)
+        self._volumes = table[:, -1]
         i, j = np.triu_indices(self.width)
         self._sets = np.empty((len(table), self.width, self.width))
         self._sets[:, i, j] = self._sets[:, j, i] = table[:, :-1]
@@ -356,61 +352,3 @@ class Axes:
         for name in self._noise:
             hyper[name] = next(along) if name in self._linear else math.exp(next(along))
         return hyper, v
-
-
-class Polynomials:
-    """Chebyshev's polynomials up to a total degree, in coordinates that a Gaussian fit is round in."""
-
-    def __init__(self, draws: Float[np.ndarray, "s m"], degree: int) -> None:
-        self.centre = draws.mean(axis=0)
-        covariance = np.atleast_2d(np.cov(draws.T))
-        self.root = BOX * np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
-        self.degree, self.dim = degree, len(self.centre)
-        powers = list(combinations_with_replacement(range(self.dim + 1), degree))
-        self.count = len(powers)
-        self._powers = np.array([[c.count(j + 1) for j in range(self.dim)] for c in powers])
-        # Twice as many points as terms, and a few: with points of the density 1/√(1 − t²), which the cosine below
-        # gives, least squares is then stable (Migliorati et al. 2014).
-        count = 2 * math.comb(self.dim + degree, self.dim) + 4
-        # Where the products are computed: a sequence, dense at the ends where there are few axes.
-        # A Kronecker sequence: multiples of irrational steps, modulo one, leave no gaps whatever their number.
-        ratio = _golden(self.dim)
-        steps = (np.arange(1, count + 1)[:, None] * ratio ** -np.arange(1, self.dim + 1) + 0.5) % 1
-        t = np.cos(np.pi * steps)
-        if self.dim > 3:  # corners of a cube are far out
-            t = t / np.maximum(1.0, np.linalg.norm(t, axis=1))[:, None]
-        self.points = self.centre + t @ self.root.T
-
-    def fit(self, rows: Float[np.ndarray, "c s"]) -> Float[np.ndarray, "t s"]:
-        """Coefficients of each term, for numbers at the points; log|Σ| is the last of them."""
-        table = np.linalg.lstsq(self.terms(self.points), rows, rcond=None)[0]
-        self.volumes = table[:, -1]
-        return table
-
-    def _round(self, coordinates: Float[np.ndarray, "*b m"]) -> Float[np.ndarray, "*b m"]:
-        return np.linalg.solve(self.root, (coordinates - self.centre)[..., None])[..., 0]
-
-    def reach(self, coordinates: Float[np.ndarray, "*b m"]) -> Any:
-        """Whether they are where the polynomials were fitted."""
-        return np.max(np.abs(self._round(coordinates)), axis=-1) <= 1
-
-    def terms(self, coordinates: Float[np.ndarray, "b m"]) -> Float[np.ndarray, "b t"]:
-        t = self._round(coordinates)
-        # Beyond the box a polynomial means nothing: the value at the box's edge, on the way to its centre, stands for
-        # it.
-        t = t / np.maximum(1.0, np.max(np.abs(t), axis=1))[:, None]
-        # Tₖ(cos θ) = cos kθ.
-        angle = np.arccos(np.clip(t, -1.0, 1.0))
-        one = np.cos(angle[:, :, None] * np.arange(self.degree + 1))
-        found = np.ones((len(t), len(self._powers)))
-        for j in range(self.dim):
-            found *= one[:, j, self._powers[:, j]]
-        return found
-
-
-def _golden(dim: int) -> float:
-    """The root of x^(d+1) = x + 1, whose powers make an even sequence in d dimensions."""
-    x = 2.0
-    for _ in range(40):
-        x = (1 + x) ** (1 / (dim + 1))
-    return x

@@ -29,6 +29,7 @@ from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.noise_on_record import grams
 from bayescal._inference.problem import Problem
 from bayescal._inference.products import Products
+from bayescal._inference.tabulated import About
 from bayescal._inference.trust import K_HAT
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 
@@ -141,9 +142,9 @@ class ManyPhi:
     def __init__(self, problem: Problem, mode: Mode, proposals: float | None = None) -> None:
         self.problem, self.mode, self.size = problem, mode, problem.record.size
         self.density = Density(problem, mode.x, mode.flat, mode.v)
-        self.table, self.products = self.density.tabulated, None
-        if self.table is not None and not self.table.is_boxed(mode.v):
-            self.table = None
+        table, self.products, self.table = self.density.tabulated, None, None
+        if table is not None and np.all(np.isfinite(mode.covariance)):
+            self.table = table.about(mode.v, mode.covariance)
         if self.table is None and problem.noise.gaussian:
             close = CLOSE_NATS if self.size <= COSTLY_READINGS else CLOSER_NATS
             expected = FEWER_PROPOSALS if proposals is None else proposals
@@ -159,9 +160,7 @@ class ManyPhi:
         """Log density of each φ, and the x that standard normal numbers stand for given it."""
         prior = self.problem.log_priors(v)
         if self.table is not None:
-            own = self.problem.prior(self.problem.hyper(v.T), self.mode.flat, (len(v),))
-            found = draw(self.table.grams(v), self.size, own, self.table.at, normal)
-            total = _sum(found.log_marginal, prior)
+            total, found = self._by_table(self.table, v, normal, prior)
         elif self.products is None:
             found = self._by_readings(v, normal)
             total = _sum(found.log_marginal, prior)
@@ -169,6 +168,21 @@ class ManyPhi:
             total, found = self._by_products(self.products, v, normal, prior)
         if total[best := int(np.argmax(total))] > self.highest:
             self.highest, self.top = float(total[best]), v[best]
+        return total, found
+
+    def _by_table(
+        self, table: About, v: Float[np.ndarray, "b d"], normal: np.ndarray, prior: np.ndarray
+    ) -> tuple[np.ndarray, Drawn]:
+        own = self.problem.prior(self.problem.hyper(v.T), self.mode.flat, (len(v),))
+        found = draw(table.grams(v), self.size, own, table.at, normal)
+        total = _sum(found.log_marginal, prior)
+        beyond = ~table.reaches(v) & (total > self.highest - FAR_NATS)
+        if beyond.any():
+            there = own._replace(sd=own.sd[beyond])
+            exact = draw(table.whole.grams(v[beyond]), self.size, there, table.at, normal[beyond])
+            for all_of_it, new in zip(found, exact, strict=True):
+                all_of_it[beyond] = new
+            total = _sum(found.log_marginal, prior)
         return total, found
 
     def _by_products(

@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._inference.column_table import RESIDUAL, ColumnTable
-from bayescal._inference.expansion import Expansion, Expansions, Listed
+from bayescal._inference.expansion import Expansion, Expansions, Fitted, Listed
 from bayescal._inference.gaussian import Conditional, Gram, Prior, condition, draw
 from bayescal._inference.noise_nodes import OneNode, Products, Weights
 from bayescal._inference.problem import Problem, Values
@@ -209,10 +209,6 @@ class Tabulated:
             self._tables[expansions] = _Rows(self, expansions)
         return self._tables[expansions]
 
-    def is_boxed(self, v: Float[np.ndarray, "d"]) -> bool:
-        """Whether all columns about a φ are functions of it, so that many φ cost no columns."""
-        return all(self.expansion(part, v, True).half > 0 for part in self.parts if part.free)
-
     # the density ------------------------------------------------------------------------------------------------
 
     def weights(self, v: Float[np.ndarray, "d"], sloped: bool) -> Weights:
@@ -329,20 +325,39 @@ class Tabulated:
         for box in np.unique(boxes, axis=0):
             own = np.flatnonzero(np.all(boxes == box, axis=1))
             rows = self.rows(tuple(e[i] for (e, _), i in zip(covers, box, strict=True)))
-            for some in np.array_split(own, -(-len(own) * rows.width**2 // NUMBERS_AT_ONCE)):
-                weights = self._weights_at(vs[some][:, self.noise])
-                gram = rows.products.gram(weights)
-                if not rows.plain:
-                    gram = gram[:, rows.column[:, None], rows.column]
-                unit = rows.values(vs[some])[:, :, None] * rows.owned
-                found[some], log_det[some] = (
-                    unit.transpose(0, 2, 1) @ (gram @ unit),
-                    weights.log_det,
-                )
+            found[own], log_det[own] = self.grams_of(rows, vs[own])
         for part, (expansions, _) in zip(self.parts, covers, strict=True):
             for listed in (e for e in expansions if isinstance(e, Listed)):
                 self.table.drop((*part.key, listed))
         return Gram.of(found, log_det)
+
+    def grams_of(
+        self, rows: _Rows, vs: Float[np.ndarray, "b d"]
+    ) -> tuple[Float[np.ndarray, "b p1 p1"], Float[np.ndarray, "b"]]:
+        """Return products of [J r] and log|Σ| at several φ of some rows' boxes."""
+        made = []
+        for some in np.array_split(vs, -(-len(vs) * rows.width**2 // NUMBERS_AT_ONCE)):
+            weights = self._weights_at(some[:, self.noise])
+            gram = rows.products.gram(weights)
+            if not rows.plain:
+                gram = gram[:, rows.column[:, None], rows.column]
+            unit = rows.values(some)[:, :, None] * rows.owned
+            made.append((unit.transpose(0, 2, 1) @ (gram @ unit), weights.log_det))
+        grams, log_det = zip(*made, strict=True)
+        return np.concatenate(grams), np.concatenate(log_det)
+
+    def about(
+        self, v: Float[np.ndarray, "d"], covariance: Float[np.ndarray, "d d"]
+    ) -> About | None:
+        """Return the table where a Gaussian fit of φ has its draws; None where columns are no polynomials there."""
+        normal = np.random.default_rng(0).standard_normal((400, len(v)))
+        draws, expansions = v + normal @ np.linalg.cholesky(covariance).T, []
+        for part in self.parts:
+            if part.free:
+                expansions.append(self._expansions(part).fitted(draws[:, part.free]))
+            else:
+                expansions.append(self.expansion(part, v, False))
+        return None if None in expansions else About(self, tuple(expansions))
 
     def log_densities(
         self, vs: Float[np.ndarray, "b d"], flat: Float[np.ndarray, "p"]
@@ -386,6 +401,29 @@ class Tabulated:
                 first[i, :-1] += (high - low) / (2 * h)
                 second[i, :-1] += (high - 2 * here + low) / h**2
         return first, second
+
+
+class About:
+    """A structure's table in the place of a Gaussian fit of φ, from which the products at many φ follow at once."""
+
+    def __init__(self, whole: Tabulated, expansions: tuple[Expansion, ...]) -> None:
+        self.whole, self.at = whole, whole.at
+        self.rows = _Rows(whole, expansions)
+        for part, expansion in zip(whole.parts, expansions, strict=True):
+            if part.free:  # its own
+                whole.table.drop((*part.key, expansion))
+
+    def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
+        """Return weighted products of J and r, counted from `at`, at several φ."""
+        return Gram.of(*self.whole.grams_of(self.rows, vs))
+
+    def reaches(self, vs: Float[np.ndarray, "b d"]) -> np.ndarray:
+        """Return whether each φ is where the columns were fitted."""
+        found = np.ones(len(vs), dtype=bool)
+        for part, expansion in zip(self.whole.parts, self.rows.expansions, strict=True):
+            if isinstance(expansion, Fitted):
+                found &= expansion.reaches(vs[:, part.free])
+        return found
 
 
 class _Rows:
