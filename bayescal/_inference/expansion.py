@@ -175,26 +175,28 @@ class Expansions:
         return found, which
 
     def fitted(self, draws: Float[np.ndarray, "s d"]) -> Fitted | None:
-        """Return columns as polynomials where some draws of the free shapes are; None where they are none there."""
+        """Return columns as the best polynomials where some draws of the free shapes are; None where they are none."""
+        best, found = np.inf, None
         for degree in DEGREES.get(self.dim, ()):
             polynomials = Polynomials(draws, degree)
-            points = np.concatenate([polynomials.points, draws[:TRIED_DRAWS]])
-            made = self._columns(points)
             count = len(polynomials.points)
+            made = self._columns(np.concatenate([polynomials.points, draws[:TRIED_DRAWS]]))
             values, there = made[:count].reshape(count, -1), made[count:].reshape(TRIED_DRAWS, -1)
             if not np.all(np.isfinite(made)):
-                return None
+                break
             coefficients = polynomials.fit(values)
-            error = polynomials.terms(points[count:]) @ coefficients - there
-            if np.max(np.abs(error), initial=0.0) <= TOLERANCE * np.max(
-                np.abs(values), initial=1e-300
-            ):
-                # As few columns as span these: principal directions of the coefficients.
-                size, vectors = np.linalg.eigh(coefficients @ coefficients.T)
-                shares = vectors[:, size > KEPT_SHARE**2 * size[-1]]
-                columns = (shares.T @ coefficients).reshape(-1, *made.shape[1:])
-                return Fitted(np.moveaxis(columns, 0, 2), polynomials, shares)
-        return None
+            error = polynomials.terms(draws[:TRIED_DRAWS]) @ coefficients - there
+            apart = np.max(np.abs(error), initial=0.0) / np.max(np.abs(values), initial=1e-300)
+            if apart >= best:
+                break
+            # As few columns as span these: principal directions of the coefficients.
+            size, vectors = np.linalg.eigh(coefficients @ coefficients.T)
+            shares = vectors[:, size > KEPT_SHARE**2 * size[-1]]
+            columns = (shares.T @ coefficients).reshape(-1, *made.shape[1:])
+            best, found = apart, Fitted(np.moveaxis(columns, 0, 2), polynomials, shares)
+            if best <= TOLERANCE:
+                break
+        return found
 
     def _box(self, v: Float[np.ndarray, "d"]) -> Expansion | None:
         """Return the largest box that a series describes; None where there is none."""

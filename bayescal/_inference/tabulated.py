@@ -60,14 +60,16 @@ class Part(NamedTuple):
     """One effect of a structure: its coefficients beside each other in one block of the table.
 
     Attributes:
-        key: of its columns, whoever has them.
+        key: of its columns, whoever has them; a number.
+        expansions: of its columns.
         terms: its coefficients.
         free: entries of φ that its columns move with.
         owners: for each coefficient and group member, its place in x; the residual's of one that is held.
         amounts: for each of these 1, or minus the value that it is held at.
     """
 
-    key: Any
+    key: int
+    expansions: Expansions
     terms: tuple[Term, ...]
     free: list[int]
     owners: Int[np.ndarray, "m"]
@@ -94,17 +96,17 @@ class Tabulated:
         self.problem, self.nodes = problem, nodes
         self.places = {h.name: i for i, h in enumerate(problem.hypers)}
         self.noise = [i for i, kind in enumerate(problem.kinds) if kind == "noise"]
-        self.parts = self._parts()
         self._tables: dict[Any, _Rows] = {}
         self.slopes = problem.slopes(x, problem.hyper(there))
         if problem.affine:
             self.table: ColumnTable = problem.record.table
+            self.parts = self._parts(self.table)
             self.table.take([*self._plain])
         else:
             self.table = self._about(x, there)
         self.at = self._counted_from()
 
-    def _parts(self) -> list[Part]:
+    def _parts(self, table: ColumnTable) -> list[Part]:
         problem, effects = self.problem, dict[int, list[Term]]()
         for t in problem.terms:
             effects.setdefault(id(t.known.effect), []).append(t)
@@ -122,7 +124,8 @@ class Tabulated:
             amounts = [np.full(t.size, 1.0 if t.place == "x" else -t.value) for t in terms]
             found.append(
                 Part(
-                    (terms[0].known.key, held, *config),
+                    table.number((terms[0].known.key, held, *config)),
+                    problem.record.expansions(terms[0].known.columns, held),
                     tuple(terms),
                     [self.places[n] for n in names if n not in fixed],
                     np.concatenate(owners),
@@ -133,16 +136,11 @@ class Tabulated:
 
     def expansion(self, part: Part, v: Float[np.ndarray, "d"], sloped: bool) -> Expansion:
         """Return the columns of a part's effect near φ."""
-        return self._expansions(part).at(v[part.free], sloped)
+        return part.expansions.at(v[part.free], sloped)
 
-    def _expansions(self, part: Part) -> Expansions:
-        return self.problem.record.expansions(part.terms[0].known.columns, part.key[1])
-
-    def _block(self, part: Part, expansion: Expansion) -> Any:
-        """Return the key of a part's columns in the table: for each coefficient and member as many as the rank."""
-        key = (*part.key, expansion)
-        self.table.block(key, lambda: self._columns(part, expansion))
-        return key
+    def _block(self, part: Part, expansion: Expansion) -> int:
+        """Return the number of a part's columns in the table: for each coefficient and member as many as the rank."""
+        return self.table.block((part.key, expansion), lambda: self._columns(part, expansion))
 
     def _columns(self, part: Part, expansion: Expansion) -> Float[np.ndarray, "n w"]:
         columns = []
@@ -154,8 +152,8 @@ class Tabulated:
         return np.concatenate(columns, axis=1)
 
     @cached_property
-    def _plain(self) -> dict[Any, Part]:
-        """Parts that nothing moves, by their key in the table; without curves, whose columns are nearly alike."""
+    def _plain(self) -> dict[int, Part]:
+        """Parts that nothing moves, by their blocks; without curves, whose columns are nearly alike."""
         middle = np.zeros(len(self.problem.hypers))
         return {
             self._block(part, self.expansion(part, middle, False)): part
@@ -168,13 +166,14 @@ class Tabulated:
         problem = self.problem
         residual = problem.record.y - problem.linearise(x, problem.hyper(there)).mean
         self.table = ColumnTable(residual)
+        self.parts = self._parts(self.table)
         taken = dict.fromkeys(self._plain)
         for part in self.parts:
             expansion = self.expansion(part, there, False)
             inside = part.owners < problem.size
             amounts = np.where(inside, np.append(x, 0.0)[part.owners], -part.amounts)
-            if (key := (*part.key, expansion)) in taken:
-                taken[key] = amounts
+            if (number := self._block(part, expansion)) in taken:
+                taken[number] = amounts
             else:
                 share = expansion.shares(there[part.free]).value
                 residual += self._columns(part, expansion) @ np.kron(amounts, share)
@@ -318,7 +317,7 @@ class Tabulated:
         """Return weighted products of J and r, counted from `at`, at several φ."""
         p, covers = (
             self.problem.size,
-            [self._expansions(p).cover(vs[:, p.free]) for p in self.parts],
+            [p.expansions.cover(vs[:, p.free]) for p in self.parts],
         )
         found, log_det = np.empty((len(vs), p + 1, p + 1)), np.empty(len(vs))
         boxes = np.array([which for _, which in covers]).reshape(len(covers), len(vs)).T
@@ -328,7 +327,7 @@ class Tabulated:
             found[own], log_det[own] = self.grams_of(rows, vs[own])
         for part, (expansions, _) in zip(self.parts, covers, strict=True):
             for listed in (e for e in expansions if isinstance(e, Listed)):
-                self.table.drop((*part.key, listed))
+                self.table.drop((part.key, listed))
         return Gram.of(found, log_det)
 
     def grams_of(
@@ -354,7 +353,7 @@ class Tabulated:
         draws, expansions = v + normal @ np.linalg.cholesky(covariance).T, []
         for part in self.parts:
             if part.free:
-                expansions.append(self._expansions(part).fitted(draws[:, part.free]))
+                expansions.append(part.expansions.fitted(draws[:, part.free]))
             else:
                 expansions.append(self.expansion(part, v, False))
         return None if None in expansions else About(self, tuple(expansions))
@@ -411,7 +410,7 @@ class About:
         self.rows = _Rows(whole, expansions)
         for part, expansion in zip(whole.parts, expansions, strict=True):
             if part.free:  # its own
-                whole.table.drop((*part.key, expansion))
+                whole.table.drop((part.key, expansion))
 
     def grams(self, vs: Float[np.ndarray, "b d"]) -> Gram:
         """Return weighted products of J and r, counted from `at`, at several φ."""
@@ -431,7 +430,7 @@ class _Rows:
 
     def __init__(self, whole: Tabulated, expansions: tuple[Expansion, ...]) -> None:
         self.expansions, self.parts = expansions, whole.parts
-        p, table, keys = whole.problem.size, whole.table, list[Any]()
+        p, table, keys = whole.problem.size, whole.table, list[int]()
         column, owner, amount, self.slices = [], [], [], []
         first = 0
         for part, expansion in zip(whole.parts, expansions, strict=True):
