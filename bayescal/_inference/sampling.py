@@ -144,7 +144,7 @@ class ManyPhi:
         self.density = Density(problem, mode.x, mode.flat, mode.v)
         table, self.products, self.table = self.density.tabulated, None, None
         if table is not None and np.all(np.isfinite(mode.covariance)):
-            self.table = table.about(mode.v, mode.covariance)
+            self.table = table.about(mode.v, mode.covariance, mode.flat)
         if self.table is None and problem.noise.gaussian:
             close = CLOSE_NATS if self.size <= COSTLY_READINGS else CLOSER_NATS
             expected = FEWER_PROPOSALS if proposals is None else proposals

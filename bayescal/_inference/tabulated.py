@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._inference.column_table import RESIDUAL, ColumnTable
-from bayescal._inference.expansion import Expansion, Expansions, Fitted, Listed
+from bayescal._inference.expansion import TRIED_DRAWS, Expansion, Expansions, Fitted, Listed
 from bayescal._inference.gaussian import Conditional, Gram, Prior, condition, draw
 from bayescal._inference.noise_nodes import OneNode, Products, Weights
 from bayescal._inference.problem import Problem, Values
@@ -35,6 +35,7 @@ from bayescal._model.terms import Term
 
 DIFFERENCE = 1e-3  # of a coordinate, for slopes of priors, of weights of curves and of the noise
 FAR_SD = 1e3  # prior standard deviations, beyond which a fit without priors says nothing of a coefficient
+CLOSE_NATS = 1e-3  # log density, within which columns as polynomials are good where a posterior is
 NUMBERS_AT_ONCE = (
     2_000_000  # in products of several φ that are computed together, which bounds memory
 )
@@ -346,26 +347,42 @@ class Tabulated:
         return np.concatenate(grams), np.concatenate(log_det)
 
     def about(
-        self, v: Float[np.ndarray, "d"], covariance: Float[np.ndarray, "d d"]
+        self,
+        v: Float[np.ndarray, "d"],
+        covariance: Float[np.ndarray, "d d"],
+        flat: Float[np.ndarray, "p"],
     ) -> About | None:
         """Return the table where a Gaussian fit of φ has its draws; None where columns are no polynomials there."""
         normal = np.random.default_rng(0).standard_normal((400, len(v)))
-        draws, expansions = v + normal @ np.linalg.cholesky(covariance).T, []
+        draws, expansions = v + normal @ np.linalg.cholesky(covariance).T, list[Expansion]()
         for part in self.parts:
-            if part.free:
-                expansions.append(part.expansions.fitted(draws[:, part.free]))
-            else:
-                expansions.append(self.expansion(part, v, False))
-        return None if None in expansions else About(self, tuple(expansions))
+            own = part.expansions.fitted(draws[:, part.free]) if part.free else None
+            if part.free and own is None:
+                return None
+            expansions.append(own or self.expansion(part, v, False))
+        found = About(self, tuple(expansions))
+        if not any(part.free for part in self.parts):
+            return found
+        some = draws[:TRIED_DRAWS]
+        there = self.log_densities(some, flat)
+        error = self._log_densities(found.grams(some), some, flat) - there
+        return (
+            found if np.max(np.abs(error[np.isfinite(there)]), initial=0.0) < CLOSE_NATS else None
+        )
 
     def log_densities(
         self, vs: Float[np.ndarray, "b d"], flat: Float[np.ndarray, "p"]
     ) -> Float[np.ndarray, "b"]:
         """Return the log density at several φ; −∞ where there is none."""
+        return self._log_densities(self.grams(vs), vs, flat)
+
+    def _log_densities(
+        self, grams: Gram, vs: Float[np.ndarray, "b d"], flat: Float[np.ndarray, "p"]
+    ) -> Float[np.ndarray, "b"]:
         problem = self.problem
         prior = problem.prior(problem.hyper(vs.T), flat, (len(vs),))
         nothing = np.zeros((len(vs), problem.size))
-        made = draw(self.grams(vs), problem.record.size, prior, self.at, nothing)
+        made = draw(grams, problem.record.size, prior, self.at, nothing)
         return made.log_marginal + problem.log_priors(vs)
 
     def _log_prior(self, v: Float[np.ndarray, "d"]) -> tuple[float, np.ndarray, np.ndarray]:
