@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.fft import dct
+from scipy.linalg import block_diag
 
 from bayescal._data.time_in_runs import EVEN_STEPS
 from bayescal._model.noise_law import WHITE, Noise
@@ -191,6 +192,29 @@ class InFrequency(OneNode):
             ends[n, sign] = whitened[:, :, here]
             log_det = log_det + self.times[n] * np.linalg.slogdet(core)[1]
         return Weights(inverse, log_det, ends, inner)
+
+    def whitened(self, law: Noise, values: Values, columns: Columns) -> Columns:
+        """Return Σ^(−½) times columns at one setting, in frequency, run after run: their products are whitened ones.
+
+        A run's Σ⁻¹ is E·(I + V·K·Vᵀ)·E with E = D^(−½); I + V·K·Vᵀ, of few columns V, has a root of the same form.
+        """
+        own = {name: np.reshape(np.asarray(v, float), (1, 1)) for name, v in values.items()}
+        weights, roots, found = self.weights(law, values), dict[int, Any](), []
+        for run in self.runs:
+            n = len(run)
+            if n not in roots:
+                terms = law.spectrum(own, self.step, eigenvalues(n))
+                scale = 1 / np.sqrt(own[WHITE] ** 2 + sum(t.symbol for t in terms))[0]
+                u = np.array([np.broadcast_to(e, (1, n))[0] for t in terms for e in t.ends])
+                ends = np.concatenate([scale * u * end_transform(n, sign) for sign in SIGNS])
+                base, r = np.linalg.qr(ends.T)
+                inner = block_diag(*(weights.inner[n, sign][0] for sign in SIGNS))
+                size, vectors = np.linalg.eigh(r @ inner @ r.T)
+                roots[n] = scale[:, None], base @ vectors, np.sqrt(1 + size)[:, None] - 1
+            scale, base, more = roots[n]
+            whitened = scale * dct(columns[run], axis=0, norm="ortho")
+            found.append(whitened + base @ (more * (base.T @ whitened)))
+        return np.concatenate(found)
 
 
 def in_frequency(order: Int[np.ndarray, "n"], step: Float[np.ndarray, "n"]) -> InFrequency | None:
