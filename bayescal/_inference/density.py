@@ -247,7 +247,7 @@ class Density:
 
     def values(self, vs: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k"]:
         """The log density at several coordinates."""
-        if self.tabulated is not None:
+        if self.tabulated is not None and len(vs):
             found = self.tabulated.log_densities(np.asarray(vs), self.flat)
             return np.nan_to_num(found, nan=NOWHERE, neginf=NOWHERE)
         if self.alone:

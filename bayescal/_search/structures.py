@@ -25,7 +25,7 @@ from bayescal._core import deadline
 from bayescal._core.null_space import Spans
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
-from bayescal._inference.laplace import Mode, find_mode, flat_scales, with_fit
+from bayescal._inference.laplace import Mode, find_mode, with_fit
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
@@ -52,7 +52,6 @@ SIZE_FACTORS = {1.0: 0.6, 3.0: 0.3, 10.0: 0.1}
 # Standard deviation of a coefficient whose size the readings do not tell, in plausible sizes.
 RMS_SIZE = math.sqrt(sum(p * factor**2 for factor, p in SIZE_FACTORS.items()))
 
-NOISE_COORDINATES = (-6.0, 6.0)  # coordinates of a noise's size
 STILL_SD = 0.03  # standard deviations to which a mode is found: its log evidence to 1e-3
 UNKNOWN = 0.1  # variance of a coordinate of which nothing is known
 
@@ -327,29 +326,6 @@ class Structures:
         ):  # something without a name, whose share of the prior is that of curves
             weighed = replace(weighed, log_prior=log_prior + math.log(UNKNOWN_SHARE))
         return weighed
-
-    def roughly(self, structure: Structure, near: Weighed) -> float:
-        """The total under independent noise of one size, all else of φ as another has it; infinite under others."""
-        from scipy.optimize import minimize_scalar  # a quarter of a second that few searches need
-
-        if structure in self.visited or not self.noise(structure).independent:
-            return math.inf
-        problem = self._bound(structure, near)
-        if problem.kinds.count("noise") != 1:
-            return math.inf
-        x = problem.x_of(near.problem, near.mode.x)
-        known, _ = carried(problem, near.problem, near.mode)
-        v = np.array([known.get(h.name, 0.0) for h in problem.hypers])
-        flat = flat_scales(problem, x, v)
-        density, of_size = Density(problem, x, flat), np.array(problem.kinds) == "noise"
-        # All of φ but the noise's size is held: the products are then those of one table, and no step of the search
-        # passes over the readings. A refit can only raise the density further.
-        found = minimize_scalar(
-            lambda size: -density.at(np.where(of_size, size, v))[0],
-            bounds=NOISE_COORDINATES,
-            method="bounded",
-        )
-        return self.log_prior(structure) - float(found.fun)
 
     def _bound(self, structure, near: Weighed | None) -> Problem:
         """A structure on the record, its effects' sizes as another structure has them."""

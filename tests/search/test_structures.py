@@ -103,7 +103,7 @@ def test_a_structure_whose_products_have_no_digits_has_no_evidence(
 ) -> None:
     """Found beside a free curve of 10⁴ noises and a body far faster than the readings: 1e300 nats, and chosen."""
     made = structures(hidden(2), ("bias.temperature_quadratic",))
-    monkeypatch.setattr("bayescal._search.structures.condition", lambda *_: None)
+    monkeypatch.setattr("bayescal._inference.tabulated.condition", lambda *_: None)
     assert made.weigh(Structure(frozenset(made.candidates))).log_evidence == -math.inf
 
 
