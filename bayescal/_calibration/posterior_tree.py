@@ -10,6 +10,7 @@ import xarray as xr
 
 from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, named
 from bayescal._calibration.on_readings import replicate
+from bayescal._calibration.storage import draws_dataset
 from bayescal._core.atomic_file import renamed, storable
 from bayescal._inference.method import Draws
 from bayescal._model.parameters import CoefficientBlock, Layout
@@ -20,22 +21,12 @@ STEP = 1e-3  # of a coordinate, for the slope of a prior's value
 TINY = float(np.finfo(float).tiny)
 
 
-def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTree:
-    """All groups of a calibration's tree, with so many replicated readings at most.
-
-    `draws` beside ArviZ's own groups holds the same joint draws as plain vectors x and v, from which
-    everything else can be computed again.
-    """
+def build_tree(calibration: Fitted) -> xr.DataTree:
+    """Compute all groups of a calibration's tree; see `Calibration.tree`."""
     c, draws = calibration, calibration.joint
     layout, levels, readings = c.layout, c.levels, c.readings
-    vectors = xr.Dataset(
-        {
-            "x": (("chain", "draw", "x_entry"), draws.x),
-            "v": (("chain", "draw", "v_entry"), draws.v),
-        }
-    )
     units = {"units": readings.unit("output")}
-    thin, chains = c.thinned(cells)
+    thin, chains = c.thinned(PREDICTIVE_CELLS)
     made = replicate(c.problem, thin, np.random.default_rng([c.seed, 1]))
     made = made.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
     groups = {
@@ -45,11 +36,10 @@ def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTre
         "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
         "constant_data": readings.to_xarray().drop_vars("output"),
-        "draws": vectors,
+        "draws": draws_dataset(draws),
     }
-    prior = _prior_draws(c)
     groups = {name: _numbered(group, draws.x.shape[1]) for name, group in groups.items()}
-    if prior is not None:
+    if (prior := _prior_draws(c)) is not None:
         groups["prior"] = _numbered(named(layout, levels, *prior), PRIOR_DRAWS)
     return xr.DataTree.from_dict({n: renamed(group, storable) for n, group in groups.items()})
 

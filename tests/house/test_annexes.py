@@ -77,8 +77,6 @@ BEHIND = {
         _calibration.check: covariates_of
         _calibration.check_result: place_in_words
         _calibration.noise_in_time: AllanCheck
-        _calibration.posterior_tree: build_tree
-        _calibration.storage: save
         _calibration.summary: null_directions unknown_rows
         _core: deadline
         _data.header_matching: MISSING_READINGS

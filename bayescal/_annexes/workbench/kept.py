@@ -40,8 +40,6 @@ from bayescal import (
     read,
     set_aside,
 )
-from bayescal._calibration.posterior_tree import build_tree
-from bayescal._calibration.storage import save
 from bayescal._inference.method import Method
 from bayescal._model.formula import Formula
 from bayescal._model.frame import Reference
@@ -344,8 +342,6 @@ STATE_SHAPE = {
     **{"number": int, "parent": OneOf(None, int), "title": str, "at": str},
     **{"added": OneOf(None, str), "changed": str},
 }
-# Replicated readings that a step keeps, in draws: of 500 at 2,000 readings they took half the time of *Add*.
-REPLICATED = 20
 _NUMBERED = re.compile(r"session_(\d+)")
 _STATE = re.compile(r"\.?state_(\d{3,})(\..*)?")
 
@@ -390,8 +386,7 @@ def keep_state(folder: Path, state: State, script: str) -> None:
         "changed": state.step.changed,
     }
     with whole_folder(own, identity(state.calibration)) as hidden:
-        cells = REPLICATED * len(state.calibration.readings)
-        save(state.calibration, build_tree(state.calibration, cells), hidden / CALIBRATION)
+        state.calibration.save(hidden / CALIBRATION)
         write_text(script, hidden / SCRIPT)
         write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", hidden / STATE)
     to_disk(folder)
