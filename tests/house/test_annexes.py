@@ -99,7 +99,7 @@ BEHIND = {
         _search.search_path: Step steps_table
         _search.structures: SIZE_FACTORS Structure
         _tables.cells: ORDERS
-        _tables.mapping_file: MAPPING save_mapping
+        _tables.mapping_file: ReadMapping save_mapping
         _tables.open_table: TEXT
         _tables.raw_table: bytes_text
         _use: correction_files

@@ -11,7 +11,6 @@ import bayescal as bc
 from bayescal import InputError
 from bayescal._search.own_files import in_a_file
 from bayescal.workshop import (
-    Annex,
     Answer,
     ColumnOptions,
     Commands,
@@ -54,15 +53,7 @@ commands = Commands(
     },
 )
 
-
-class FleetAnnex(Annex):
-    """Many devices at once."""
-
-    def commands(self) -> Commands:
-        return commands
-
-
-ANNEX = FleetAnnex()
+ANNEX = {"commands": commands}
 
 
 @commands.example("bayescal batch lot.parquet --instrument mems_gyro -o results.parquet")

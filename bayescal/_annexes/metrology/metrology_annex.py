@@ -5,14 +5,12 @@ Light: heavy modules load inside.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import bayescal as bc
 from bayescal import InputError
 from bayescal.workshop import (
-    Annex,
     Answer,
     Commands,
     DecisionRule,
@@ -38,29 +36,6 @@ commands = Commands(
     },
     {"out": {"names": ["--out", "-o"]}},
 )
-
-
-class Metrology(Annex):
-    """Conformity with limits, and certificates."""
-
-    def commands(self) -> Commands:
-        return commands
-
-    def exports(self) -> Mapping[str, Callable[[ExportRequest], Answer]]:
-        return {"dcc": certified}
-
-    def certificate(self, path: str | Path) -> Certificate:
-        from bayescal._annexes.metrology.certificate import read_certificate
-
-        return read_certificate(path)
-
-    def decided(
-        self, calibration: bc.Calibration, limits: Sequence[str], **rule: Any
-    ) -> bc.Decisions:
-        return bc.decide(calibration, limits, **rule)
-
-
-ANNEX = Metrology()
 
 
 @commands.example('bayescal decide result --limit "bias: ±0.5 °/s"')
@@ -121,3 +96,17 @@ def certified(asked: ExportRequest) -> Answer:
     if asked.out is not None:
         text = f"written: {write_text(text, asked.out)}"
     return Answer(text.removesuffix("\n"))
+
+
+def _certificate(path: str | Path) -> Certificate:
+    from bayescal._annexes.metrology.certificate import read_certificate
+
+    return read_certificate(path)
+
+
+ANNEX = {
+    "commands": commands,
+    "exports": lambda: {"dcc": certified},
+    "certificate": _certificate,
+    "decided": lambda calibration, limits, **rule: bc.decide(calibration, limits, **rule),
+}
