@@ -176,7 +176,7 @@ def _made_up(instrument: Instrument, seed: int) -> Measurements:
         low = low if low is not None else usual[0] if high is None else high - wide
         high = low + wide if high is None else high
         if name == "time":
-            made[name] = step * np.arange(run.size)
+            made[name] = step * (np.arange(run.size) + ROWS * run)
         elif name == "run":
             made[name] = [f"run {n + 1}" for n in run]
         elif column.unit is None:
