@@ -29,12 +29,11 @@ commands = Commands(
         "capability": "Least T/(4u) with which 'shared-risk' decides.",
         "conformity": "Probability of which the next calibration is stated.",
         "limit": '"bias: ±0.5 °/s", "corrected reading: ±0.1 °/s over -20..60 °C"; repeat for more.',
-        "out": "JSON file to write the decisions to.",
+        "out": {"help": "JSON file to write the decisions to.", "names": ["--out", "-o"]},
         "population": (
             'Devices of this kind, for global risks: "sd 0.2 °/s"; repeat, by name of a limit: "bias: sd 0.2 °/s".'
         ),
-    },
-    {"out": {"names": ["--out", "-o"]}},
+    }
 )
 
 
