@@ -24,7 +24,7 @@ import typer
 from bayescal._cli import commands, deliverables
 from bayescal._core.annex import absent_annexes, offered
 from bayescal._core.errors import BayescalError, NotConverged, NotDrawn
-from bayescal._core.folder_settings import obey_no_folder
+from bayescal._core.jax_setup import obey_no_folder
 from bayescal._core.quoting import one_line
 from bayescal._search.own_files import in_one_line, own_file_line
 

@@ -23,9 +23,8 @@ BEHIND = {
         _calibration.claim: Claim
         _calibration.judgement: noiseless
         _core: deadline
-        _core.folder_settings: obey_no_folder
         _core.importance_weights: smoothed
-        _core.jax_setup: configure_jax
+        _core.jax_setup: configure_jax obey_no_folder
         _core.jit: compiled
         _core.parallel: over
         _core.progress: EVERY
