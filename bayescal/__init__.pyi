@@ -13,10 +13,9 @@ from ._report.save_search import calibrate as calibrate
 from ._report.save_search import calibrate_channels as calibrate_channels
 
 # beside the loop: which test to run next, an effect's draft
-from ._search.poses import poses as poses
+from ._search.undetermined import poses as poses
 from ._search.next_experiment import next_experiment as next_experiment
 from ._search.undetermined import undetermined as undetermined
-from ._search.draft_effect import shape_of as shape_of
 from ._search.draft_effect import draft_effect as draft_effect
 
 # an instrument of one's own, tried on itself

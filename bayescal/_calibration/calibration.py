@@ -118,5 +118,5 @@ class Calibration(Printed, Fitted):
         return with_log_likelihood(self.tree, self)
 
     def save(self, path: str | Path) -> Path:
-        """Write to NetCDF, beside and then renamed. `bc.load` reads it back."""
-        return save(self, self.tree, Path(path))
+        """Write draws, mode and readings to NetCDF, beside and then renamed. `bc.load` reads them back."""
+        return save(self, Path(path))

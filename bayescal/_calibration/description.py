@@ -25,7 +25,6 @@ from bayescal._model.noise_law import Noise
 from bayescal._model.prior import Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal
 from bayescal._model.unknown_effect import FREED, covariate_in, freed
 
-SCHEMA = "bayescal.calibration/1"
 UNKNOWNS = "unknowns"  # of a noise law of the user's own
 LAW_FILE = "Give the file that defines the one it was fitted with: --effects my_law.py (in Python: run it before load)"
 _PRIORS = {c.__name__: c for c in (Flat, HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal)}
@@ -57,7 +56,7 @@ def sources_of(readings: Measurements) -> tuple[Source, ...]:
 def description(c: Fitted) -> dict[str, Any]:
     """All that a calibration is but its numbers, by the names of what is installed."""
     return {
-        "schema": SCHEMA,
+        "schema": "bayescal.calibration/1",  # of 0.2: identities stay what they were
         "instrument": c.model.instrument.name,
         "settings": dict(c.model.instrument.settings),
         "effects": list(c.model.names),

@@ -14,7 +14,7 @@ from bayescal._calibration.check_result import Check
 from bayescal._calibration.description import identity
 from bayescal._calibration.leave_group_out import groups_of
 from bayescal._calibration.summary import directions_data, summary
-from bayescal._core.annex import annexes
+from bayescal._core.annex import offered
 from bayescal._core.as_json import as_json
 from bayescal._core.settings import unusual
 from bayescal._data.measurements import Measurements
@@ -99,7 +99,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
             **found,
             "coefficients": coefficients,
             "hyperparameters": hyperparameters,
-            **{k: v for one in annexes() for k, v in one.result(final, trail.average).items()},
+            **{k: v for add in offered("result") for k, v in add(final, trail.average).items()},
             "identifiability": {"null_directions": directions_data(final)},
             "verdict": {
                 "ok": trail.ok,

@@ -19,9 +19,8 @@ from bayescal._calibration.judgement import (
 from bayescal._calibration.leave_group_out import FEW_IN_GROUP, scheme
 from bayescal._core.settings import settings
 from bayescal._model.unknown_effect import FREED, JUMP
-from bayescal._search.one_profile import said_of_profiles
 from bayescal._search.search_path import WORSE_RATIO, Gate, Step
-from bayescal._search.taken_over import IN_TIME, TakenOver, taken_over
+from bayescal._search.taken_over import IN_TIME, TakenOver, said_of_profiles, taken_over
 
 # Probability that the model is complete, below which it is not to be used as it is.
 UNLIKELY_COMPLETE = 0.05

@@ -56,7 +56,7 @@ def write(
         else:
             from bayescal._core.netcdf_bytes import netcdf_bytes  # half a second, as xarray
 
-            partial.write_bytes(netcdf_bytes(renamed(dataset(), storable)))
+            partial.write_bytes(netcdf_bytes({"": renamed(dataset(), storable)}))
     return path
 
 

@@ -23,9 +23,8 @@ BEHIND = {
         _calibration.claim: Claim
         _calibration.judgement: noiseless
         _core: deadline
-        _core.folder_settings: obey_no_folder
         _core.importance_weights: smoothed
-        _core.jax_setup: configure_jax
+        _core.jax_setup: configure_jax obey_no_folder
         _core.jit: compiled
         _core.parallel: over
         _core.progress: EVERY
@@ -77,8 +76,6 @@ BEHIND = {
         _calibration.check: covariates_of
         _calibration.check_result: place_in_words
         _calibration.noise_in_time: AllanCheck
-        _calibration.posterior_tree: build_tree
-        _calibration.storage: save
         _calibration.summary: null_directions unknown_rows
         _core: deadline
         _data.header_matching: MISSING_READINGS
@@ -101,7 +98,7 @@ BEHIND = {
         _search.search_path: Step steps_table
         _search.structures: SIZE_FACTORS Structure
         _tables.cells: ORDERS
-        _tables.mapping_file: MAPPING save_mapping
+        _tables.mapping_file: ReadMapping save_mapping
         _tables.open_table: TEXT
         _tables.raw_table: bytes_text
         _use: correction_files

@@ -110,16 +110,6 @@ def test_what_cannot_be_told_apart_is_noted() -> None:
     assert any("zero.again" in note and "not identifiable" in note for note in found.notes)
 
 
-def test_labels_and_ranges_that_are_not_declared_are_said() -> None:
-    columns = tuple(
-        replace(c, allowed=()) if c.name == "mount" else replace(c, low=None, high=None)
-        for c in GOOD.columns
-    )
-    found = bc.check_instrument(replace(GOOD, columns=columns, candidates=(turned("down"),)))
-    assert any("The labels of mount are made up: declare them, allowed=" in n for n in found.notes)
-    assert any("column 'pressure' declares no low and high" in n for n in found.notes)
-
-
 @pytest.mark.slow
 def test_columns_of_readings_are_taken_where_they_are_given() -> None:
     readings = bc.Measurements.from_arrays(

@@ -248,7 +248,9 @@ def test_a_calibration_of_the_old_word_means_what_it_meant(readings, tmp_path: P
     fit = bc.fit(GYROSCOPE.baseline() + made, readings, bc.LeastSquares(draws=40), strict=False)
     file = fit.save(tmp_path / "new.nc")
     typed = {"bias.behind": made.basis.text.replace("lag_difference(", "lag(")}
-    old = resealed(file, tmp_path / "old.nc", described(typed=typed))
+    old = resealed(
+        file, tmp_path / "old.nc", described(typed=typed, schema="bayescal.calibration/1")
+    )
     assert bc.load(old).model == fit.model
 
 

@@ -109,11 +109,6 @@ def test_an_unknown_dependence_becomes_a_draft_that_can_be_run() -> None:
     readings = mems_gyro.simulate({"unlisted.humidity": 0.02}, seed=31)
     model = INSTRUMENT.baseline() + "unknown(humidity)"
     found = bc.fit(model, readings)
-    shape = bc.shape_of(found, "unknown(humidity)")
-    true = 2.0 * readings["humidity"]  # 0.02 per percent
-    assert shape.size == pytest.approx(np.std(true), rel=0.25)
-    slope = np.polyfit(shape.at, shape.mean, 1)[0]
-    assert slope == pytest.approx(2.0, rel=0.25)
     draft = bc.draft_effect(found, "unknown(humidity)")
     ast.parse(draft)
     names: dict = {}

@@ -14,9 +14,8 @@ import bayescal as bc
 from bayescal._search import search_path
 from bayescal._search.calibrate import step_of
 from bayescal._search.gate import gate, judged
-from bayescal._search.one_profile import another_run
 from bayescal._search.posterior import OtherPath
-from bayescal._search.taken_over import taken_over
+from bayescal._search.taken_over import another_run, taken_over
 from bayescal_models import mems_gyro, still_sensor
 
 QUICK = bc.LeastSquares(draws=100)

@@ -85,7 +85,6 @@ def test_their_shapes_are_drafted_as_what_they_are(
     wave = bc.draft_effect(cycled.final.calibration, "unknown(time, cycle)")
     period = drafted(r"a sine of period (\S+) of the range", wave)
     assert period == pytest.approx(1 / CYCLES, rel=0.05)
-    assert bc.shape_of(cycled.final.calibration, "unknown(time, cycle)").covariate == "time"
     for text in (jump, wave):
         compile(text, "draft", "exec")
 

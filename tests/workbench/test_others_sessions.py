@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import bayescal as bc
+from bayescal.workshop import as_type
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.inside import Origin, Session, whole_folder
 from tests.workbench.conftest import Campaign
@@ -136,5 +137,5 @@ def test_states_that_go_in_a_circle_are_refused(told, session: Session) -> None:
 
 def test_a_session_of_this_command_goes_on(session: Session, evil: Path) -> None:
     change(session, origin={"effect_files": [str(evil)]})
-    origin = Origin.from_data(json.loads((session.folder / "session.json").read_text())["origin"])
+    origin = as_type(json.loads((session.folder / "session.json").read_text())["origin"], Origin)
     assert Session.resume(session.folder, of=origin).own

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from bayescal import BayescalError, InputError
 from bayescal._core import deadline
-from bayescal._core.folder_settings import obey_no_folder
+from bayescal._core.jax_setup import obey_no_folder
 from bayescal.workshop import note
 
 if TYPE_CHECKING:

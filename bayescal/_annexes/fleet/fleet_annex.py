@@ -11,7 +11,6 @@ import bayescal as bc
 from bayescal import InputError
 from bayescal._search.own_files import in_a_file
 from bayescal.workshop import (
-    Annex,
     Answer,
     ColumnOptions,
     Commands,
@@ -36,33 +35,28 @@ def _refuse_missing_beside_folders(paths: list[Path]) -> list[Path]:
 
 commands = Commands(
     {
-        "files": "Files of readings, or folders of them: a Parquet dataset, CSVs, logs.",
+        "files": {
+            "help": "Files of readings, or folders of them: a Parquet dataset, CSVs, logs.",
+            "callback": _refuse_missing_beside_folders,
+        },
         "find": "Search each device's missing effects: a second a device.",
-        "method": "least-squares, marginal or nuts.",
-        "out": "Parquet file to write; or a folder, for results partition by partition.",
+        "method": {
+            "help": "least-squares, marginal or nuts.",
+            "callback": refuse_unknown_method,
+        },
+        "out": {
+            "help": "Parquet file to write; or a folder, for results partition by partition.",
+            "names": ["--out", "-o"],
+        },
         "population": (
             "Coefficient whose mean and standard deviation over the devices are estimated; 'all', or repeat."
         ),
         "scheduler": "tcp://host:8786: a Dask cluster that does the work.",
-        "workers": "Processes of this machine that share the work.",
-    },
-    {
-        "files": {"callback": _refuse_missing_beside_folders},
-        "out": {"names": ["--out", "-o"]},
-        "method": {"callback": refuse_unknown_method},
-        "workers": {"min": 1},
-    },
+        "workers": {"help": "Processes of this machine that share the work.", "min": 1},
+    }
 )
 
-
-class FleetAnnex(Annex):
-    """Many devices at once."""
-
-    def commands(self) -> Commands:
-        return commands
-
-
-ANNEX = FleetAnnex()
+ANNEX = {"commands": commands}
 
 
 @commands.example("bayescal batch lot.parquet --instrument mems_gyro -o results.parquet")

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayescal.workshop import (
-    Annex,
     Commands,
     Early,
     SearchRequest,
@@ -40,15 +39,7 @@ commands = Commands(
     }
 )
 
-
-class WorkbenchAnnex(Annex):
-    """The loop in a browser."""
-
-    def commands(self) -> Commands:
-        return commands
-
-
-ANNEX = WorkbenchAnnex()
+ANNEX = {"commands": commands}
 
 
 @commands.example(
