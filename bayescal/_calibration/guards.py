@@ -131,12 +131,9 @@ def without_priors(calibration: Fitted, accepted: Collection[str] = ()) -> list[
         return []
     mean, sd = found.mean, np.sqrt(np.diag(found.covariance))
     stands = {}
-    for b in (b for b in calibration.layout.x_blocks if b.effect.name in own):
-        for i, name in enumerate(b.member_names(calibration.levels)):
-            stands[name] = (
-                b.origin + float(mean[b.start + i]),
-                CONFLICT_SD * float(sd[b.start + i]),
-            )
+    for u in (u for u in calibration.unknowns if u.x is not None and u.effect in own):
+        where = u.block.origin + float(mean[u.x])
+        stands[u.name] = where, CONFLICT_SD * float(sd[u.x])
     return _against_priors(calibration, stands, accepted)
 
 
@@ -181,25 +178,18 @@ def _against_priors(
     """Coefficients that stand far from their priors' means, each (where, standard deviation)."""
     found = []
     baseline = {e.name for e in calibration.model.instrument.effects}
-    for b in calibration.layout.blocks:
-        c = b.coefficient
-        plain = b.place in ("x", "phi") and b.effect.weights is None
-        if not plain or c.flat or c.group_sd is not None:
+    for u in (u for u in calibration.unknowns if u.block is not None and u.prior_sd is not None):
+        effect, c = u.block.effect, u.block.coefficient
+        law = len(effect.coefficients) <= LAW_COEFFICIENTS
+        if u.held or not law or not {effect.name, u.name}.isdisjoint(accepted):
             continue
-        if b.index in b.effect.held:
-            continue
-        if len(b.effect.coefficients) > LAW_COEFFICIENTS or b.effect.name in accepted:
-            continue
-        most = CONFLICT_SD * (1 if b.effect.name in baseline else CANDIDATE_SIZES)
-        for name in b.member_names(calibration.levels):
-            where, give = stands.get(name, (c.mean, 0.0))
-            away = abs(where - c.mean) / c.size
-            if away - give / c.size > most and name not in accepted:
-                sizes = {"where": where, "mean": c.mean, "size": c.size, "unit": c.unit}
-                sizes |= {"away": away, "fall": 0.5 * away**2}
-                found.append(
-                    Claim(PRIOR, name, b.effect.name, **sizes, cure=_look_at(b.effect.name))
-                )
+        most = CONFLICT_SD * (1 if effect.name in baseline else CANDIDATE_SIZES)
+        where, give = stands.get(u.name, (c.mean, 0.0))
+        away = abs(where - c.mean) / c.size
+        if away - give / c.size > most:
+            sizes = {"where": where, "mean": c.mean, "size": c.size, "unit": c.unit}
+            sizes |= {"away": away, "fall": 0.5 * away**2}
+            found.append(Claim(PRIOR, u.name, effect.name, **sizes, cure=_look_at(effect.name)))
     return found
 
 

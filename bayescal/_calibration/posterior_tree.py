@@ -27,7 +27,11 @@ def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTre
     everything else can be computed again.
     """
     c, draws = calibration, calibration.joint
-    layout, levels, readings = c.layout, c.levels, c.readings
+    layout, readings = c.layout, c.readings
+
+    def values(x: np.ndarray, v: np.ndarray) -> xr.Dataset:
+        return named(c.unknowns, c.unknowns.values(x, v))
+
     vectors = xr.Dataset(
         {
             "x": (("chain", "draw", "x_entry"), draws.x),
@@ -40,7 +44,7 @@ def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTre
     made = made.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
     groups = {
         "posterior": c.posterior,
-        "log_prior": _log_prior(layout, named(layout, levels, draws.x, draws.v), draws),
+        "log_prior": _log_prior(layout, values(draws.x, draws.v), draws),
         "posterior_predictive": xr.Dataset({"output": (("chain", "draw", "reading"), made, units)}),
         "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
@@ -50,7 +54,7 @@ def build_tree(calibration: Fitted, cells: int = PREDICTIVE_CELLS) -> xr.DataTre
     prior = _prior_draws(c)
     groups = {name: _numbered(group, draws.x.shape[1]) for name, group in groups.items()}
     if prior is not None:
-        groups["prior"] = _numbered(named(layout, levels, *prior), PRIOR_DRAWS)
+        groups["prior"] = _numbered(values(*prior), PRIOR_DRAWS)
     return xr.DataTree.from_dict({n: renamed(group, storable) for n, group in groups.items()})
 
 

@@ -47,6 +47,7 @@ from bayescal._model.frame import constants_of, held_name, origins, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, bind
+from bayescal._model.unknowns import Unknowns
 from bayescal._tables.unpacked import refuse_hdf5
 
 AGAIN = "Take a copy, or fit the readings again"
@@ -184,8 +185,8 @@ def _fields(
     joint = _draws_from(tree, layout, finite=verdict.ok)
     mode = _mode_from(tree, layout, finite=verdict.ok)
     confounded = tuple(Confounder(**one) for one in described.get("confounded", ()))
-    x = widened(joint.x, confounded, layout, described["seed"])
-    _refuse_other_posterior(tree, named(layout, levels, x, joint.v))
+    x, unknowns = widened(joint.x, confounded, layout, described["seed"]), Unknowns.of(layout, levels)
+    _refuse_other_posterior(tree, named(unknowns, unknowns.values(x, joint.v)))
     _arrays(tree, "posterior_predictive", {"output": (joint.x.shape[0], None, len(readings))})
     evidence = described["log_evidence"]
     return {

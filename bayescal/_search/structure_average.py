@@ -13,13 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.fitted import named
 from bayescal._calibration.mixture import has_effect
 from bayescal._core import deadline
 from bayescal._core.importance_weights import resample, smoothed
@@ -33,6 +31,7 @@ from bayescal._inference.sampling import weighted_draws
 from bayescal._model.effect import Effect
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
+from bayescal._model.unknowns import Unknowns
 from bayescal._search.posterior import Posterior
 from bayescal._search.structures import Structure, Structures, Weighed
 
@@ -185,9 +184,9 @@ def _drawn(weighed: Weighed, count: int, probability: float, seed: int) -> _Valu
 
 def _by_name(layout: Layout, x: np.ndarray, v: np.ndarray) -> _Values:
     """Of coefficients the value, also where a structure holds it in units of its spread: so the union does."""
-    members: Any = {group: range(count) for group, count in layout.counts}
-    found = named(layout, members, x[None], v[None])
-    return {str(name): found[name].values[0] for name in found.data_vars}
+    unknowns = Unknowns.of(layout)
+    values = unknowns.values(x, v)
+    return {key: unknowns.select(values, key) for key in unknowns.by_key}
 
 
 def _union(structures: Structures, models: Sequence[Model]) -> Model:

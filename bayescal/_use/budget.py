@@ -359,12 +359,11 @@ def _by_source(
 
 def _moved_by(chosen: Compensator, one: Confounder, gradient: np.ndarray) -> float:
     """What a standard deviation of a column's effect moves the value by."""
-    members, levels = dict(chosen._equation.members), chosen._calibration.levels
-    total = 0.0
+    unknowns, total = chosen._calibration.unknowns, 0.0
     for slope, unknown in zip(gradient, chosen._equation.unknowns(), strict=True):
         if unknown.kind == "coefficient" and (own := one.shares.get(unknown.key)):
-            per = next(b.coefficient.per for b in chosen._equation.blocks if b.name == unknown.key)
-            total += float(slope) * own[0 if per is None else levels[per].index(members[per])]
+            first = unknowns.by_key[unknown.key].start
+            total += float(slope) * own[unknowns.index[unknown.name] - first]
     return total
 
 

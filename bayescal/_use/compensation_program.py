@@ -495,7 +495,7 @@ SHAPE = {
 
 
 @dataclass(frozen=True)
-class Unknown:
+class ProgramUnknown:
     """A coefficient or shape: name, unit, posterior mean."""
 
     name: str
@@ -521,7 +521,7 @@ class CompensationProgram(CorrectionInUse):
     about: Provenance
     inputs: tuple[Input, ...]
     stimulus_range: tuple[float, float] | None
-    unknowns: tuple[Unknown, ...]
+    unknowns: tuple[ProgramUnknown, ...]
     covariance: np.ndarray
     affine: bool
     graph: Graph
@@ -632,7 +632,7 @@ def from_data(data: Any, file: str) -> CompensationProgram:
             about=Provenance(**about),
             inputs=tuple(Input(**row) for row in data["inputs"]),
             stimulus_range=(float(span[0]), float(span[1])) if span else None,
-            unknowns=tuple(Unknown(**row) for row in data["unknowns"]),
+            unknowns=tuple(ProgramUnknown(**row) for row in data["unknowns"]),
             covariance=np.array(data["covariance"], dtype=float).reshape(
                 len(data["covariance"]), len(data["unknowns"])
             ),
@@ -717,7 +717,7 @@ def program_of(
         inputs=tuple(i for i in inputs if i.name in needed),
         stimulus_range=stimulus_range,
         unknowns=tuple(
-            Unknown(unknowns[i].name, unknowns[i].unit, float(moments.mean[i])) for i in acting
+            ProgramUnknown(unknowns[i].name, unknowns[i].unit, float(moments.mean[i])) for i in acting
         ),
         covariance=moments.covariance[np.ix_(acting, acting)],
         affine=graph.input(STIMULUS) not in graph.needed([slope]),

@@ -419,18 +419,6 @@ def _with_lags_of(found: OperatingEquation, calibration: Calibration) -> Operati
     return replace(found, lags=(*lags.values(),), asked=tuple(places.index(one) for one in order))
 
 
-def samples_in_use(
-    equation: OperatingEquation, calibration: Calibration, unknown: UnknownInUse
-) -> np.ndarray:
-    """Draws of one unknown in use that the posterior knows, (d,), reported unit."""
-    values = calibration.samples(unknown.key)
-    if values.ndim == 1:
-        return values
-    per = next(b.coefficient.per for b in equation.blocks if b.name == unknown.key)
-    assert per is not None
-    return values[:, calibration.levels[per].index(dict(equation.members)[per])]
-
-
 def _theta(equation: OperatingEquation, calibration: Calibration) -> dict[str, Array]:
     """Posterior means of the unknowns in use, by their key; of a new member, that of its prior."""
     blocks = {b.name: b for b in equation.blocks}
@@ -440,7 +428,7 @@ def _theta(equation: OperatingEquation, calibration: Calibration) -> dict[str, A
             if u.kind == "new"
             else 0.0
             if u.kind == "folded"
-            else samples_in_use(equation, calibration, u).mean()
+            else calibration.samples(u.name).mean()
         )
         for u in equation.unknowns()
     }
@@ -476,7 +464,7 @@ def posterior_moments(
     at_one_place = {} if left is None else _of_folded(equation, left, calibration, seed)
     for i, u in ((i, u) for i, u in enumerate(unknowns) if i not in new):
         known = u.key in at_one_place
-        values[:, i] = at_one_place[u.key] if known else samples_in_use(equation, calibration, u)
+        values[:, i] = at_one_place[u.key] if known else calibration.samples(u.name)
         mean[i] = values[:, i].mean()
     thin = values[::step].copy()
     covariance = np.atleast_2d(np.cov(values.T)) if len(unknowns) else np.zeros((0, 0))

@@ -27,7 +27,7 @@ import xarray as xr
 from arviz_stats.base.array import array_stats
 
 import bayescal as bc
-from bayescal._calibration.posterior_tree import named
+from bayescal._calibration.fitted import named
 from bayescal._core.parallel import over
 from bayescal._inference import nuts_chains, sampled_products
 from bayescal._inference.laplace import find_mode
@@ -35,6 +35,7 @@ from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
 from bayescal._model.frame import build_frame, reference_of
 from bayescal._model.parameters import bind
+from bayescal._model.unknowns import Unknowns
 from bayescal_models import INSTRUMENTS
 from benchmarks.record import ROOT, surroundings
 
@@ -73,7 +74,8 @@ def _whitened(model: bc.Model, readings: bc.Measurements, draws: int):
     place = jax.jit(lambda q: over(lambda one: unpack(one)[:2], q, 64))
     flat = place(ran.draws.reshape(-1, start.size))
     shaped = (np.asarray(a).reshape(CHAINS, draws, *a.shape[1:]) for a in flat)
-    return named(layout, levels, *shaped), ran.divergences
+    unknowns = Unknowns.of(layout, levels)
+    return named(unknowns, unknowns.values(*shaped)), ran.divergences
 
 
 SAMPLERS = {"program": _program, "whitened": _whitened}
