@@ -679,7 +679,8 @@ def _limits(chapter: Chapter, rows: list[dict[str, Any]]) -> list[str]:
         not_for.append(
             f"Where {listed(blind, 'or')} matters: it is not detectable in this experiment."
         )
-    new = [r["name"] for r in chapter.data["hyperparameters"] if r["name"].endswith(".group_sd")]
+    spreads = {b.group_sd_name for b in chapter.used.layout.blocks}
+    new = [r["name"] for r in chapter.data["hyperparameters"] if r["name"] in spreads]
     if new:
         not_for.append(
             f"By its coefficients' uncertainties alone: a new member of a group brings a deviation of its own "

@@ -167,7 +167,7 @@ def _by_refit(effect, with_it: Weighed) -> dict:
     shapes = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.shapes}
     if effect.held:  # a body: what is to be known of it is its time
         own = next(iter(effect.shapes))
-        at = [h.name for h in problem.hypers].index(effect.shape_name(own))
+        at = problem.layout.index_in_phi[effect.shape_name(own)]
         slope = abs(problem.value_change(mode.v, at))
         sd = slope * math.sqrt(mode.covariance[at, at])
         return {"size": shapes[own.name], "size_sd": sd, "shape": shapes, "unit": own.unit}

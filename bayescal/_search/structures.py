@@ -419,9 +419,9 @@ def carried(
         near: the other one.
         mode: where that one has its mode.
     """
-    places = {h.name: i for i, h in enumerate(near.hypers)}
-    at = [i for i, h in enumerate(problem.hypers) if h.name in places]
-    there = [places[problem.hypers[i].name] for i in at]
+    places = near.layout.index_in_phi
+    names = [n for n in problem.layout.index_in_phi if n in places]
+    at, there = [problem.layout.index_in_phi[n] for n in names], [places[n] for n in names]
     scale, middle = np.ones(len(at)), np.zeros(len(at))  # of these coordinates in the other's
     for k, (i, j) in enumerate(zip(at, there, strict=True)):
         own, other = problem.hypers[i].prior, near.hypers[j].prior
@@ -443,7 +443,6 @@ def carried(
             values, width = np.linalg.solve(precision, pull), np.linalg.inv(precision)
     wide = UNKNOWN * np.eye(len(problem.hypers))
     wide[np.ix_(at, at)] = width
-    names = [problem.hypers[i].name for i in at]
     return dict(zip(names, values.tolist(), strict=True)), wide
 
 
@@ -461,7 +460,7 @@ def starts(
         known: its φ̂ by name, as `carried`.
         hints: coordinates by name.
     """
-    names, priors = [h.name for h in problem.hypers], {h.name: h.prior for h in near.hypers}
+    names, priors = problem.layout.index_in_phi, {h.name: h.prior for h in near.hypers}
     here = {n: known.get(n, 0.0) for n in names}
     found = [here, *({**here, **{n: v for n, v in hint.items() if n in names}} for hint in hints)]
     for h in problem.hypers:

@@ -289,11 +289,8 @@ class OperatingEquation(eqx.Module):
         one = {name: jnp.reshape(value, (1,)) for name, value in inputs.items()}
         columns = {n: one[n] for n in self.known if n in one}
         columns[self.use.stimulus] = jnp.reshape(stimulus, (1,))
-        rates = {
-            n.removesuffix("_rate"): v
-            for n, v in one.items()
-            if n.endswith("_rate") and n not in columns
-        }
+        named = {n: f"{n}_rate" for n in self.rated if f"{n}_rate" not in columns}
+        rates = {n: one[name] for n, name in named.items() if name in one}
         return OneReading(
             columns=columns,
             labels={f"{group}={member}": jnp.ones(1) for group, member in self.members},
