@@ -189,16 +189,15 @@ def _against_priors(
         if away - give / c.size > most:
             sizes = {"where": where, "mean": c.mean, "size": c.size, "unit": c.unit}
             sizes |= {"away": away, "fall": 0.5 * away**2}
-            found.append(Claim(PRIOR, u.name, effect.name, **sizes, cure=_look_at(effect.name)))
+            found.append(Claim(PRIOR, u.name, effect.name, **sizes, cure=_look_at(effect)))
     return found
 
 
-def _look_at(effect: str) -> str:
+def _look_at(effect: Effect) -> str:
     """Which number may be wrong where a coefficient of this effect contradicts its prior."""
-    slot, _, cause = effect.partition(".")
-    if cause != "constant":
+    if effect.kind != "constant":
         return "units"
-    return "scale" if slot == "scale" else "zero and scale"
+    return "scale" if effect.quantity == "scale" else "zero and scale"
 
 
 def _beyond_the_known(calibration: Fitted, accepted: Collection[str]) -> list[Claim]:

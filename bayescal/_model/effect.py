@@ -30,6 +30,12 @@ from bayescal._model.prior import (
 )
 from bayescal._model.static import set_once, static
 
+Kind = Literal[
+    *("", "constant", "linear", "quadratic", "cubic", "quartic"),
+    *("rate", "lag", "warm-up", "drift", "hysteresis"),
+    *("curve", "line", "jump", "kink", "cycle"),  # placeholders
+]
+Role = Literal["named", "unnamed", "freed"]
 Group = str  # "run", "cell", "axis", "device", "reading", or a column of labels that the instrument declares
 READING = "reading"  # the group of which each reading is a member by itself
 
@@ -195,6 +201,8 @@ class Effect:
             at most one at a time, and they share its prior probability.
         family: the effect of which it is a form; empty where it is none.
         general: the form of which it is one at a value of a shape; where that was weighed, it counts for nothing.
+        kind: form of the dependence, by which a report describes the effect; empty if it is none of these.
+        frees: name of the effect of which it is a copy with a wide prior, should its stated value be wrong.
     """
 
     name: str
@@ -213,6 +221,8 @@ class Effect:
     forms: tuple[Effect, ...] = field(default=(), repr=False)
     family: str = field(default="", repr=False)
     general: str = field(default="", repr=False)
+    kind: Kind = field(default="", repr=False)
+    frees: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
         set_once(
@@ -271,7 +281,17 @@ class Effect:
     @property
     def unnamed(self) -> bool:
         """Whether it says how the output goes and not with what: a curve, a step, no line along a column."""
-        return self.is_placeholder and not self.name.endswith(", line)")
+        return self.is_placeholder and self.kind != "line"
+
+    @property
+    def role(self) -> Role:
+        """Whether it is a named effect, a placeholder without a name, or one freed of its stated value."""
+        return "freed" if self.frees else "unnamed" if self.is_placeholder else "named"
+
+    @property
+    def quantity(self) -> str:
+        """First word of its slot, such as "scale" of "scale_x"."""
+        return self.slot.partition("_")[0]
 
     @property
     def open(self) -> bool:

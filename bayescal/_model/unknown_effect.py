@@ -29,7 +29,7 @@ import numpy as np
 
 from bayescal._core.jit import given
 from bayescal._data.measurements import Measurements
-from bayescal._model.effect import OPEN, Coefficient, Effect, Shape
+from bayescal._model.effect import OPEN, Coefficient, Effect, Kind, Shape
 from bayescal._model.prior import Normal
 
 TERMS = 12  # eigenfunctions: enough for lengths down to a tenth of the range
@@ -83,6 +83,7 @@ def freed(effect: Effect, times: float = 1.0) -> Effect:
     return replace(
         effect,
         name=effect.name + FREED,
+        frees=effect.name,
         forms=(),
         family="",
         coefficients=wide,
@@ -151,6 +152,7 @@ def unknown(
         equation=f"f({covariate}),  f a Gaussian process",
         source=SOURCE,
         along=covariate,
+        kind="curve",
     )
 
 
@@ -272,7 +274,7 @@ def _too_few(covariate: str, readings: Measurements) -> str | None:
 
 
 def _of_form(
-    form: str,
+    form: Kind,
     slot: str,
     basis: Callable[..., Any],
     count: int,
@@ -298,6 +300,7 @@ def _of_form(
         source=SOURCE,
         along="" if in_time else covariate,
         family="" if in_time else f"unknown({covariate})",
+        kind=form,
     )
 
 

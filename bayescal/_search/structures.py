@@ -249,7 +249,10 @@ class Structures:
     def barred(self, structure: Structure) -> set[str]:
         """Candidates that a structure may not have: beside correlated noise, a free curve in time; another form of what
         it has; a second body in the place of the same thermometer."""
-        found = set() if self.noise(structure).independent else {"unknown(time)"}
+        found = set[str]()
+        if not self.noise(structure).independent:
+            own = self.candidates.items()
+            found = {n for n, e in own if e.kind == "curve" and e.covariate == "time"}
         moved = {self.candidates[n].slot for n in structure.effects if self.moves_a_column(n)}
         for name in structure.effects:
             found |= {n for n in self.forms[self.family(name)] if n != name}

@@ -21,7 +21,6 @@ from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.claim import Claim
 from bayescal._data.time_in_runs import run_codes
 from bayescal._inference.linear_model import LinearModel
-from bayescal._model import unknown_effect
 from bayescal._model.effect import Effect
 from bayescal._search.one_profile import another_run
 
@@ -33,7 +32,6 @@ CORRECTED_SHARE = 0.5
 # Former standard uncertainties of a coefficient, beyond which chance does not move it.
 MOVED_SD = 4.0
 
-IN_TIME = ("time", *unknown_effect.IN_TIME)  # of which what repeats from run to run is no function
 
 
 class TakenOver(NamedTuple):
@@ -76,7 +74,7 @@ class TakenOver(NamedTuple):
     @property
     def unnamed(self) -> bool:
         """Whether a description that may repeat from run to run is among what was added."""
-        return any(e.unnamed and e.along not in IN_TIME for e in self.by)
+        return any(e.unnamed and e.along != "time" for e in self.by)
 
     @property
     def confounded(self) -> bool:

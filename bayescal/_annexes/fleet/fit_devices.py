@@ -51,7 +51,6 @@ from bayescal._annexes.fleet.odd_devices import odd_devices
 from bayescal._annexes.fleet.partial_pooling import pooled
 from bayescal._annexes.fleet.population import Named
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.fitted import flat
 from bayescal._calibration.judgement import noiseless
 from bayescal._core import deadline
 from bayescal._core.jit import compiled
@@ -595,7 +594,7 @@ class _Fits:
             self.reasons[name] = str(error)
             return
         self.facts[name] = len(readings), float(found.reference.get("T0", np.nan))  # pyright: ignore
-        table = flat(found.values)
+        table = found.values.reshape(-1, len(found.unknowns))
         covariance = np.atleast_2d(np.cov(table.T))
         held = np.ptp(table, axis=0) == 0
         covariance[held], covariance[:, held] = np.nan, np.nan
