@@ -61,9 +61,10 @@ def conflicts(calibration: Fitted, accepted: Collection[str] = ()) -> list[Claim
         [row for row in rows if row["name"] not in accepted and row["effect"] not in accepted]
         for rows in (coefficients, hyperparameters)
     )
-    wider = {name for one in calibration.confounders for name in one.coefficients}
+    keys = {name for one in calibration.confounders for name in one.coefficients}
+    wider = {u.name for u in calibration.unknowns if u.key in keys}
     for row in coefficients:  # what is positive may well be larger than thought, and then wider
-        if row["name"].partition("(")[0] in wider:
+        if row["name"] in wider:
             continue
         if row["contraction"] is not None and row["contraction"] < WIDER_CONTRACTION:
             found.append(Claim("prior.widened", row["name"], contraction=row["contraction"]))

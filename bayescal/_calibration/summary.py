@@ -73,14 +73,14 @@ def unknowns_parts(
         lines.append(
             f"set in steps and held between readings: {', '.join(held)} (--reference {held_name(held[0])}=0 joins them)"
         )
-    given = (if_there(s) for s in summary(calibration)[0] if s["name"] in rows)
-    if said := ", ".join(filter(None, given)):
+    given = {s["name"]: if_there(s) for s in summary(calibration)[0] if s["name"] in rows}
+    if said := ", ".join(f"{name} {value}" for name, value in given.items() if value):
         lines.append(f"if it is there: {said}")
     return [shown, *(textwrap.fill(line, WIDTH) for line in lines)]
 
 
 def if_there(row: dict[str, Any], times: float = 1.0) -> str:
-    """What an unknown is given that its effect is there, with the probability of that; empty where this is no other.
+    """Return the value given that the effect is there, with the probability of that; empty where it is the same.
 
     Args:
         row: of `summary`.
@@ -90,7 +90,7 @@ def if_there(row: dict[str, Any], times: float = 1.0) -> str:
     if with_error(mean, sd) == with_error(row["mean"], row["sd"]):
         return ""
     value = f"{with_error(mean, times * sd)} {unit_label(row['unit'])}".rstrip()
-    return f"{row['name']} {value} (probability {probability(row['probability'])})"
+    return f"{value} (probability {probability(row['probability'])})"
 
 
 def unknown_rows(
@@ -138,6 +138,12 @@ def _unknown_row(s: dict[str, Any]) -> list[str]:
 def curves(calibration: Fitted) -> set[str]:
     """Effects whose coefficients stand for a curve: unknown dependences."""
     return {e.name for e in calibration.model.effects if e.is_placeholder}
+
+
+def curve_weights(calibration: Fitted) -> set[str]:
+    """Names of the coefficients of these."""
+    drawn = curves(calibration)
+    return {u.key for u in calibration.unknowns if u.block is not None and u.effect in drawn}
 
 
 def curve_extent(calibration: Fitted, name: str) -> tuple[float, float, str, float | None]:

@@ -344,6 +344,18 @@ class Effect:
     def shape_name(self, shape: Shape) -> str:
         return f"{self.name}.{shape.name}"
 
+    @property
+    def spread_names(self) -> tuple[str, ...]:
+        """Names of the learned standard deviations between group members."""
+        learned = (i for i, c in enumerate(self.coefficients) if c.group_sd is not None)
+        return tuple(f"{self.coefficient_name(i)}.group_sd" for i in learned)
+
+    @property
+    def unknown_names(self) -> tuple[str, ...]:
+        """Names of its coefficients, learned standard deviations and shapes."""
+        own = (self.coefficient_name(i) for i in range(len(self.coefficients)))
+        return (*own, *self.spread_names, *map(self.shape_name, self.shapes))
+
     def evaluate(self, frame: Frame, shapes: dict[str, Float[Array, ""]]) -> Float[Array, "n p"]:
         """The basis as a matrix, one column a coefficient; constants are spread over the readings.
 

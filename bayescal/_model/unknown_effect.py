@@ -30,6 +30,7 @@ import numpy as np
 from bayescal._core.jit import given
 from bayescal._data.measurements import Measurements
 from bayescal._model.effect import OPEN, Coefficient, Effect, Kind, Shape
+from bayescal._model.frame import measured_column
 from bayescal._model.prior import Normal
 
 TERMS = 12  # eigenfunctions: enough for lengths down to a tenth of the range
@@ -136,7 +137,7 @@ def unknown(
         name: canonical; `unknown(covariate)` if not given.
     """
     terms, lengths = resolution(covariate in ("time", "elapsed"))
-    measured = covariate.removesuffix(" rate")
+    measured = measured_column(covariate)
     derived = covariate in ("elapsed", f"{measured} rate")
     columns = ("time",) if covariate == "elapsed" else (measured,)
     return Effect(

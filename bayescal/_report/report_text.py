@@ -18,6 +18,7 @@ from bayescal._calibration.mixture import has_effect
 from bayescal._calibration.prior_influence import coefficients_not_measured
 from bayescal._calibration.summary import (
     curve_extent,
+    curve_weights,
     curves,
     if_there,
     large_groups,
@@ -138,8 +139,8 @@ def coefficients(chapter: Chapter) -> ResultTable:
         mean, sd, likely = r["mean"], r["sd"], r["probability"]
         held = not sd > 1e-9 * abs(mean)
         note = " (held)" * held + " (mostly its prior)" * (r["name"] in untold)
-        given = if_there(r, K).partition(r["name"])[2]
-        note += f" (if it is there{given})" if given else ""
+        given = if_there(r, K)
+        note += f" (if it is there {given})" if given else ""
         note += f" (probability {probability(likely)})" * (likely < 1 and not given)
         return {
             **r,
@@ -161,9 +162,8 @@ def coefficients(chapter: Chapter) -> ResultTable:
     for r in every:
         block = next((b for b, names in large.items() if r["name"] in names), None)
         if r["effect"] in drawn:
-            effect = chapter.used.model.effect(r["effect"])
-            extent = _extent(chapter.used, effect).partition(",")[0]
-            rows.setdefault(r["effect"], line(f"{r['effect']}, a curve", f"up to {extent}"))
+            extent = f"up to {_largest(chapter.used, r['effect'])}"
+            rows.setdefault(r["effect"], line(f"{r['effect']}, a curve", extent))
         elif block is not None:
             means = [own["mean"] for own in every if own["name"] in large[block]]
             ends = f"{number(min(means), 2)} to {number(max(means), 2)} {unit_label(r['unit'])}"
@@ -233,10 +233,8 @@ def convergence(chapter: Chapter) -> ResultTable:
 def skewed(chapter: Chapter) -> list[str]:
     """Unknowns whose mean ± 2 u holds clearly more or less than a Gaussian's share of the draws."""
     found, c = [], chapter.used
-    posterior, drawn = c.posterior, curves(c)
-    for name in map(str, posterior):
-        if name.partition("[")[0] in drawn:
-            continue
+    drawn = curve_weights(c)
+    for name in (n for n in c.unknowns.by_key if n not in drawn):
         draws = c.samples(name)
         sd = draws.std(axis=0)
         if np.all(sd > 1e-9 * np.abs(draws.mean(axis=0))):
@@ -484,8 +482,13 @@ def _at(c: Calibration, effect: Effect, column: str) -> str:
 
 
 def _extent(c: Calibration, effect: Effect) -> str:
-    _, largest, covariate, at = curve_extent(c, effect.name)
-    return f"{number(abs(largest), 2)} {unit_label(c.unit)}, most at {place_of(c, covariate, at)}"
+    *_, covariate, at = curve_extent(c, effect.name)
+    return f"{_largest(c, effect.name)}, most at {place_of(c, covariate, at)}"
+
+
+def _largest(c: Calibration, name: str) -> str:
+    """The largest value of a curve, output unit."""
+    return f"{number(abs(curve_extent(c, name)[1]), 2)} {unit_label(c.unit)}"
 
 
 def _size(c: Calibration, effect: Effect) -> str:

@@ -22,6 +22,7 @@ from bayescal._calibration.claim import Claim
 from bayescal._data.time_in_runs import run_codes
 from bayescal._inference.linear_model import LinearModel
 from bayescal._model.effect import Effect
+from bayescal._model.frame import measured_column
 from bayescal._search.one_profile import another_run
 
 # Share of a term's squares that what was added leaves to it, below which its variance grows tenfold (a variance
@@ -31,7 +32,6 @@ LEFT_SHARE = 0.1
 CORRECTED_SHARE = 0.5
 # Former standard uncertainties of a coefficient, beyond which chance does not move it.
 MOVED_SD = 4.0
-
 
 
 class TakenOver(NamedTuple):
@@ -119,7 +119,7 @@ def taken_over(
 def _own_columns(effect: Effect) -> set[str]:
     """Columns of numbers that an effect depends on, but for the time that its lags and rates need."""
     named = set(effect.varies) | (set(effect.columns) - {"time"})
-    along = (effect.along or "").removesuffix(" rate")
+    along = measured_column(effect.along or "")
     return named | ({along} if along not in ("", "elapsed") else set())
 
 

@@ -396,8 +396,8 @@ def _beyond(chosen: Compensator, point: Mapping[str, float]) -> list[str]:
     ]
 
 
-def notes_on(chosen: Compensator) -> tuple[str, ...]:
-    """Which coverage of a budget is short, and what is not counted in it."""
+def notes_on(chosen: Compensator, of_correction: bool = True) -> tuple[str, ...]:
+    """Which coverage of a budget is short, and what is not counted in it, of a correction or of a slot alone."""
     notes = list[str]()
     learned = _learned_group_sds(chosen._equation)
     for block in chosen._equation.blocks:
@@ -409,7 +409,7 @@ def notes_on(chosen: Compensator) -> tuple[str, ...]:
                     f"{block.name} of a new {per} is known from {count} of them: an expanded uncertainty covers less "
                     "than that of a normal distribution."
                 )
-    if not chosen._equation.slope_calibrated(chosen._calibration):
+    if of_correction and not chosen._equation.slope_calibrated(chosen._calibration):
         notes.append(bias_only(chosen.stimulus))
     clock = clock_note(chosen._calibration, chosen._equation.inputs)
     return (*clock, *dict.fromkeys(notes), SHARED)

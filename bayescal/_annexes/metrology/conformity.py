@@ -43,7 +43,7 @@ from scipy.special import ndtr
 from bayescal import Calibration, Compensator, InputError
 from bayescal._use import operating_equation
 from bayescal._use.budget import notes_on
-from bayescal._use.compensation_program import PAST, bias_only
+from bayescal._use.compensation_program import PAST
 from bayescal._use.compensation_program import limits as calibrated_limits
 from bayescal._use.operating_equation import ALL_DRAWS, equation_in_use
 from bayescal.workshop import (
@@ -546,8 +546,7 @@ def limited_quantity(
     places = {n: np.full(size, v) for n, v in point.items()}
     places |= {n: g.ravel() for (n, _, _), g in zip(ranges, grid, strict=True)}
     # Where a range leaves what was calibrated is said by `not_covered`, in its own words.
-    beside = bias_only(chosen.stimulus) if limit.quantity in slots else ""  # is of a correction
-    notes += [note for note in notes_on(chosen) if note != beside]
+    notes += notes_on(chosen, of_correction=limit.quantity not in slots)
     if limit.quantity == MEAN and not calibration.model.noise.independent:
         notes.append(
             f"{MEAN!r} is without the correlated noise, which readings close in time share: a mean keeps it."
