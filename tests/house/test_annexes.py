@@ -70,7 +70,7 @@ BEHIND = {
         _calibration.prior_influence: NotMeasured coefficients_not_measured not_measured
         _use: operating_equation
         _use.budget: notes_on
-        _use.compensation_program: PAST averaged_over bias_only limits
+        _use.compensation_program: PAST averaged_over limits
         _use.operating_equation: ALL_DRAWS equation_in_use
     """,
     "workbench": """
