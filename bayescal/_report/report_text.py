@@ -500,7 +500,7 @@ def _size(c: Calibration, effect: Effect) -> str:
     for i, one in enumerate(effect.coefficients):
         name, unit = effect.coefficient_name(i), unit_label(one.unit)
         between = f"{name}.group_sd"
-        draws = c.samples(between if one.per and between in c.posterior.data_vars else name)[there]
+        draws = c.samples(between if one.per and between in c.unknowns.by_key else name)[there]
         mean, sd = draws.mean(axis=0), draws.std(axis=0)
         if draws.ndim > 1:
             ends = (number(float(v), 2) for v in (mean.min(), mean.max()))

@@ -21,6 +21,7 @@ from bayescal._core.json_shape import read_json
 from bayescal._core.result_table import ResultTable
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
+from bayescal._model.unknown_effect import role_of
 from bayescal._report.result_json import FORMER, RESULT, SCHEMA, hashes, result
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, files_of, refuse_mixed
 from bayescal._search.calibrate import step_of
@@ -190,15 +191,17 @@ def _read_result(path: Path) -> dict[str, Any]:
 
 
 def _refuse_strangers(folder: Path, data: dict[str, Any], calibration: Calibration) -> None:
-    """A result and a calibration of two different runs make no report."""
+    """Refuse a result and a calibration of two different runs; give candidates of older files their roles."""
     own = identity(calibration)
     try:
+        for candidate in (c for step in data["missing"] for c in step["candidates"]):
+            candidate.setdefault("role", role_of(candidate["effect"]))  # since 0.2.1
         # An identity of 0.2.0 is of the names that were used then: there the bytes of the readings tell.
         if data["schema"] == FORMER:
             same, told = data["readings"]["sha256"] == hashes(calibration.readings), "of 0.2.0"
         else:
             same, told = data["calibration"] == own, data["calibration"]
-    except (KeyError, TypeError) as error:
+    except (AttributeError, KeyError, TypeError) as error:
         raise InputError(f"{folder / RESULT} is incomplete ({error!r}): calibrate again") from None
     if not same:
         raise InputError(

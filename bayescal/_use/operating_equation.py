@@ -451,9 +451,7 @@ def posterior_moments(
     covariance, so that what is computed from draws and from moments agrees.
     """
     unknowns, blocks = equation.unknowns(), {b.name: b for b in equation.blocks}
-    size = calibration.posterior.sizes
-    total = size["chain"] * size["draw"]
-    random = np.random.default_rng(seed)
+    total, random = len(calibration.draws().x), np.random.default_rng(seed)
     step = max(1, -(-total // draws))
     values, mean = np.zeros((total, len(unknowns))), np.zeros(len(unknowns))
     new = [i for i, u in enumerate(unknowns) if u.kind == "new"]
