@@ -327,7 +327,7 @@ def _too_large(calibration: Fitted, hyperparameters: list[dict[str, Any]]) -> li
     reach = float(np.ptp(calibration.readings["output"]))
     sizes = _sizes_of_output(calibration)
     # An amplitude is a scale of coefficients, hardly told where there is one; what it makes of the output is judged.
-    amplitudes = {f"{e.name}.{e.measure}" for e in calibration.model.effects if e.is_placeholder}
+    amplitudes = {e.measure_name for e in calibration.model.effects}
     for row in hyperparameters:
         if row["name"] in sizes - amplitudes and row["unit"] == unit and row["mean"] > reach > 0:
             told = {"mean": row["mean"], "reach": reach, "unit": unit}
@@ -359,6 +359,5 @@ def _sizes_of_output(calibration: Fitted) -> set[str]:
     for effect in model.effects:
         for i, c in enumerate(effect.coefficients):
             if model.instrument.slot(c.slot or effect.slot).unit == calibration.unit:
-                spread = f"{effect.coefficient_name(i)}.group_sd"
-                sizes |= {spread, f"{effect.name}.{effect.measure}"}
+                sizes |= {effect.group_sd_name(i), effect.measure_name}
     return sizes

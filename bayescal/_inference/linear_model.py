@@ -37,10 +37,7 @@ GAUSS_NEWTON = 4  # linearisations of the expected output: enough for an order o
 
 def learned_size(effect: Effect, problem: Problem, mode: Mode) -> tuple[float, float] | None:
     """Spread or amplitude that says how large an effect is, with its standard uncertainty; None if nothing does."""
-    spread = effect.coefficients[0].group_sd is not None
-    learned = f"{effect.coefficient_name(0)}.group_sd" if spread else ""
-    if effect.measure:
-        learned = f"{effect.name}.{effect.measure}"
+    learned = effect.measure_name or effect.group_sd_name(0)
     if (i := problem.layout.index_in_phi.get(learned)) is None:
         return None
     # By the logarithm of the value: its standard uncertainty relative to itself, from that of its coordinate.

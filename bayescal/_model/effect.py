@@ -344,11 +344,19 @@ class Effect:
     def shape_name(self, shape: Shape) -> str:
         return f"{self.name}.{shape.name}"
 
+    def group_sd_name(self, index: int) -> str:
+        return f"{self.coefficient_name(index)}.group_sd"
+
+    @property
+    def measure_name(self) -> str:
+        """Name of the shape that says how large it is; empty where its first coefficient does."""
+        return f"{self.name}.{self.measure}" if self.measure else ""
+
     @property
     def spread_names(self) -> tuple[str, ...]:
         """Names of the learned standard deviations between group members."""
         learned = (i for i, c in enumerate(self.coefficients) if c.group_sd is not None)
-        return tuple(f"{self.coefficient_name(i)}.group_sd" for i in learned)
+        return tuple(map(self.group_sd_name, learned))
 
     @property
     def unknown_names(self) -> tuple[str, ...]:

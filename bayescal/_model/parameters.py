@@ -64,7 +64,7 @@ class CoefficientBlock:
 
     @property
     def group_sd_name(self) -> str:
-        return f"{self.name}.group_sd"
+        return self.effect.group_sd_name(self.index)
 
     def member_names(self, levels: Levels | None = None) -> list[str]:
         """Names of its entries, each after its member; by their number, as in φ, where members have no names."""

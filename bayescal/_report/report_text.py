@@ -499,7 +499,7 @@ def _size(c: Calibration, effect: Effect) -> str:
     found, there = [], has_effect(c, effect.name)
     for i, one in enumerate(effect.coefficients):
         name, unit = effect.coefficient_name(i), unit_label(one.unit)
-        between = f"{name}.group_sd"
+        between = effect.group_sd_name(i)
         draws = c.samples(between if one.per and between in c.unknowns.by_key else name)[there]
         mean, sd = draws.mean(axis=0), draws.std(axis=0)
         if draws.ndim > 1:
