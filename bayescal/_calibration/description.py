@@ -125,7 +125,7 @@ def _resized(model: Model) -> dict[str, float]:
 
 def _as_before(effect: Effect) -> Effect:
     """An effect as it was when states in which runs begin had a size and no learned spread: saved ones may have it."""
-    own = (replace(c, group_sd=None) if c.part == "start" else c for c in effect.coefficients)
+    own = (replace(c, group_sd=None) if c.initial else c for c in effect.coefficients)
     return replace(effect, coefficients=tuple(own))
 
 

@@ -186,8 +186,8 @@ def large_groups(calibration: Fitted) -> dict[str, list[str]]:
     for key, own in calibration.unknowns.by_key.items():
         members = calibration.unknowns.rows[own]
         block = members[0].block
-        start = block is not None and block.coefficient.part == "start"
-        if members[0].group and len(members) > (1 if start else MOST_MEMBERS):
+        initial = block is not None and block.coefficient.initial
+        if members[0].group and len(members) > (1 if initial else MOST_MEMBERS):
             large[key] = [u.name for u in members]
     return large
 

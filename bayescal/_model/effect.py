@@ -60,6 +60,7 @@ class Coefficient:
             which widens the variance of each reading by the square of the slope.
         group_sd: prior of the standard deviation between the group's members, which is then learned.
             None leaves it at the prior's own sd.
+        initial: whether it is what the state adds in which a run begins.
     """
 
     unit: str
@@ -68,6 +69,7 @@ class Coefficient:
     slot: str | None = None
     per: Group | None = None
     group_sd: HalfNormal | HalfCauchy | Flat | None = None
+    initial: bool = field(default=False, repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.prior, Normal | Flat | Known):

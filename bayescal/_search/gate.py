@@ -236,9 +236,8 @@ def _runs_apart(step: Step) -> list[Claim]:
     out, calibration = step.left_out, step.calibration
     if out is None or out.group != "run" or not np.isfinite(out.residual).all():
         return []
-    if any(
-        b.coefficient.group_sd and b.coefficient.part != "start" for b in calibration.layout.blocks
-    ):
+    own = (b.coefficient for b in calibration.layout.blocks)
+    if any(c.group_sd and not c.initial for c in own):
         return []
     means, within = of_runs(calibration, out.residual)
     if not only_between_runs(out.residual, within):

@@ -323,9 +323,8 @@ def _of_a_body(
 
 def _start(unit: str, size: float, slot: str | None = None) -> Coefficient:
     """What a state adds where it was when a run began: one a run, none where it always began at rest."""
-    return Coefficient(
-        unit, Normal(0.0, size), part="start", slot=slot, per="run", group_sd=HalfNormal(size)
-    )
+    of_runs = {"per": "run", "group_sd": HalfNormal(size), "initial": True}
+    return Coefficient(unit, Normal(0.0, size), part="start", slot=slot, **of_runs)
 
 
 def _smoothed_rate(column: str, r: Frame, window: Any) -> Any:
