@@ -264,9 +264,7 @@ class Fitted:
         return xr.Dataset({"output": (("chain", "draw", "reading"), shaped)})
 
 
-def named(
-    unknowns: Unknowns, values: Float[np.ndarray, "chains draws unknowns"]
-) -> xr.Dataset:
+def named(unknowns: Unknowns, values: Float[np.ndarray, "chains draws unknowns"]) -> xr.Dataset:
     """Return draws as one variable for each key, in its reported unit."""
     found: dict[str, tuple] = {}
     coordinates: dict[str, pd.Index] = {}

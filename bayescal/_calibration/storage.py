@@ -185,7 +185,10 @@ def _fields(
     joint = _draws_from(tree, layout, finite=verdict.ok)
     mode = _mode_from(tree, layout, finite=verdict.ok)
     confounded = tuple(Confounder(**one) for one in described.get("confounded", ()))
-    x, unknowns = widened(joint.x, confounded, layout, described["seed"]), Unknowns.of(layout, levels)
+    x, unknowns = (
+        widened(joint.x, confounded, layout, described["seed"]),
+        Unknowns.of(layout, levels),
+    )
     _refuse_other_posterior(tree, named(unknowns, unknowns.values(x, joint.v)))
     _arrays(tree, "posterior_predictive", {"output": (joint.x.shape[0], None, len(readings))})
     evidence = described["log_evidence"]

@@ -126,7 +126,10 @@ class Unknowns:
                 value = b.origin + value
                 if u.v is not None and b.coefficient.group_sd is not None:
                     name = b.group_sd_name
-                    value = b.coefficient.mean + (fixed[name] if name in fixed else phi[at[name]]) * value
+                    value = (
+                        b.coefficient.mean
+                        + (fixed[name] if name in fixed else phi[at[name]]) * value
+                    )
             found[..., k] = value
         return found
 

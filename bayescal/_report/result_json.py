@@ -51,8 +51,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
     final = trail.final.calibration
     further = {*trail.calibration.model.names} - {*final.model.names}
     coefficients, hyperparameters = (
-        [row for row in rows if row["effect"] not in further]
-        for rows in summary(trail.calibration)
+        [row for row in rows if row["effect"] not in further] for rows in summary(trail.calibration)
     )
     for row in (*coefficients, *hyperparameters):
         averaged = {k: row[k] for k in AVERAGED}

@@ -78,7 +78,9 @@ def another_run(calibration: Calibration, columns: Sequence[str]) -> str:
         float(np.mean(calibration.samples(e.shape_name(s))))
         for e in calibration.model.effects
         for s in e.column_shapes
-        if s.name == "tau" and column in e.columns and e.shape_name(s) in calibration.unknowns.by_key
+        if s.name == "tau"
+        and column in e.columns
+        and e.shape_name(s) in calibration.unknowns.by_key
     ]
     dwell = (
         f", a dwell of {number(DWELL_LAGS * max(taus) / 60.0, 2)} min at either end" if taus else ""

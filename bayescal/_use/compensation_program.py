@@ -717,7 +717,8 @@ def program_of(
         inputs=tuple(i for i in inputs if i.name in needed),
         stimulus_range=stimulus_range,
         unknowns=tuple(
-            ProgramUnknown(unknowns[i].name, unknowns[i].unit, float(moments.mean[i])) for i in acting
+            ProgramUnknown(unknowns[i].name, unknowns[i].unit, float(moments.mean[i]))
+            for i in acting
         ),
         covariance=moments.covariance[np.ix_(acting, acting)],
         affine=graph.input(STIMULUS) not in graph.needed([slope]),

@@ -620,7 +620,9 @@ class _Fits:
         covariance: np.ndarray,
     ) -> None:
         deadline.current().defer_interrupt()
-        self._found.setdefault((unknowns.names, unknowns.units), []).append((devices, mean, covariance))
+        self._found.setdefault((unknowns.names, unknowns.units), []).append(
+            (devices, mean, covariance)
+        )
 
     def parts(self, devices: Sequence[str]) -> list[BatchPart]:
         """Return all unknowns with their moments, in the order of the devices."""

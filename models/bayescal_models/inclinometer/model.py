@@ -200,7 +200,12 @@ EFFECTS = EffectTable.of(
         ("zero.run", _drawn("run"), 2.0, "arcsec"),
     ),
     candidates=(
-        ("zero.placement_quadratic", _each(*_of_placement(2), kind="quadratic"), 0.005, "arcsec/deg^2"),
+        (
+            "zero.placement_quadratic",
+            _each(*_of_placement(2), kind="quadratic"),
+            0.005,
+            "arcsec/deg^2",
+        ),
         ("zero.projection", PROJECTED, 100.0, "arcsec"),
         ("zero.temperature", WARM, 2.0, "arcsec/degC"),
         ("zero.hysteresis", FORWARD, 2.0, "arcsec"),

@@ -298,7 +298,12 @@ EFFECTS = EffectTable.of(
             "source 0: within 2′, taken as 95 %",
         ),
         ("fixture_tilt.cell", CELL, 5.0, "urad"),
-        ("base_tilt.constant", _base(one, "c, one for each component", kind="constant"), 1.0, "arcsec"),
+        (
+            "base_tilt.constant",
+            _base(one, "c, one for each component", kind="constant"),
+            1.0,
+            "arcsec",
+        ),
         ("base_tilt.cell", CELL_OF_BASE, 1.0, "urad"),
         ("rotation.constant", catalogue.constant, 0.1, "deg"),
         ("tilt.setting", SETTING, 1.0, "arcsec", "source 0: the table's angles are good to 1″"),

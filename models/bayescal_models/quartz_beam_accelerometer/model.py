@@ -140,11 +140,15 @@ def _either(basis: Callable[..., Any], equation: str, *columns: str, **more: Any
 
 
 def _t1(n: int) -> Maker:
-    return _either(partial(_power, circuit, n), f"c·(t1 − T0){SIGNS[n - 1]}", *BOTH, along=T1, kind=POWERS[n])
+    return _either(
+        partial(_power, circuit, n), f"c·(t1 − T0){SIGNS[n - 1]}", *BOTH, along=T1, kind=POWERS[n]
+    )
 
 
 def _t2(n: int) -> Maker:
-    return _either(partial(_power, head, n), f"c·(t2 − T0){SIGNS[n - 1]}", T2, along=T2, kind=POWERS[n])
+    return _either(
+        partial(_power, head, n), f"c·(t2 − T0){SIGNS[n - 1]}", T2, along=T2, kind=POWERS[n]
+    )
 
 
 def _difference(n: int) -> Maker:
@@ -155,7 +159,9 @@ def _difference(n: int) -> Maker:
 def _of_sum(n: int) -> Maker:
     nominal = f"F0 = {FREQUENCY_SUM:g} Hz, F' = {FREQUENCY_TEMPCO:g} Hz/°C"
     equation = f"c·((F − F0)/F'){SIGNS[n - 1]},  {nominal}"
-    return _either(partial(_power, _shown, n), equation, "frequency_sum", along=None, kind=POWERS[n])
+    return _either(
+        partial(_power, _shown, n), equation, "frequency_sum", along=None, kind=POWERS[n]
+    )
 
 
 def _rate(column: str, sign: str) -> Maker:
