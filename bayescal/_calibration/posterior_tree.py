@@ -12,25 +12,24 @@ from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, flat, named
 from bayescal._calibration.on_readings import replicate
 from bayescal._calibration.storage import draws_dataset
 from bayescal._core.atomic_file import renamed, storable
-from bayescal._inference.method import Draws
-from bayescal._inference.problem import Problem
 from bayescal._model.prior import HalfCauchy, HalfNormal
 
 PRIOR_DRAWS = 1000  # for the groups of ArviZ's tree, as many as a picture of a prior needs
 STEP = 1e-3  # of a coordinate, for the slope of a prior's value
+TINY = float(np.finfo(float).tiny)
 
 
 def build_tree(calibration: Fitted) -> xr.DataTree:
     """Compute all groups of a calibration's tree; see `Calibration.tree`."""
     c, draws = calibration, calibration.joint
-    layout, levels, readings = c.layout, c.levels, c.readings
+    readings = c.readings
     units = {"units": readings.unit("output")}
     thin, chains = c.thinned(PREDICTIVE_CELLS)
     made = replicate(c.problem, thin, np.random.default_rng([c.seed, 1]))
     made = made.reshape(chains, -1, len(readings)) + (readings["output"] - c.frame["output"])
     groups = {
         "posterior": c.posterior,
-        "log_prior": _log_prior(c.problem, named(layout, levels, draws.x, draws.v), draws),
+        "log_prior": _log_prior(c),
         "posterior_predictive": xr.Dataset({"output": (("chain", "draw", "reading"), made, units)}),
         "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
@@ -39,7 +38,7 @@ def build_tree(calibration: Fitted) -> xr.DataTree:
     }
     groups = {name: _numbered(group, draws.x.shape[1]) for name, group in groups.items()}
     if (prior := _prior_draws(c)) is not None:
-        groups["prior"] = _numbered(named(layout, levels, *prior), PRIOR_DRAWS)
+        groups["prior"] = _numbered(named(c.unknowns, c.unknowns.values(*prior)), PRIOR_DRAWS)
     return xr.DataTree.from_dict({n: renamed(group, storable) for n, group in groups.items()})
 
 
@@ -66,25 +65,25 @@ def _numbered(group: xr.Dataset, count: int) -> xr.Dataset:
     )
 
 
-def _log_prior(problem: Problem, posterior: xr.Dataset, draws: Draws) -> xr.Dataset:
+def _log_prior(c: Fitted) -> xr.Dataset:
     """Log prior density of each unknown in its own unit, given the hyper-parameters, per draw; no flat ones."""
-    found, layout = dict[str, tuple](), problem.layout
-    for i, h in enumerate(layout.hypers):
-        if h.kind != "promoted" and h.name in posterior:
-            v = draws.v[..., i]
-            density = h.prior.log_density(v) - np.log(_slope(h.prior, v))
-            found[h.name] = (("chain", "draw"), np.asarray(density))
-    terms, v = {(t.known.of, t.index): t for t in problem.terms}, flat(draws.v)
-    hyper = problem.hyper(v.T)
-    for b in layout.blocks:
-        if b.name not in posterior or b.coefficient.flat or b.index in b.effect.held:
+    x, v = c.joint.x, c.joint.v
+    values, hyper = c.unknowns.values(x, v), c.problem.hyper(flat(v).T)
+    sd = c.problem.prior(hyper, np.ones(c.problem.size), (len(flat(v)),)).sd.reshape(x.shape)
+    density = np.zeros_like(values)
+    for i, u in enumerate(c.unknowns):
+        if (b := u.block) is None:
+            prior, own = u.hyper.prior, v[..., u.v]
+            density[..., i] = prior.log_density(own) - np.log(_slope(prior, own))
             continue
-        sd = problem.member_sd(terms[b.effect.name, b.index], hyper, len(v))
-        values = posterior[b.name]
-        sd = sd.reshape(*draws.v.shape[:2], *(1,) * (values.ndim - 2))
-        z = (values.values - b.coefficient.mean) / sd
-        found[b.name] = (values.dims, -0.5 * z**2 - np.log(sd) - 0.5 * np.log(2 * np.pi))
-    return xr.Dataset(found)
+        learned = hyper.get(b.group_sd_name) if u.x is None else flat(sd[..., u.x])
+        spread = np.maximum(b.coefficient.size if learned is None else learned, TINY)
+        z = (flat(values[..., i]) - b.coefficient.mean) / spread
+        own = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
+        density[..., i] = own.reshape(v.shape[:-1])
+    keys = {u.key: u for u in c.unknowns if u.block is None}
+    keys |= {u.key: u for u in c.unknowns if u.block and not (u.held or u.block.coefficient.flat)}
+    return xr.Dataset({n: (c.posterior[n].dims, c.unknowns.select(density, n)) for n in keys})
 
 
 def _slope(prior: Any, v: np.ndarray) -> np.ndarray:

@@ -104,8 +104,7 @@ class Frame:
 
     def position(self, name: str) -> Float[Array, "n"]:
         """Where a covariate stands in its range at the fit, 0 to 1; a rate is called "temperature rate"."""
-        column = name.removesuffix(" rate")
-        values = self.columns[name] if name in self.columns else self.rates[column]
+        values = self.columns[name] if name in self.columns else self.rates[measured_column(name)]
         low, high = self.reference[f"{name}_low"], self.reference[f"{name}_high"]
         span = high - low
         return (values - low) / (span + (span <= 0))  # one, where it does not vary
@@ -249,6 +248,11 @@ def derived(readings: Measurements, every: bool = False) -> dict[str, np.ndarray
         if len(names) > 1:
             found["elapsed"] = time - run_starts(readings)[codes]
     return found
+
+
+def measured_column(covariate: str) -> str:
+    """Return the column of a covariate that may be its rate: "temperature" of "temperature rate"."""
+    return covariate.removesuffix(" rate")
 
 
 def reference_name(column: str) -> str:

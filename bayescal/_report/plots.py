@@ -29,7 +29,7 @@ from bayescal._calibration.check_result import Check, Entry
 from bayescal._calibration.leave_group_out import scheme
 from bayescal._calibration.noise_in_time import AllanCheck, allan_check
 from bayescal._calibration.sensor_noise import SensorNoise
-from bayescal._calibration.summary import curves, summary
+from bayescal._calibration.summary import curve_weights, summary
 from bayescal._core.atomic_file import replacing_for_user
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
@@ -509,8 +509,8 @@ def _chosen(calibration: Calibration, names: Sequence[str] | None) -> xr.Dataset
         raise InputError(
             f"no unknown with one value is called {', '.join(unknown)}; there are: {', '.join(single)}"
         )
-    drawn = curves(calibration)
-    told = [n for n in single if n.partition("[")[0] not in drawn]
+    drawn = curve_weights(calibration)
+    told = [n for n in single if n not in drawn]
     moving = [n for n in told if _moves(posterior[n].values)]
     chosen = list(names or moving)[:MOST_UNKNOWNS]
     if not chosen:

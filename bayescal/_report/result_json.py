@@ -51,8 +51,7 @@ def result(trail: SearchPath) -> dict[str, Any]:
     final = trail.final.calibration
     further = {*trail.calibration.model.names} - {*final.model.names}
     coefficients, hyperparameters = (
-        [row for row in rows if row["effect"].partition("[")[0] not in further]
-        for rows in summary(trail.calibration)
+        [row for row in rows if row["effect"] not in further] for rows in summary(trail.calibration)
     )
     for row in (*coefficients, *hyperparameters):
         averaged = {k: row[k] for k in AVERAGED}
@@ -176,8 +175,9 @@ def _groups(readings: Measurements) -> dict[str, Any]:
 def step_data(step: Step) -> dict[str, Any]:
     calibration = step.calibration
     evidence = calibration.log_evidence
-    names = [n for n in map(str, calibration.posterior) if n.startswith("noise.")]
-    held = {k: np.asarray(v) for k, v in calibration.model.fixed if k.startswith("noise.")}
+    law = set(calibration.model.noise.parameters())
+    held = {k: np.asarray(v) for k, v in calibration.model.fixed if k in law}
+    names = (u.name for u in calibration.unknowns if u.kind == "noise")
     noise = {**{n: calibration.samples(n) for n in names}, **held}
     noise |= calibration.model.noise.derived(noise)
     mean = {n: float(values.mean()) for n, values in noise.items()}

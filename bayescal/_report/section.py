@@ -21,6 +21,7 @@ from bayescal._core.json_shape import read_json
 from bayescal._core.result_table import ResultTable
 from bayescal._model.effect import Effect
 from bayescal._model.instrument import Instrument
+from bayescal._model.unknown_effect import role_of
 from bayescal._report.result_json import FORMER, RESULT, SCHEMA, result
 from bayescal._report.whole_folder import AVERAGED, CALIBRATION, files_of, refuse_mixed
 from bayescal._search.calibrate import step_of
@@ -186,6 +187,11 @@ def _read_result(path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path} is no result of this version: its schema is {schema!r}, not {SCHEMA!r}"
         )
+    try:
+        for candidate in (c for step in data["missing"] for c in step["candidates"]):
+            candidate.setdefault("role", role_of(candidate["effect"]))  # since 0.2.1
+    except (AttributeError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is incomplete ({error!r}): calibrate again") from None
     return data
 
 

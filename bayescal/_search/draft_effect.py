@@ -18,7 +18,7 @@ from bayescal._calibration.summary import range_of
 from bayescal._core.errors import ModelError
 from bayescal._core.quoting import identifier, python_string, python_words
 from bayescal._model.effect import Effect
-from bayescal._model.frame import derived
+from bayescal._model.frame import derived, measured_column
 
 SIMPLE_SHARE = 0.97  # share of a free curve's variance, from which a simple formula will do for it
 
@@ -51,8 +51,9 @@ def draft_effect(calibration: Calibration, name: str) -> str:
     slot, word = effect.slot, identifier(covariate)[:40]
     known = (*model.instrument.known.values(), *model.effects)
     word += "_own" if f"{slot}.{word}" in {e.name for e in known} else ""
-    column = python_string(covariate.removesuffix(" rate"))
-    value = f"r.rate({column})" if covariate.endswith(" rate") else f"r[{column}]"
+    measured = measured_column(covariate)
+    column = python_string(measured)
+    value = f"r[{column}]" if measured == covariate else f"r.rate({column})"
     if covariate == "elapsed":
         value, column = "r.elapsed", '"time"'
     return DRAFT.format(

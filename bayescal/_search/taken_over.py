@@ -26,8 +26,8 @@ from bayescal._core.formatting import number
 from bayescal._data.measurements import Measurements
 from bayescal._data.time_in_runs import run_codes
 from bayescal._inference.linear_model import LinearModel
-from bayescal._model import unknown_effect
 from bayescal._model.effect import Effect
+from bayescal._model.frame import measured_column
 
 # Share of a term's squares that what was added leaves to it, below which its variance grows tenfold (a variance
 # inflation factor of 10: D. Belsley, E. Kuh and R. Welsch, Regression Diagnostics, 1980).
@@ -40,8 +40,6 @@ MOVED_SD = 4.0
 # Correlation of two runs' temperatures at the same time within them, from which they are one profile.
 ALIKE_CORRELATION = 0.99
 DWELL_LAGS = 3.0  # times the slowest lag, after which five per cent of it are left
-
-IN_TIME = ("time", *unknown_effect.IN_TIME)  # of which what repeats from run to run is no function
 
 
 class TakenOver(NamedTuple):
@@ -84,7 +82,7 @@ class TakenOver(NamedTuple):
     @property
     def unnamed(self) -> bool:
         """Whether a description that may repeat from run to run is among what was added."""
-        return any(e.unnamed and e.along not in IN_TIME for e in self.by)
+        return any(e.unnamed and e.along != "time" for e in self.by)
 
     @property
     def confounded(self) -> bool:
@@ -129,7 +127,7 @@ def taken_over(
 def _own_columns(effect: Effect) -> set[str]:
     """Columns of numbers that an effect depends on, but for the time that its lags and rates need."""
     named = set(effect.varies) | (set(effect.columns) - {"time"})
-    along = (effect.along or "").removesuffix(" rate")
+    along = measured_column(effect.along or "")
     return named | ({along} if along not in ("", "elapsed") else set())
 
 
@@ -216,7 +214,9 @@ def another_run(calibration: Calibration, columns: Sequence[str]) -> str:
         float(np.mean(calibration.samples(e.shape_name(s))))
         for e in calibration.model.effects
         for s in e.column_shapes
-        if s.name == "tau" and column in e.columns and e.shape_name(s) in calibration.posterior
+        if s.name == "tau"
+        and column in e.columns
+        and e.shape_name(s) in calibration.unknowns.by_key
     ]
     dwell = (
         f", a dwell of {number(DWELL_LAGS * max(taus) / 60.0, 2)} min at either end" if taus else ""

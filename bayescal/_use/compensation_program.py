@@ -454,7 +454,7 @@ KINDS = ("column", "elapsed", *PAST)
 
 
 @dataclass(frozen=True)
-class Unknown:
+class ProgramUnknown:
     """A coefficient or shape: name, unit, posterior mean."""
 
     name: str
@@ -507,7 +507,7 @@ class CompensationProgram(CorrectionInUse):
     about: Provenance
     inputs: tuple[Input, ...]
     stimulus_range: tuple[float, float] | None
-    unknowns: tuple[Unknown, ...]
+    unknowns: tuple[ProgramUnknown, ...]
     covariance: np.ndarray
     affine: bool
     graph: Graph
@@ -694,7 +694,8 @@ def program_of(
         inputs=tuple(i for i in inputs if i.name in needed),
         stimulus_range=stimulus_range,
         unknowns=tuple(
-            Unknown(unknowns[i].name, unknowns[i].unit, float(moments.mean[i])) for i in acting
+            ProgramUnknown(unknowns[i].name, unknowns[i].unit, float(moments.mean[i]))
+            for i in acting
         ),
         covariance=moments.covariance[np.ix_(acting, acting)],
         affine=graph.input(STIMULUS) not in graph.needed([slope]),

@@ -285,15 +285,15 @@ def curve() -> bc.AllanDeviation:
     return bc.allan_deviation(still(1, n=100))
 
 
-def told(unit: str, law: str = "white + random walk", **more) -> bc.SensorNoise:
+def told(unit: str, terms: tuple[str, ...] = ("walk",), **more) -> bc.SensorNoise:
     """A noise of N about 1 and K about 2, in a unit."""
     nothing = np.zeros(0)
     return bc.SensorNoise(
         file="a.csv",
         unit=unit,
         step=0.01,
-        law=law,
-        probabilities={law: 1.0},
+        terms=terms,
+        probabilities={},
         figures=(),
         measured=curve(),
         claims=(),
@@ -337,7 +337,7 @@ def test_a_higher_quantile_is_more_conservative() -> None:
 
 
 def test_what_is_left_out_is_said() -> None:
-    text = bc.kalibr_yaml({"x": told("rad/s", "white + flicker"), "y": told("rad/s", "white")})
+    text = bc.kalibr_yaml({"x": told("rad/s", ("flicker",)), "y": told("rad/s", ())})
     assert "x: white + flicker. A random walk takes the place of the correlated terms" in text
     assert "y: white. No random walk is seen" in text
     assert "no accelerometer was given" in text

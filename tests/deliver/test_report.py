@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -213,6 +214,18 @@ def test_a_folder_without_a_calibration_is_refused(folder: Path, tmp_path: Path)
     (tmp_path / "result.json").write_text(json.dumps(data), "utf-8")
     with pytest.raises(bc.InputError, match=r"has no calibration\.nc: give a folder"):
         of_folder(tmp_path, instruments=own)
+
+
+def test_candidates_of_a_folder_without_roles_get_them(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "older")
+    path = tmp_path / "older" / "result.json"
+    data = json.loads(path.read_text("utf-8"))
+    roles = [c.pop("role") for step in data["missing"] for c in step["candidates"]]
+    path.write_text(json.dumps(data), "utf-8")
+    (tmp_path / "older" / "manifest.json").unlink()
+    found = of_folder(tmp_path / "older", instruments=[mems_gyro.INSTRUMENT]).data["missing"]
+    assert [c["role"] for step in found for c in step["candidates"]] == roles
+    assert {"named", "unnamed"} <= {*roles}
 
 
 def test_an_interrupted_write_leaves_the_old_report_whole(tmp_path: Path, monkeypatch) -> None:

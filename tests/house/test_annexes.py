@@ -39,7 +39,8 @@ BEHIND = {
         _inference.sampling: PriorShare around_mode propose
         _model: forward
         _model.frame: GROUPS Reference build_frame reference_name reference_of rounded_means
-        _model.parameters: Layout bind member_name
+        _model.parameters: Layout bind
+        _model.unknowns: Unknowns
         _search.discover: structures_over
         _search.library: Library
         _search.own_files: in_a_file
@@ -66,10 +67,9 @@ BEHIND = {
     "metrology": """
         _calibration.mixture: inclusion
         _calibration.prior_influence: NotMeasured coefficients_not_measured not_measured
-        _model.unknown_effect: covariate_in
         _use: operating_equation
         _use.budget: notes_on
-        _use.compensation_program: PAST averaged_over bias_only limits
+        _use.compensation_program: PAST averaged_over limits
         _use.operating_equation: ALL_DRAWS equation_in_use
     """,
     "workbench": """

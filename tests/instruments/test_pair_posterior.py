@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._calibration.fitted import named
 from bayescal._calibration.summary import summary
 from bayescal._inference import sampling
 from bayescal_models import differential_pair as dp
@@ -140,8 +139,9 @@ def test_the_mode_is_looked_for_on_both_sides_of_a_product() -> None:
     for one, sensitivity in zip(data, truth["environment.shared[sensitivity]"], strict=True):
         draws, (layout, levels) = coverage.drawn_once(ground.model, one, ground.method, 0)
         best = np.argsort(draws.log_weight)[-200:]
-        names = named(layout, levels, *(a[best][None] for a in (draws.x, draws.v)))
-        found = names["environment.shared[sensitivity]"].values[0].mean(axis=0)
+        unknowns = Unknowns.of(layout, levels)
+        values = unknowns.values(draws.x[best], draws.v[best])
+        found = unknowns.select(values, "environment.shared[sensitivity]").mean(axis=0)
         assert found @ sensitivity > 0
 
 

@@ -66,7 +66,8 @@ from bayescal._model.frame import (
     reference_of,
     rounded_means,
 )
-from bayescal._model.parameters import Layout, bind, member_name
+from bayescal._model.parameters import Layout, bind
+from bayescal._model.unknowns import Unknowns
 from bayescal.workshop import UNCERTAINTY
 
 PLAIN_SD = 3.0  # prior standard deviations that a coefficient stands from its prior's mean, at most
@@ -574,14 +575,12 @@ class _Fits:
         names = [block.names[i] for i in stack.devices[plain]]
         t0 = np.broadcast_to(stack.frame.reference.get("T0", np.nan), plain.shape)[plain]
         self.facts |= zip(names, zip(stack.real.sum(axis=1)[plain], t0, strict=True), strict=True)
-        unknowns = [(b.name, b.coefficient.unit) for b in layout.x_blocks]
+        unknowns = Unknowns.of(layout)
         mean, covariance = (np.asarray(a)[plain] for a in (found.x, found.covariance))
         if NOISE not in dict(model.fixed):
-            unknowns.append((NOISE, model.instrument.unit))
             mean = np.column_stack([mean, found.noise[plain]])
             covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)), constant_values=np.nan)
-        called, units = zip(*unknowns, strict=True)
-        self._keep(names, called, units, mean, covariance)
+        self._keep(names, unknowns, mean, covariance)
 
     def _fit_alone(self, model: Model, name: str, readings: Measurements) -> None:
         """Fit one device by `fit`: the moments of its posterior, and what stands against it."""
@@ -595,18 +594,11 @@ class _Fits:
             self.reasons[name] = str(error)
             return
         self.facts[name] = len(readings), float(found.reference.get("T0", np.nan))  # pyright: ignore
-        names, units, draws = list[str](), list[str](), list[np.ndarray]()
-        for unknown, own in found.posterior.items():
-            values, members = found.samples(str(unknown)), own.dims[2:]
-            labels = [member_name(str(unknown), m) for d in members for m in own[d].values]
-            names += labels or [str(unknown)]
-            units += [own.attrs["units"]] * max(1, len(labels))
-            draws.append(values.reshape(len(values), -1))
-        table = np.concatenate(draws, axis=1)
+        table = found.values.reshape(-1, len(found.unknowns))
         covariance = np.atleast_2d(np.cov(table.T))
         held = np.ptp(table, axis=0) == 0
         covariance[held], covariance[:, held] = np.nan, np.nan
-        self._keep([name], tuple(names), tuple(units), table.mean(axis=0)[None], covariance[None])
+        self._keep([name], found.unknowns, table.mean(axis=0)[None], covariance[None])
         if why := " ".join(map(str, self._against(found))):
             self.reasons[name] = why
 
@@ -623,13 +615,14 @@ class _Fits:
     def _keep(
         self,
         devices: Sequence[str],
-        names: tuple[str, ...],
-        units: tuple[str, ...],
+        unknowns: Unknowns,
         mean: np.ndarray,
         covariance: np.ndarray,
     ) -> None:
         deadline.current().defer_interrupt()
-        self._found.setdefault((names, units), []).append((devices, mean, covariance))
+        self._found.setdefault((unknowns.names, unknowns.units), []).append(
+            (devices, mean, covariance)
+        )
 
     def parts(self, devices: Sequence[str]) -> list[BatchPart]:
         """Return all unknowns with their moments, in the order of the devices."""

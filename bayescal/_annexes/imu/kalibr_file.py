@@ -15,9 +15,9 @@ from bayescal.workshop import STANDARD_GRAVITY, c_comment, option, parse
 
 KINDS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 BRIEF = {
-    " + quantisation": "quantisation",
-    " + averaging": "what the sensor has averaged",
-}  # in the words of a law
+    "quantisation": "quantisation",
+    "averaging": "what the sensor has averaged",
+}  # terms of neighbouring readings alone
 TOPIC = re.compile(r"[~/]?[A-Za-z][A-Za-z0-9_/]*")  # http://wiki.ros.org/Names
 EVEN = 0.05  # of the step, by which those of channels of one unit may differ
 
@@ -73,14 +73,14 @@ def kalibr_yaml(
 
 
 def _left_out(noise: SensorNoise) -> str:
-    horizon, law, brief = f"{noise.horizon:.3g} s", noise.law, ""
-    for words, said in BRIEF.items():
-        if words in law:
-            law, brief = law.replace(words, ""), f"White noise stands for {said} too. "
-    if law == "white":
+    horizon, lasting = f"{noise.horizon:.3g} s", {*noise.terms} - BRIEF.keys()
+    brief = "".join(
+        f"White noise stands for {said} too. " for t, said in BRIEF.items() if t in noise.terms
+    )
+    if not lasting:
         said = f"No random walk is seen in averages up to {horizon}: the one given is a bound."
         return brief + said
-    if law == "white + random walk":
+    if lasting == {"walk"}:
         return brief.strip() or "Nothing is left out."
     return (
         f"{brief}A random walk takes the place of the correlated terms: with the density it reaches 95 % of the "

@@ -18,6 +18,7 @@ import json
 import re
 import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from importlib.metadata import entry_points
@@ -34,6 +35,7 @@ from bayescal import (
     Instrument,
     Measurements,
     Model,
+    ModelError,
     Noise,
     __version__,
     load,
@@ -646,17 +648,20 @@ def _effect_code(effect: Effect, model: Model) -> tuple[str, Effect | None]:
     known = instrument.known
     if name in known:
         return repr(name), known[name]
-    if name.startswith("unknown("):
-        made = instrument.effect(name)
-        ranges = {
-            s.name: (s.low, s.high)
-            for s, open_ in zip(effect.shapes, made.shapes, strict=True)
-            if open_ != s
-        }
-        if not ranges:
-            return repr(name), made
-        return f"instrument.effect({name!r}).ranging({ranges!r})", made.ranging(ranges)
-    return f"own[{name!r}]", effect
+    made = None
+    if effect.is_placeholder:
+        with suppress(ModelError):  # one under a name of its own is the user's
+            made = instrument.effect(name)
+    if made is None:
+        return f"own[{name!r}]", effect
+    ranges = {
+        s.name: (s.low, s.high)
+        for s, open_ in zip(effect.shapes, made.shapes, strict=True)
+        if open_ != s
+    }
+    if not ranges:
+        return repr(name), made
+    return f"instrument.effect({name!r}).ranging({ranges!r})", made.ranging(ranges)
 
 
 def noise_code(noise: Noise, model: Model) -> str | None:
