@@ -22,9 +22,8 @@ from jaxtyping import Float
 from scipy.special import expit
 
 from bayescal import BayescalError, Effect, Measurements, Model
-from bayescal._annexes.fleet.batch_result import EFFECTS, BatchResult
+from bayescal._annexes.fleet.batch_result import EFFECTS
 from bayescal._annexes.fleet.devices import Devices
-from bayescal._annexes.fleet.fit_devices import FitOptions, fit_together
 from bayescal._core import deadline
 from bayescal._core.settings import settings
 from bayescal._model.frame import Reference, reference_of
@@ -130,25 +129,21 @@ def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> list[tuple[
     return [(list(e), round(total[e] - best, 6)) for e in order if total[e] > best - BEHIND_NATS]
 
 
-def find_and_fit(
-    model: Model,
-    devices: Devices,
-    find: Find,
-    options: FitOptions,
-) -> tuple[BatchResult, dict[str, DeviceStructure]]:
-    """Search each device, then fit those of one structure together: the results, and each device's structure.
+def search_devices(
+    model: Model, devices: Devices, find: Find, reference: Reference
+) -> tuple[dict[str, DeviceStructure], list[tuple[Model, Devices]], dict[str, str]]:
+    """Search each device.
 
-    A device that cannot be searched is refused with the reason.
+    Returns:
+        Each device's structure; the devices of equal models, with that model; why others could not be searched.
     """
-    refused = dict(devices.refused)
+    refused = dict[str, str]()
     structures: dict[str, DeviceStructure] = {}
     alike: dict[tuple, tuple[Model, list[str]]] = {}
     for block in devices.blocks:
         for i, name in enumerate(block.names):
             try:
-                structure, made = search_device(
-                    model, block.measurements(i), find, options.reference
-                )
+                structure, made = search_device(model, block.measurements(i), find, reference)
             except (BayescalError, deadline.TimeIsUp) as error:
                 refused[name] = str(error)
                 continue
@@ -156,12 +151,9 @@ def find_and_fit(
             # Open sizes are a device's own: only equal models share a program.
             kind = (*structure.effects, structure.noise, repr(made.effects), repr(made.noise))
             alike.setdefault(kind, (made, []))[1].append(name)
-    groups = [
-        (made, devices.without({*devices.names} - {*names})) for made, names in alike.values()
-    ]
-    groups.insert(0, (model, Devices((), ())))  # after which the result is named
-    with deadline.finishing():
-        return fit_together(devices.names, refused, groups, options), structures
+    everyone = {*devices.names}
+    groups = [(made, devices.without(everyone - {*names})) for made, names in alike.values()]
+    return structures, groups, refused
 
 
 BURN_IN, ROUNDS = (
