@@ -49,7 +49,7 @@ BEHIND = {
         _tables.cells: Cells
         _tables.open_table: MAX_BYTES READ
         _tables.parquet_netcdf: arrow_cells arrow_headers
-        _tables.raw_table: Table after as_format load_whole refuse_large
+        _tables.raw_table: Table as_format load_whole refuse_large row_place
     """,
     "imu": """
         _calibration.mixture: usual_columns with_columns

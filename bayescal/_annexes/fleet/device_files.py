@@ -221,10 +221,10 @@ def _open(piece: Piece, options: ReadOptions) -> Table:
         pa.default_memory_pool().release_unused()
         return cells
 
-    return Table(file, arrow_headers(schema), piece.readings, load, place=_Rows(piece))
+    return Table(file, arrow_headers(schema), piece.readings, load, place=DeviceRows(piece))
 
 
-class _Rows:
+class DeviceRows:
     """Where the readings of some devices stand in their Parquet file, looked up where a message asks for it."""
 
     def __init__(self, piece: Piece) -> None:
