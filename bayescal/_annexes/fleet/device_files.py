@@ -25,7 +25,6 @@ from bayescal._tables.parquet_netcdf import arrow_cells, arrow_headers
 from bayescal._tables.raw_table import Table, as_format, refuse_large, row_place
 from bayescal.workshop import ReadOptions, one_line
 
-PACKED = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar", ".tgz", ".rar")
 BYTES_A_ROW = 30  # of a text file, a log
 
 
@@ -123,28 +122,24 @@ def left_out(paths: Sequence[Path]) -> dict[str, str]:
 
 def _entries(folder: Path) -> Iterator[tuple[Path, str]]:
     """Yield all that stands in a folder and in those below it, and why it is not read; "" for a file of readings."""
-    closed: list[OSError] = []
-    for place, folders, files in os.walk(folder, onerror=closed.append):
+    for place, folders, files in os.walk(folder):
         whys = {name: _why_not(Path(place, name)) for name in (*folders, *files)}
         yield from ((Path(place, n), why) for n, why in whys.items() if why or n in files)
         folders[:] = [name for name in folders if not whys[name]]
-    yield from ((Path(e.filename), f"cannot be looked into: {e.strerror}") for e in closed)
 
 
 def _why_not(path: Path) -> str:
-    """Why something in a folder is not read; empty for folders and files of readings."""
+    """Return why something in a folder is not read; "" for folders and files of readings."""
     if path.name[0] in "._":
         return "its name begins with . or _, as of what programs keep for themselves"
     if path.is_dir():
-        return "a link to a folder, which is not followed" if path.is_symlink() else ""
-    if not path.is_file():
-        return "a link to nothing" if path.is_symlink() else "a pipe or a device, no file"
-    suffix = path.suffix.lower()
-    if suffix in READ:
+        if path.is_symlink() or not os.access(path, os.R_OK | os.X_OK):
+            return "a link to a folder, or one that cannot be looked into"
         return ""
-    if suffix in PACKED:
-        return f"packed ({suffix}): unpack it first"
-    return f"{suffix or 'no suffix'} is none of the formats that are read"
+    if not path.is_file():
+        return "a link to nothing, a pipe or a device"
+    suffix = path.suffix.lower()
+    return "" if suffix in READ else f"{suffix or 'no suffix'} is none of the formats that are read"
 
 
 def _pieces(path: Path, rows: int, device: str) -> Iterator[Piece]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -57,28 +57,32 @@ class Find:
 
 
 @dataclass(frozen=True)
-class DeviceStructure:
-    """What is missing from one device's model, as plain JSON holds it.
+class Evidence:
+    """What one device's readings say of its structures.
 
     Attributes:
-        effects: of the structure to use, by their forms.
-        noise: its law; "" for that of the model given.
-        nothing: probability that the model is complete.
-        inclusion: effect → probability that it is, where that is not small.
-        sets: of which one is missing each, with probability 0.95.
-        prior: effect → probability before the readings, for all that they could show.
-        weighed: sets of effects with their log evidence, all noise laws together, against the best.
-        families: of the effects of the structure to use.
+        prior: effect → probability, before the readings, that a device lacks it; what it cannot show is not named.
+        log_evidence: sets of effects, all noise laws together → natural logarithm, up to a constant.
     """
 
-    effects: list[str]
-    noise: str
-    nothing: float
-    inclusion: dict[str, float]
-    sets: list[list[str]]
-    prior: dict[str, float]
-    weighed: list[tuple[list[str], float]]
-    families: list[str] = field(default_factory=list)
+    prior: Mapping[str, float]
+    log_evidence: Mapping[tuple[str, ...], float]
+
+
+@dataclass(frozen=True)
+class DeviceStructure:
+    """What is missing from one device's model.
+
+    Attributes:
+        effects, families: of the structure to use: forms, and what they are of.
+        possible: effects of which one is missing, with probability 0.95.
+        evidence: of its structures.
+    """
+
+    effects: tuple[str, ...]
+    families: frozenset[str]
+    possible: frozenset[str]
+    evidence: Evidence
 
 
 def search_device(
@@ -99,26 +103,22 @@ def search_device(
         raise deadline.TimeIsUp(stopped)
     posterior = Posterior.of(structures)
     chosen = posterior.chosen
-    inclusion = {n: posterior.inclusion(n) for n in structures.forms}
     odds = {
         n: float(np.logaddexp.reduce([structures.log_odds[f] for f in own]))
         for n, own in structures.forms.items()
     }
+    prior = {n: float(expit(of_family)) for n, of_family in odds.items()}
     structure = DeviceStructure(
-        sorted(chosen.effects),
-        chosen.noise,
-        posterior.complete(structures),
-        {n: p for n, p in inclusion.items() if p > KEPT_PROBABILITY},
-        [list(finding.effects) for finding in posterior.findings],
-        {n: float(expit(of_family)) for n, of_family in odds.items()},
-        _weighed(posterior, odds),
-        sorted(posterior.families(chosen.effects)),
+        tuple(sorted(chosen.effects)),
+        frozenset(posterior.families(chosen.effects)),
+        frozenset(name for finding in posterior.findings for name in finding.effects),
+        Evidence(prior, _weighed(posterior, odds)),
     )
     return structure, structures.weigh(chosen).model
 
 
-def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> list[tuple[list[str], float]]:
-    """Sets of effects, in whatever form, with their log evidence, the best first."""
+def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> dict[tuple[str, ...], float]:
+    """Log evidence of sets of effects, in whatever form, less that of the best."""
     total: dict[tuple[str, ...], float] = {}
     for structure, log_posterior in zip(posterior.structures, posterior.total, strict=True):
         effects = tuple(sorted(posterior.families(structure.effects)))
@@ -126,7 +126,7 @@ def _weighed(posterior: Posterior, log_odds: Mapping[str, float]) -> list[tuple[
         total[effects] = float(np.logaddexp(total.get(effects, -np.inf), own))
     best = max(total.values())
     order = sorted(total, key=lambda effects: -total[effects])[:KEPT_STRUCTURES]
-    return [(list(e), round(total[e] - best, 6)) for e in order if total[e] > best - BEHIND_NATS]
+    return {e: round(total[e] - best, 6) for e in order if total[e] > best - BEHIND_NATS}
 
 
 def search_devices(
@@ -149,31 +149,16 @@ def search_devices(
                 continue
             structures[name] = structure
             # Open sizes are a device's own: only equal models share a program.
-            kind = (*structure.effects, structure.noise, repr(made.effects), repr(made.noise))
+            kind = (structure.effects, repr(made.effects), repr(made.noise))
             alike.setdefault(kind, (made, []))[1].append(name)
     everyone = {*devices.names}
     groups = [(made, devices.without(everyone - {*names})) for made, names in alike.values()]
     return structures, groups, refused
 
 
-BURN_IN, ROUNDS = (
-    200,
-    1000,
-)  # of Gibbs sampling: until shares are at rest, and those that are averaged
+# Of Gibbs sampling: until shares are at rest, and those that are averaged.
+BURN_IN, ROUNDS = 200, 1000
 NONE, ALL = 1e-12, 1 - 1e-12  # shares, as far as their log odds are taken
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """What one device's readings say of its structures.
-
-    Attributes:
-        prior: effect → probability, before the readings, that a device lacks it; what it cannot show is not named.
-        log_evidence: sets of effects → natural logarithm, up to a constant.
-    """
-
-    prior: Mapping[str, float]
-    log_evidence: Mapping[tuple[str, ...], float]
 
 
 class Share(NamedTuple):
@@ -273,10 +258,9 @@ def effects_table(structures: Sequence[DeviceStructure], seed: int = 0) -> pd.Da
     Then of all devices together: probability that any has it, how many are expected to, their share, and its 95 %
     interval if any device has it.
     """
-    named = Counter(name for one in structures for name in one.families or one.effects)
-    possible = Counter(name for one in structures for name in {n for s in one.sets for n in s})
-    known = [Evidence(one.prior, {tuple(e): v for e, v in one.weighed}) for one in structures]
-    found = shares(known, seed)
+    named = Counter(name for one in structures for name in one.families)
+    possible = Counter(name for one in structures for name in one.possible)
+    found = shares([one.evidence for one in structures], seed)
     rows = [
         [name, named[name], possible[name], one.in_fleet, one.expected, *one[1:4]]
         for name, one in found.items()
