@@ -22,7 +22,7 @@ from bayescal._annexes.fleet.devices import Devices, open_readings, split_table
 from bayescal._tables.cells import Cells
 from bayescal._tables.open_table import MAX_BYTES, READ
 from bayescal._tables.parquet_netcdf import arrow_cells, arrow_headers
-from bayescal._tables.raw_table import Table, as_format, refuse_large, row_place
+from bayescal._tables.raw_table import Table, as_format, refuse_large
 from bayescal.workshop import ReadOptions, one_line
 
 BYTES_A_ROW = 30  # of a text file, a log
@@ -231,4 +231,4 @@ class DeviceRows:
         return np.flatnonzero(pa.compute.is_in(column, self.piece.devices).to_numpy())
 
     def __call__(self, index: int) -> str:
-        return row_place(int(self.rows[index]))
+        return f"row {self.rows[index] + 1}"

@@ -24,9 +24,10 @@ from scipy.special import expit
 from bayescal import BayescalError, Effect, Measurements, Model
 from bayescal._annexes.fleet.batch_result import EFFECTS
 from bayescal._annexes.fleet.devices import Devices
+from bayescal._annexes.fleet.fit_devices import Reference
 from bayescal._core import deadline
 from bayescal._core.settings import settings
-from bayescal._model.frame import Reference, reference_of
+from bayescal._model.frame import reference_of
 from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.posterior import Posterior

@@ -37,6 +37,8 @@ from bayescal._annexes.fleet.fit_devices import (
     CHUNK,
     FitOptions,
     Fits,
+    Method,
+    Reference,
     common_reference,
     tailored_to_first,
     temperature_sums,
@@ -45,10 +47,7 @@ from bayescal._annexes.fleet.odd_devices import odd_devices
 from bayescal._annexes.fleet.partial_pooling import pooled
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
 from bayescal._core import deadline
-from bayescal._core.progress import EVERY
 from bayescal._core.settings import settings
-from bayescal._inference.method import Method
-from bayescal._model.frame import Reference
 from bayescal.workshop import ReadOptions, note, stage, tell
 
 if TYPE_CHECKING:
@@ -56,6 +55,7 @@ if TYPE_CHECKING:
 
 ROWS = 500_000  # readings in a part, which with JAX takes 0.6 GB of a worker
 FIND_ROWS = 5_000  # where each device is searched: so that no more than a minute or two is lost
+PROGRESS_SECONDS = 9.0  # between two lines about how far it is
 HOLDS_PART = threading.Lock()  # a worker of several threads holds one part at a time all the same
 
 Readings = (
@@ -192,7 +192,7 @@ class _Run:
                 together.missing |= dict.fromkeys(files, outcome.error)
             else:
                 values[outcome.index] = outcome.value
-            if time.monotonic() > last + EVERY:
+            if time.monotonic() > last + PROGRESS_SECONDS:
                 last = time.monotonic()
                 devices = sum(len(own.fits.names) for own in values.values())
                 rest = (last - begun) * (len(tasks) / count - 1)

@@ -27,11 +27,14 @@ from typing import Any
 
 import bayescal
 from bayescal import (
+    NUTS,
     Calibration,
     Discovery,
     Effect,
     InputError,
     Instrument,
+    LeastSquares,
+    Marginal,
     Measurements,
     Model,
     Noise,
@@ -42,9 +45,7 @@ from bayescal import (
 )
 from bayescal._calibration.posterior_tree import build_tree
 from bayescal._calibration.storage import save
-from bayescal._inference.method import Method
 from bayescal._model.formula import Formula
-from bayescal._model.frame import Reference
 from bayescal._model.installed import GROUP, installed_names
 from bayescal._report.whole_folder import AGAIN
 from bayescal._search.calibrate import QUICK
@@ -234,12 +235,12 @@ class Origin:
 class SearchOptions:
     """What `calibrate` is asked with, apart from model and readings; see there."""
 
-    method: Method | None = None
+    method: LeastSquares | Marginal | NUTS | None = None
     max_effects: int = 5
     widen_noise: bool = True
     keep_spikes: bool = False
     seed: int = 0
-    reference: Reference | None = None
+    reference: Mapping[str, Any] | None = None
     time_limit: float | None = None
     accept_conflicts: Collection[str] = ()
 
