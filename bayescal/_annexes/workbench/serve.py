@@ -30,9 +30,8 @@ from bayescal._annexes.workbench.session import Session
 from bayescal._annexes.workbench.start import FIRST, Address, kept_sessions, opened_in_browser
 from bayescal.workshop import html_text
 
-LARGEST_MESSAGE = (
-    64 * 2**20
-)  # bytes of one message of a browser's; files come in pieces that are far smaller
+# Bytes of one message of a browser's; files come in pieces that are far smaller.
+LARGEST_MESSAGE = 64 * 2**20
 MOST_LINKS = 4  # other sessions that are named; the others are in the folder
 MOST_ASKED = 2**16  # bytes of a request beside its messages: the page asks without a body
 

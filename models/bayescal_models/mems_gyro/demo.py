@@ -9,10 +9,8 @@ import bayescal as bc
 from bayescal_models.mems_gyro.model import INSTRUMENT
 from bayescal_models.mems_gyro.tables import TABLE
 
-PUBLISHED = {
-    "bias.constant": 19.80,
-    "bias.temperature": 0.041,
-}  # source 1, as printed: 0.041·T + 19.80
+# Source 1, as printed: 0.041·T + 19.80.
+PUBLISHED = {"bias.constant": 19.80, "bias.temperature": 0.041}
 HIDDEN = {"bias.thermal_lag": 0.05}  # °/s per °C between die and thermometer
 
 
