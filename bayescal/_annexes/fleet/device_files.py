@@ -76,7 +76,7 @@ def parts_of(paths: Sequence[Path], rows: int, device: str) -> list[tuple[Piece,
         device: the files' name of the column of devices.
 
     Raises:
-        InputError: a path is not there, or there is no file of readings in them.
+        InputError: there is no file of readings in them.
     """
     if rows < 1:
         raise InputError(f"partition_rows is {rows}: give at least 1")
@@ -92,12 +92,10 @@ def files_of(paths: Sequence[Path]) -> list[Path]:
     """Files, and those in folders and the folders in these, in order of their names.
 
     Raises:
-        InputError: a path is not there, is given twice, or holds no file of readings.
+        InputError: a path is given twice, or holds no file of readings.
     """
     files: list[Path] = []
     for path in paths:
-        if not path.exists():
-            raise InputError(f"{str(path)!r} is not there: check the name and the folder")
         files += sorted(p for p, why in _entries(path) if not why) if path.is_dir() else [path]
     if not files:
         unread = "".join(f"; {name}: {why}" for name, why in list(left_out(paths).items())[:3])

@@ -48,7 +48,7 @@ from bayescal._annexes.fleet.partial_pooling import pooled
 from bayescal._annexes.fleet.population import AskedPopulation, chosen
 from bayescal._core import deadline
 from bayescal._core.settings import settings
-from bayescal.workshop import ReadOptions, note, stage, tell
+from bayescal.workshop import ReadOptions, note, refuse_missing, stage, tell
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -268,6 +268,7 @@ def fit_batch(
     request = Request(model, options, read_options, search, settings())
     paths, unread, parts = _paths(readings), dict[str, str](), list[Part]()
     if paths:
+        refuse_missing([path for path in paths if not path.is_dir()])
         resolved, rows = [p.resolve() for p in paths], FIND_ROWS if search else ROWS
         unread = left_out(resolved)
         for line in first_few(unread, len(unread), "not read: "):

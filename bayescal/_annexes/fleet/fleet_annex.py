@@ -21,17 +21,11 @@ from bayescal.workshop import (
     method_named,
     named_numbers,
     own_effects,
-    refuse_missing,
     refuse_unknown_method,
 )
 
 if TYPE_CHECKING:
     from distributed import Client
-
-
-def _refuse_missing_beside_folders(paths: list[Path]) -> list[Path]:
-    refuse_missing([path for path in paths if not path.is_dir()])
-    return paths
 
 
 commands = Commands(
@@ -47,7 +41,7 @@ commands = Commands(
         "workers": "Processes of this machine that share the work.",
     },
     {
-        "files": {"callback": _refuse_missing_beside_folders},
+        "files": {"callback": None},  # folders too
         "out": {"names": ["--out", "-o"]},
         "method": {"callback": refuse_unknown_method},
         "workers": {"min": 1},
