@@ -608,7 +608,7 @@ class Fits:
         if not found.verdict.ok:
             return found.verdict.reasons
         free = found.layout.size
-        if len(found.readings) <= free:
+        if NOISE not in dict(found.model.fixed) and len(found.readings) <= free:
             return [Claim("readings.too_few", count=len(found.readings), free=free)]
         return [said] if (said := noiseless(found)) else found.conflicts
 
