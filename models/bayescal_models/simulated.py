@@ -80,7 +80,7 @@ def refuse_options(
     refuse_all(positive, lambda v: v > 0, "a number above 0")
     refuse_all(not_negative, lambda v: v >= 0, "0 or more")
     refuse_all(counts, lambda v: v >= 1 and v == int(v), "a whole number, at least 1")
-    refuse_all(filled, len, "at least one value")
+    refuse_all(filled, lambda v: len(v) > 0, "at least one value")
     for name, known in choices.items():
         right = partial(_among, known)
         refuse_all([name], right, f"one of {', '.join(known)}")

@@ -35,6 +35,7 @@ BEHIND = {
         _data.header_matching: ExpectedColumns InstrumentLike MatchedFile output_name unit_of unused_options
         _inference: sampled_products trust
         _inference.laplace: climb gaussian_fit
+        _inference.method: Method
         _inference.sampling: PriorShare around_mode propose
         _model: forward
         _model.frame: GROUPS build_frame reference_name reference_of rounded_means

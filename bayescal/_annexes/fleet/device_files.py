@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 
@@ -226,7 +227,7 @@ class DeviceRows:
     @cached_property
     def rows(self) -> np.ndarray:
         column = pq.read_table(self.piece.path, columns=[self.piece.column]).column(0)
-        return np.flatnonzero(pa.compute.is_in(column, self.piece.devices).to_numpy())
+        return np.flatnonzero(pc.is_in(column, self.piece.devices).to_numpy())  # pyright: ignore
 
     def __call__(self, index: int) -> str:
         return f"row {self.rows[index] + 1}"

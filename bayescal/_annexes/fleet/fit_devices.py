@@ -34,7 +34,6 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from bayescal import (
-    NUTS,
     BayescalError,
     Calibration,
     Frame,
@@ -53,6 +52,7 @@ from bayescal._core import deadline
 from bayescal._core.jit import compiled
 from bayescal._core.settings import unusual
 from bayescal._inference import sampled_products
+from bayescal._inference.method import Method
 from bayescal._model import forward
 from bayescal._model.frame import (
     GROUPS,
@@ -64,8 +64,7 @@ from bayescal._model.frame import (
 from bayescal._model.parameters import Layout, bind, member_name
 from bayescal.workshop import UNCERTAINTY
 
-Method = LeastSquares | Marginal | NUTS
-Reference = Mapping[str, float | Mapping[str, float]]  # constants of bases
+Reference = dict[str, Any]  # constants of bases
 
 PLAIN_SD = 3.0  # prior standard deviations that a coefficient stands from its prior's mean, at most
 PLAIN_SHARE = 1e-5  # of two sizes, above which neither is in a wrong unit
