@@ -48,7 +48,6 @@ from ._core.as_json import write_json as write_json
 
 # files: written whole or not at all; folders of results
 from ._core.atomic_file import replacing_for_user as replacing_for_user
-from ._core.atomic_file import sha256_of as sha256_of
 from ._core.atomic_file import to_disk as to_disk
 from ._core.atomic_file import write_text as write_text
 

@@ -27,7 +27,6 @@ BEHIND = {
         _core.jax_setup: configure_jax obey_no_folder
         _core.jit: compiled
         _core.parallel: over
-        _core.progress: EVERY
         _core.settings: settings unusual
         _data.column: ConvertedColumns Source
         _data.column_conversion: convert_columns
@@ -38,7 +37,7 @@ BEHIND = {
         _inference.method: Method
         _inference.sampling: PriorShare around_mode propose
         _model: forward
-        _model.frame: GROUPS Reference build_frame reference_name reference_of rounded_means
+        _model.frame: GROUPS build_frame reference_name reference_of rounded_means
         _model.parameters: Layout bind
         _model.unknowns: Unknowns
         _search.discover: structures_over
@@ -49,7 +48,7 @@ BEHIND = {
         _tables.cells: Cells
         _tables.open_table: MAX_BYTES READ
         _tables.parquet_netcdf: arrow_cells arrow_headers
-        _tables.raw_table: Table after as_format load_whole refuse_large
+        _tables.raw_table: Table as_format load_whole refuse_large
     """,
     "imu": """
         _calibration.mixture: usual_columns with_columns
@@ -75,21 +74,17 @@ BEHIND = {
     "workbench": """
         _calibration.check: covariates_of
         _calibration.check_result: place_in_words
-        _calibration.noise_in_time: AllanCheck
         _calibration.summary: null_directions unknown_rows
         _core: deadline
         _data.header_matching: MISSING_READINGS
-        _inference.method: Method
         _model.effect: with_forms
         _model.formula: Formula
-        _model.frame: Reference
         _model.installed: GROUP installed_names
         _report.plot_colours: BLUE CYCLE GREEN ORANGE PURPLE RED SKY
         _report.report: Pictures
         _report.section: of_folder
         _report.whole_folder: AGAIN
         _search.calibrate: Loop QUICK step_of
-        _search.candidate: Candidate
         _search.discover: SEARCH missing
         _search.gate: judged
         _search.noise_laws: laws_over
@@ -100,7 +95,6 @@ BEHIND = {
         _tables.cells: ORDERS
         _tables.mapping_file: ReadMapping save_mapping
         _tables.open_table: TEXT
-        _tables.raw_table: bytes_text
         _use: correction_files
     """,
 }

@@ -171,7 +171,7 @@ def test_devices_and_their_mountings_are_told_apart() -> None:
 
 
 def test_what_cannot_be_simulated_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"Campaign\(runs\): 0 of them"):
+    with pytest.raises(ValueError, match="runs=0"):
         Campaign(runs=0)
     with pytest.raises(ValueError, match="a verification needs the axes x and y"):
         Campaign(grid=(0.0, 10.0), axes=PROJECTED[:1])

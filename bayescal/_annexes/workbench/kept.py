@@ -28,11 +28,14 @@ from typing import Any, TypedDict
 
 import bayescal
 from bayescal import (
+    NUTS,
     Calibration,
     Discovery,
     Effect,
     InputError,
     Instrument,
+    LeastSquares,
+    Marginal,
     Measurements,
     Model,
     ModelError,
@@ -42,9 +45,7 @@ from bayescal import (
     read,
     set_aside,
 )
-from bayescal._inference.method import Method
 from bayescal._model.formula import Formula
-from bayescal._model.frame import Reference
 from bayescal._model.installed import GROUP, installed_names
 from bayescal._report.whole_folder import AGAIN
 from bayescal._search.calibrate import QUICK
@@ -231,12 +232,12 @@ class Origin:
 class SearchOptions:
     """What `calibrate` is asked with, apart from model and readings; see there."""
 
-    method: Method | None = None
+    method: LeastSquares | Marginal | NUTS | None = None
     max_effects: int = 5
     widen_noise: bool = True
     keep_spikes: bool = False
     seed: int = 0
-    reference: Reference | None = None
+    reference: dict[str, Any] | None = None
     time_limit: float | None = None
     accept_conflicts: Collection[str] = ()
 
