@@ -35,11 +35,6 @@ def test_a_name_has_its_module(name: str) -> None:
     assert {"main", "BANKS", "render"} & functions_of(f"benchmarks.{command.MODULES[name]}")
 
 
-def test_an_unknown_name_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.main(["certifed"]) == 2
-    assert "no benchmark is called certifed; there are: certified, " in capsys.readouterr().err
-
-
 def test_code_for_other_processes_names_what_is_there() -> None:
     found = [
         (module, name)

@@ -14,11 +14,8 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.house.test_architecture import ROOMS
-
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
-QUESTIONS = PAGE.partition("## Where would I change")[2]
 
 
 class Place(NamedTuple):
@@ -102,12 +99,6 @@ def test_a_row_names_what_is_there(row: list[str]) -> None:
         )
 
 
-def test_it_is_twelve_words_and_twenty_questions() -> None:
-    assert len(TABLES) - len(rows_of(QUESTIONS)) == 12
-    assert len(rows_of(QUESTIONS)) == 20
-    assert all("**" in row[0] for row in rows_of(QUESTIONS))
-
-
 @pytest.mark.parametrize("page", ["ARCHITECTURE.md", "CONTRIBUTING.md", "docs/tour.py"])
 def test_files_named_in_the_text_exist(page: str) -> None:
     text = re.sub(
@@ -115,17 +106,3 @@ def test_files_named_in_the_text_exist(page: str) -> None:
     )
     for path in re.findall(r"`([\w.]+(?:/[\w.]+)*/[\w.]*)`", text):
         assert file_of(path).exists() or path == "demo_output/", path
-
-
-def test_the_picture_shows_every_room_from_the_top_down() -> None:
-    """Each stands above what it imports, or beside it."""
-    picture = re.search(r"```text\n(.*?)```", PAGE, re.DOTALL)
-    assert picture is not None
-    lines = picture[1].splitlines()
-    shown = {
-        room: next(i for i, line in enumerate(lines) if re.search(rf"(^|\s){room}\s", line))
-        for room in ROOMS
-        if room not in ("plot", "__main__")
-    }
-    from_the_ground = list(shown.values())
-    assert from_the_ground == sorted(from_the_ground, reverse=True)

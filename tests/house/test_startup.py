@@ -179,13 +179,6 @@ def test_what_is_wrong_is_refused_before_anything_that_computes(tmp_path: Path) 
         assert wanted in said, command
 
 
-def test_an_instruments_module_says_what_its_files_hold_as_the_instrument_does() -> None:
-    from bayescal._model.installed import FileColumns, file_columns, installed_instruments
-
-    for name, instrument in installed_instruments().items():
-        assert file_columns(name) == FileColumns.of(instrument)
-
-
 @pytest.mark.slow
 def test_independent_batched_factorisations_in_a_loop_finish(tmp_path: Path) -> None:
     variables = {"BAYESCAL_CACHE": str(tmp_path)}
@@ -209,10 +202,6 @@ def test_double_precision_and_a_cache_in_the_users_folder(tmp_path: Path) -> Non
     assert any(folder.iterdir()), "a small program was not kept"
 
 
-def test_an_own_cache_folder(tmp_path: Path) -> None:
-    assert settings({"BAYESCAL_CACHE": str(tmp_path)})["cache"] == str(tmp_path / "jax")
-
-
 def test_a_start_drops_the_programs_not_used_for_longest(tmp_path: Path) -> None:
     folder = tmp_path / "jax"
     folder.mkdir()
@@ -226,57 +215,5 @@ def test_a_start_drops_the_programs_not_used_for_longest(tmp_path: Path) -> None
     assert "older-cache" not in left
 
 
-def test_programs_are_dropped_one_by_one_until_the_rest_fit(tmp_path: Path) -> None:
-    from bayescal._core.jax_setup import drop_oldest
-
-    for age in range(5):
-        path = tmp_path / f"{age}-cache"
-        path.write_bytes(bytes(100))
-        os.utime(path, (1e9 - age, 1e9 - age))
-    drop_oldest(tmp_path, 500)
-    assert len(list(tmp_path.iterdir())) == 5
-    drop_oldest(tmp_path, 299)
-    assert {path.name for path in tmp_path.iterdir()} == {"0-cache", "1-cache"}
-    drop_oldest(tmp_path / "not there", 0)
-
-
 def test_an_empty_cache_variable_turns_the_cache_off() -> None:
     assert settings({"BAYESCAL_CACHE": ""})["cache"] is None
-
-
-def test_a_folder_that_cannot_be_made_means_no_cache(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("in the way")
-    got = settings({"BAYESCAL_CACHE": str(tmp_path / "file" / "cache")})
-    assert got["cache"] is None
-    assert got["dtype"] == "float64"
-
-
-def test_a_cache_that_the_user_configured_is_left_alone(tmp_path: Path) -> None:
-    own = str(tmp_path / "own")
-    got = settings({"JAX_COMPILATION_CACHE_DIR": own, "BAYESCAL_CACHE": str(tmp_path / "other")})
-    assert got["cache"] == own
-    assert got["least_time"] != 0
-    assert not (tmp_path / "other").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(
-    not Path("/proc/self/maps").is_file(), reason="counts memory maps as Linux does"
-)
-def test_compiled_programs_are_dropped_before_the_memory_maps_run_out(monkeypatch) -> None:
-    import jax
-    import jax.numpy as jnp
-
-    from bayescal._core import jax_setup
-
-    def maps() -> int:
-        return len(Path("/proc/self/maps").read_text("ascii").splitlines())
-
-    for i in range(24):
-        jax.jit(lambda x, i=i: jnp.sin(x + i) @ x)(jnp.ones(3 + i))
-    held = maps()
-    jax_setup.spare_memory_maps()
-    assert maps() >= held - 50  # far from the limit, nothing is dropped
-    monkeypatch.setattr(jax_setup, "MOST_MAPS", 100)
-    jax_setup.spare_memory_maps()
-    assert maps() < held - 50
