@@ -35,7 +35,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_calibration_of_means_is_saved_verified_and_predicts(log: Path, tmp_path: Path) -> None:
     fitted = run("fit", log, *STILL, *QUICK, "--average", "1s", "--out", tmp_path)
     assert fitted.status == 0, fitted.err
-    assert "6000 readings averaged over 1 s, to 600 means of 10; noise.white is that" in fitted.err
     loaded = bc.load(tmp_path / "calibration.nc")
     assert len(loaded.readings) == 600
     assert run("check", tmp_path / "calibration.nc").status == 0
@@ -50,7 +49,6 @@ def test_a_loop_over_means_sets_spikes_aside_before(tmp_path: Path) -> None:
     asked = ("--average", "1s", "--max-effects", 1, *QUICK, "--json")
     found = run("calibrate", log, *STILL, "--holdout", kept, *asked)
     assert found.status == 0, found.err
-    assert "log.csv: 1 reading(s) set aside" in found.err.replace("2.csv", "log.csv")
     step = found.data["steps"][-1]
     assert step["holdout_rmse"] == pytest.approx(20 / np.sqrt(10), rel=0.2)
 
@@ -59,4 +57,3 @@ def test_averaging_is_proposed_where_a_log_is_long(tmp_path: Path, log: Path) ->
     long = run("fit", write_log(tmp_path / "long.csv", 25_000, 4), *STILL, *QUICK)
     proposed = "long.csv: 25,000 readings: --average 1s would leave about 2,500 with nearly the"
     assert proposed in long.err
-    assert "--average" not in run("fit", log, *STILL, *QUICK).err

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -68,16 +67,6 @@ def test_names_that_are_not_used(tmp_path) -> None:
     kept = bc.load(tmp_path / "out" / "calibration.nc").readings
     assert len(HOSTILE) >= 30 and set(kept.columns) >= set(map(name_in_files, HOSTILE))
     taken_away(tmp_path, file)
-
-
-def test_names_without_units_are_noted_or_refused_with_a_cure(tmp_path) -> None:
-    columns = {"time [s]": TIME, "temperature [degC]": TEMPERATURE, "output [deg/s]": OUTPUT}
-    file = write(tmp_path / "lab.csv", columns | dict.fromkeys(HOSTILE, BESIDE))
-    first = run("fit", file, *GYRO, "--method", "least-squares")
-    assert first.status == 2 and "--ignore" in first.err
-    cures = shlex.split(first.err.strip().splitlines()[-1].partition("meant: ")[2])
-    again = run("fit", file, *GYRO, "--method", "least-squares", *cures)
-    assert again.status == 0, again.err
 
 
 @pytest.mark.slow

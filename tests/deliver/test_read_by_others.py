@@ -123,9 +123,9 @@ def test_ros() -> None:
     assert len(found["SM"]) == 9 and len(found["bias"]) == 3
     by_ros = measured(ACCELEROMETER) @ np.reshape(found["SM"], (3, 3)).T - found["bias"]
     np.testing.assert_allclose(by_ros, corrected(ACCELEROMETER), **CLOSE)
-    with pytest.raises(bc.InputError, match="imu_calib corrects accelerometers"):
+    with pytest.raises(bc.InputError):
         text_of(GYROSCOPE, "ros")
-    with pytest.raises(bc.InputError, match=r"holds accelerometers and gyroscopes, and .* \[uT\]"):
+    with pytest.raises(bc.InputError):
         text_of(triad("magnetometer_triad"), "realsense")
 
 

@@ -218,11 +218,6 @@ def test_steps_are_referred_to_by_index(data: dict[str, Any]) -> None:
     assert {e["step"] for e in data["check"]} == set(steps)
 
 
-def test_a_direction_that_was_not_measured_is_named(sampled: dict[str, Any]) -> None:
-    (direction,) = sampled["identifiability"]["null_directions"]
-    assert "bias.idle" in direction["in_words"]
-
-
 def test_numbers_that_are_not_finite_become_null(tmp_path: Path) -> None:
     data = {"a": [np.float64("nan"), float("inf"), 1], "b": {"c": np.int64(3), "d": -np.inf}}
     write_plain_json(data, tmp_path / "r.json")

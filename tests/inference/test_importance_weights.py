@@ -24,7 +24,7 @@ def test_what_has_no_tail() -> None:
     weights, k_hat = smoothed(np.full(10, 3.0))
     assert k_hat == 0.0
     assert np.all(weights == 0.1)
-    with pytest.raises(ValueError, match="24 draws are too few"):
+    with pytest.raises(ValueError):
         smoothed(np.arange(24.0))
 
 

@@ -42,7 +42,6 @@ def test_a_row_of_the_instruments_own_stands_in_the_place_of_the_catalogues() ->
     assert table["bias.drift"].coefficients[0].size == 0.1
     hysteresis = table["bias.hysteresis"]
     assert hysteresis.coefficients[0].size == 0.15
-    assert hysteresis.source == "ours: 0.25 of 0.6 deg/s"
 
 
 def test_families_of_a_group_have_a_coefficient_for_each_of_its_members() -> None:

