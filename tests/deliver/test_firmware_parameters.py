@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models import inclinometer, still_sensor
+from bayescal_models import still_sensor
 from tests.support.command_line import needs_installation, run
 from tests.support.log_files import write_dataflash, write_ulog
-from tests.support.made_up import bent_sensor
 
 INSTRUMENT = still_sensor.INSTRUMENT
 QUICK = bc.LeastSquares(draws=400)
@@ -133,15 +132,6 @@ def test_ardupilot_takes_away_what_the_calibration_found(axes) -> None:
         np.testing.assert_allclose(taken, wanted, atol=2e-7)
 
 
-def test_a_scale_factor_that_has_no_place_is_said_with_its_size(axes) -> None:
-    made = bc.firmware_parameters({"gyro_y": bent_sensor.gyro()}, "ardupilot-params")
-    calibration = bent_sensor.gyro()
-    share = 1e-4 * calibration.samples("scale.constant").mean()  # %, of ppm
-    said = f"gyro_y: the scale factor differs from nominal by {share:.3g} %, has no place here, and is left"
-    assert any(note.startswith(said) for note in made.notes)
-    bc.firmware_parameters({"gyro_x": axes["gyro_x"]}, "ardupilot-params")
-
-
 def test_one_range_holds_for_all_axes_of_a_sensor_and_ends_the_correction(axes) -> None:
     devices = {"gyro": 11, "acc": 12}
     values = loaded(bc.firmware_parameters(axes, "px4-params", devices=devices).text())
@@ -198,15 +188,6 @@ def test_what_makes_no_parameters_is_refused(
 ) -> None:
     with pytest.raises(bc.InputError):
         bc.firmware_parameters(dict.fromkeys(names, axes["gyro_x"]), format)
-
-
-def test_an_inclinometer_is_no_axis_of_an_autopilot() -> None:
-    readings = inclinometer.simulate(seed=0)
-    calibration = bc.fit(inclinometer.INSTRUMENT.baseline(), readings, bc.LeastSquares(draws=50))
-    with pytest.raises(bc.InputError):
-        bc.firmware_parameters(
-            {"gyro_x": bc.compensator(calibration, members={"axis": "x"})}, "ardupilot-params"
-        )
 
 
 @needs_installation

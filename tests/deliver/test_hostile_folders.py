@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 
-import bayescal as bc
 from tests.support.command_line import needs_installation, run
-from tests.support.inside import channel_folders, whole_folder
+from tests.support.inside import whole_folder
 from tests.support.reported import trail
 
 pytestmark = needs_installation
@@ -90,14 +89,3 @@ def test_a_result_of_other_types_is_refused_or_reported(saved, tmp_path) -> None
         assert "<script" not in text.removeprefix("refused: ") or text.startswith("refused")
         assert not (folder / "report.html").is_file() or not outcomes[-1]
     assert any(outcomes)
-
-
-def test_channels_that_lie_elsewhere_are_refused(tmp_path) -> None:
-    for name in ("..", "../other", "/etc", "", 3, None, "a\\b"):
-        told = {"channels": {"gyro_x": {"folder": name}}}
-        (tmp_path / "channels.json").write_text(json.dumps(told))
-        with pytest.raises(bc.InputError):  # whose results the next run would remove
-            channel_folders(tmp_path)
-    (tmp_path / "channels.json").write_text('{"channels": {"gyro_x": {"folder": "gyro_x"}}}')
-    assert channel_folders(tmp_path) == ["gyro_x"]
-    (tmp_path / "channels.json").write_text("[" * 100_000)

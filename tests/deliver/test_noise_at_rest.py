@@ -243,38 +243,6 @@ def log(path: Path, output: np.ndarray, labels=None, name: str = "device") -> Pa
     return path
 
 
-def test_each_device_of_a_file_has_its_own_table(tmp_path) -> None:
-    sizes = np.array([N, 5 * N]) / math.sqrt(0.01)
-    output = np.random.default_rng(8).standard_normal(1600) * np.tile(sizes, 800)
-    path = log(tmp_path / "two.csv", output, "AB")
-    done = run("noise", path, "--columns", "output=gyro_x", "--json")
-    assert done.status == 0, done.err
-    found = json.loads(done.out)
-    assert ["A" in name or "B" in name for name in found] == [True, True]
-    for (name, one), size in zip(found.items(), (N, 5 * N), strict=True):
-        (n,) = (f for f in one["figures"] if f["symbol"] == "N")
-        assert n["low"] < 60 * size < n["high"], name
-    still = bc.read(path, GYRO, columns={"output": "gyro_x"})
-    with pytest.raises(bc.InputError):
-        bc.noise(still)
-
-
-def test_sensors_of_two_kinds_in_one_column_are_refused(tmp_path) -> None:
-    output = np.random.default_rng(8).standard_normal(400)
-    path = log(tmp_path / "phone.csv", output, ["accelerometer", "gyroscope"], "sensor")
-    done = run("noise", path, "--columns", "output=gyro_x")
-    assert done.status == 2 and not done.out
-
-
-def test_stamps_that_do_not_tell_are_refused(tmp_path) -> None:
-    random = np.random.default_rng(8)
-    path = tmp_path / "six.csv"
-    rows = (f"1.73234e+09,{y:.6f}" for y in random.standard_normal(300))
-    path.write_text("time [s],gyro_x [deg/s]\n" + "\n".join(rows))
-    done = run("noise", path, "--columns", "output=gyro_x")
-    assert done.status == 2 and "Traceback" not in done.err
-
-
 # The file for a filter.
 
 
@@ -326,43 +294,3 @@ def test_a_file_for_kalibr_has_the_noisiest_axis_in_si_units() -> None:
     for name, value in expected.items():
         assert float(found[name]) == pytest.approx(value, rel=1e-4)
     assert found["rostopic"] == "/imu/raw"
-
-
-def test_a_higher_quantile_is_more_conservative() -> None:
-    low, high = (numbers(bc.kalibr_yaml({"x": told("rad/s")}, quantile=q)) for q in (0.5, 0.95))
-    assert float(high["gyroscope_noise_density"]) == pytest.approx(1.09, rel=1e-3)
-    assert float(low["gyroscope_noise_density"]) == pytest.approx(1.0, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("channels", "quantile"),
-    [
-        ({"x": told("rad/s")}, 1.0),
-        ({"x": told("V")}, 0.9),
-        ({"x": told("rad/s"), "y": replace(told("ug"), step=0.02)}, 0.9),
-    ],
-)
-def test_a_file_that_would_mislead_is_refused(channels, quantile) -> None:
-    with pytest.raises(bc.InputError):
-        bc.kalibr_yaml(channels, quantile=quantile)
-
-
-def test_bad_input_on_the_command_line_is_status_two(tmp_path) -> None:
-    file = tmp_path / "still.csv"
-    file.write_text("time [s],gyro_x [deg/s]\n" + "".join(f"{i},{i % 3}\n" for i in range(50)))
-    found = run("noise", file, "--columns", "output=gyro_x", "--quantile", "2")
-    assert found.status == 2
-
-
-@pytest.mark.slow
-def test_pictures_of_channels_stand_in_the_folder_whatever_their_names(tmp_path) -> None:
-    file = tmp_path / "still.csv"
-    drawn = np.random.default_rng(1).normal(size=(600, 2))
-    rows = "".join(f"{0.01 * i:.2f},{a:.5f},{b:.5f}\n" for i, (a, b) in enumerate(drawn))
-    file.write_text(f"time [s],a/b [deg/s],../c [deg/s]\n{rows}")
-    folder = tmp_path / "in" / "out"
-    yaml = ("--yaml", folder / "imu.yaml", "--out", folder)
-    assert run("noise", file, "--channels", "a/b,../c", *yaml).status == 0
-    names = ["imu.yaml", "manifest.json", "noise_a_b.png", "noise_c.png"]
-    assert sorted(p.name for p in folder.iterdir()) == names
-    assert [p.name for p in folder.parent.iterdir()] == ["out"]

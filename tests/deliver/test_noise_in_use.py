@@ -204,8 +204,3 @@ def test_every_exit_has_the_noise_of_the_place(name, tmp_path) -> None:
         ]
         np.testing.assert_allclose(stated, want, rtol=0.1)
         np.testing.assert_allclose(stated[3:], stated[2], rtol=1e-9)
-
-
-def test_noise_of_a_column_that_is_not_there_is_refused() -> None:
-    with pytest.raises(bc.InputError):
-        bc.compensator(calibrated("temperature"))(output=100.0)

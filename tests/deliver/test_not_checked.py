@@ -11,9 +11,8 @@ import pytest
 import bayescal as bc
 from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation, run
-from tests.support.inside import Session, dcc_of, identity_of
+from tests.support.inside import Session, identity_of
 from tests.support.made_up import bent_sensor
-from tests.support.stated import STATED
 
 LIMIT = "bias: 20..24 °/s"
 DEPENDS = "residuals still depend on temperature"
@@ -67,25 +66,6 @@ def test_a_step_on_the_way_is_checked_by_itself() -> None:
     first, last = trail.steps[0].calibration, trail.calibration
     assert bc.decide(last, LIMIT).decisions[0].decision == "accept"
     assert bc.decide(first, LIMIT).decisions[0].decision == "undecided"
-
-
-def test_no_certificate_is_written_of_it(fit, tmp_path) -> None:
-    stated = tmp_path / "stated.toml"
-    stated.write_text(STATED, "utf-8")
-    with pytest.raises(bc.InputError):
-        dcc_of(fit, stated)
-
-
-@pytest.mark.parametrize("name", ["c.h", "c.py", "c.json"])
-def test_every_export_says_that_it_is_not_reliable(fit, name, tmp_path) -> None:
-    text = bc.compensator(fit).export(tmp_path / name).read_text("utf-8")
-    assert "RESULT NOT RELIABLE" in text or "not reliable" in text.lower()
-    assert DEPENDS in text
-
-
-def test_parameters_of_an_autopilot_say_that_it_is_not_reliable(fit) -> None:
-    found = bc.firmware_parameters({"gyro_x": fit}, "ardupilot-params")
-    assert any("RESULT NOT RELIABLE" in note and DEPENDS in note for note in found.notes)
 
 
 @needs_installation

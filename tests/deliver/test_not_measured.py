@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.inside import dcc_of
 from tests.support.made_up import bent_sensor
 from tests.support.made_up.level import level
-from tests.support.stated import STATED
 
 DAY, YEAR = 86400.0, 365.25 * 86400.0  # s
 CANNOT = "cannot be said from these readings"
@@ -127,26 +124,6 @@ def test_in_an_average_over_structures_what_is_improbable_does_not_count(untold)
     )
     assert CANNOT not in rare.why_not
     assert CANNOT in common.why_not
-
-
-def test_a_budget_says_which_part_is_a_prior(unturned) -> None:
-    at_speed, _at_rest = (bc.budget(unturned, {"rate_input": rate}) for rate in (80.0, 0.0))
-    assert any("Most of it is prior" in n and "scale.constant" in n for n in at_speed.notes)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("unpainted")
-def test_a_certificate_and_a_report_mark_it(unturned, tmp_path) -> None:
-    stated = tmp_path / "stated.toml"
-    stated.write_text(STATED, "utf-8")
-    space = {"dcc": "https://ptb.de/dcc"}
-    root = ElementTree.fromstring(dcc_of(unturned, stated))
-    names = [
-        quantity.findtext("dcc:name/dcc:content", "", space)
-        for quantity in root.iterfind(".//dcc:result//dcc:quantity", space)
-    ]
-    assert "bias.constant" in names
-    bc.report(unturned, tmp_path / "report.html").read_text("utf-8")
 
 
 def test_the_spread_of_runs_is_measured_by_four_and_not_by_one() -> None:

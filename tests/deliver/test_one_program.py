@@ -178,36 +178,6 @@ def test_all_modules_in_one_process(tmp_path: Path) -> None:
         assert plain(0.3, **own_inputs)[0] == value
 
 
-@pytest.mark.parametrize("name", ["", "9x", "a-b", "float", "lambda", "a b", "größe", "x\n", "_x"])
-def test_what_is_no_name_in_c_and_python_is_refused(name: str, tmp_path: Path) -> None:
-    for export in (
-        scalar("line").export,
-        lambda p, **how: bc.export_vector(triad("gyro_triad"), p, **how),
-    ):
-        with pytest.raises(bc.InputError):
-            export(tmp_path / "sensor.h", name=name)
-    assert not any(tmp_path.iterdir())
-
-
-def test_two_of_one_instrument_are_no_unit(tmp_path: Path) -> None:
-    one = triad("accelerometer_triad")
-    for suffix in ("h", "py", "yaml"):
-        with pytest.raises(bc.InputError):
-            bc.export_vector(one, tmp_path / f"unit.{suffix}", others=[one])
-    with pytest.raises(bc.InputError):
-        bc.export_vector(one, tmp_path / "unit.json", others=[triad("gyro_triad")])
-    path = bc.export_vector(one, tmp_path / "u.h", name="left", others=[triad("gyro_triad")])
-    assert "left_gyro_triad_correct" in path.read_text("utf-8")
-
-
-def test_what_holds_its_uncertainty_is_not_written_without(tmp_path: Path) -> None:
-    with pytest.raises(bc.InputError):
-        scalar("line").export(tmp_path / "a.json", uncertainty=False)
-    for path in ("a.json", "a.yaml"):
-        with pytest.raises(bc.InputError):
-            bc.export_vector(triad("gyro_triad"), tmp_path / path, uncertainty=False)
-
-
 @needs_compiler
 def test_a_plain_matrix_without_covariance_is_twelve_numbers(tmp_path: Path) -> None:
     assert COMPILER is not None

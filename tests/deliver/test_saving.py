@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import errno
-import io
 import os
 from dataclasses import replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -18,7 +16,7 @@ from bayescal import effects
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
 from tests.support.inside import identity_of
-from tests.support.resealed import described, netcdf_bytes, netcdf_tree, resealed, write_sealed
+from tests.support.resealed import described, netcdf_bytes, resealed, write_sealed
 
 SQUARE = bc.Effect(
     "bias.square",
@@ -106,19 +104,6 @@ def test_saving_leaves_the_calibration_as_it_was(line, tmp_path) -> None:
     assert line.tree.attrs == attributes
 
 
-def test_saving_again_gives_the_same_and_over_itself_is_no_harm(line, tmp_path) -> None:
-    path = line.save(tmp_path / "line.nc")
-    loaded = bc.load(path)
-    loaded.save(path)  # the file was closed after reading
-    same(line, bc.load(path))
-
-
-def test_discovery_after_loading_is_the_same(line, tmp_path) -> None:
-    loaded = bc.load(line.save(tmp_path / "line.nc"))
-    assert str(bc.discover(loaded)) == str(bc.discover(line))
-    assert str(bc.check(loaded)) == str(bc.check(line))
-
-
 def test_effects_of_ones_own_come_back_when_they_are_given(own, tmp_path) -> None:
     path = own.save(tmp_path / "own.nc")
     same(own, bc.load(path, effects=[SQUARE]))
@@ -195,50 +180,11 @@ def test_what_is_no_calibration_is_refused(tmp_path) -> None:
         bc.load(foreign)
 
 
-def test_what_is_written_and_read_is_what_xarray_itself_would_write_and_read() -> None:
-    """Numbers, text and truth values, attributes, a dimension of size 0, one without values, groups in groups."""
-    x, y = ("chain", "draw"), ("draw", "none")
-    some = {"a": (x, np.arange(6.0).reshape(2, 3), {"units": "°/s"}), "b": (y, np.zeros((3, 0)))}
-    other = {"n": ("k", np.arange(4)), "t": ("k", np.array(["ä", "b", "", "cc"])), "s": 0.25}
-    found = {
-        "/": xr.Dataset(attrs={"said": "text", "count": 3}),
-        "/one": xr.Dataset(some, coords={"draw": [2, 4, 6], "late": ("draw", [0.1, 0.2, 0.3])}),
-        "/one/two": xr.Dataset(other | {"yes": ("k", np.array([True, False, True, True]))}),
-    }
-    tree = xr.DataTree.from_dict(found)
-    written = [io.BytesIO(w) for w in (netcdf_bytes(tree), tree.to_netcdf(engine="h5netcdf"))]
-    theirs, *others = (xr.open_datatree(w, engine="h5netcdf").load() for w in written)
-    for content in written:
-        with h5py.File(content) as file:
-            others.append(netcdf_tree(file))
-    for mine in others:
-        xr.testing.assert_identical(mine, theirs)
-        for node in mine.subtree:
-            kinds = {n: v.dtype for n, v in theirs[node.path].variables.items()}
-            assert {n: v.dtype for n, v in node.variables.items()} == kinds
-    with pytest.raises(TypeError):
-        netcdf_bytes(xr.Dataset({"when": ("k", np.array(["2026-11-25"], "datetime64[ns]"))}))
-
-
-@pytest.mark.parametrize("text", ["not json", "[1, 2]", '{"schema": "bayescal.calibration/999"}'])
-def test_another_schema_or_a_broken_description_is_refused(text, line, tmp_path) -> None:
-    path = line.save(tmp_path / "line.nc")
-    resealed(path, tmp_path / "other.nc", lambda tree: tree.attrs.update(bayescal=text))
-    with pytest.raises(bc.InputError):
-        bc.load(tmp_path / "other.nc")
-
-
 def test_another_instrument_is_refused_by_name(line, tmp_path) -> None:
     path = line.save(tmp_path / "line.nc")
     resealed(path, tmp_path / "sundial.nc", described(instrument="sundial"))
     with pytest.raises(bc.InputError):
         bc.load(tmp_path / "sundial.nc")
-
-
-def test_a_name_that_is_none_is_refused_and_a_folder_made(line, tmp_path) -> None:
-    with pytest.raises(bc.InputError):
-        line.save(tmp_path / "line.csv")
-    assert line.save(tmp_path / "new" / "folder" / "line.nc").is_file()
 
 
 # A write that is broken off.

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 import bayescal as bc
 from bayescal_models import accelerometer_triad
@@ -15,7 +14,6 @@ from tests.support.export_check import VECTOR_DRIVER, needs_compiler, run_c
 from tests.support.inside import text_of
 
 INSTRUMENT = accelerometer_triad.INSTRUMENT
-FORMATS = ("c", "python", "json", "yaml", "px4-params", "ardupilot-params")
 
 
 @cache
@@ -35,22 +33,6 @@ def outside(correct: bc.VectorCorrection, folder: Path, *temperatures: float) ->
     given = "row, row[3], row[4], f, c"
     rows = np.array([[0.1, 0.2, 0.9, t, 0.0, 0.0] for t in temperatures])
     return run_c(VECTOR_DRIVER.format(given=given), rows, folder).reshape(-1, 13)[:, 12].tolist()
-
-
-@pytest.mark.parametrize("format", FORMATS)
-def test_files_say_that_no_temperature_was_recorded(format: str) -> None:
-    text = text_of(correction(), format)
-    assert "0 degC" not in text and "0 deg C" not in text
-    if format == "json":
-        assert '"temperatures_degC": null' in text
-    assert "temperature not recorded" in text
-
-
-@pytest.mark.parametrize("format", FORMATS)
-def test_files_say_the_temperatures_that_were(format: str) -> None:
-    text = text_of(correction(24.0, 26.5), format)
-    assert "24 to 26.5" in text or "24.0,\n  26.5" in text
-    assert "not recorded" not in text
 
 
 @needs_compiler

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import bayescal as bc
 from bayescal._annexes.imu.vector_correction import CorrectedVector
-from bayescal._data.column import UNCERTAINTY
+from bayescal.workshop import UNCERTAINTY
 from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
 from bayescal_models.gyro_triad import MovesByHand, simulate_log

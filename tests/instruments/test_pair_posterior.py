@@ -10,8 +10,8 @@ import pytest
 
 import bayescal as bc
 from bayescal._calibration.fitted import named
-from bayescal._calibration.summary import summary
 from bayescal._inference import sampling
+from bayescal.workshop import summary
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.noise import NoiseWhileChanging

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._model.prior import LogNormal, LogUniform, Positive, multiplied
+from bayescal import LogNormal
+from bayescal._model.prior import LogUniform, Positive, multiplied
 from bayescal._model.summed_noise import over_record
 from bayescal_models import mems_gyro, still_sensor
 from tests.support.inside import frame_of

@@ -12,16 +12,12 @@ from hypothesis import strategies as st
 import bayescal as bc
 from bayescal._data.unit_conversion import (
     REGISTRY,
-    base_unit,
     coefficient_factor,
-    convert,
     needs_gravity,
-    parse,
-    pretty,
-    same_dimension,
     spelled,
     unit_in,
 )
+from bayescal.workshop import base_unit, convert, parse, pretty, same_dimension
 from bayescal_models import mems_gyro
 
 

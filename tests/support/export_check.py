@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._core.quoting import identifier
 from bayescal._use.expression_graph import OPERATIONS, Graph
+from bayescal.workshop import identifier
 from bayescal_models import inclinometer
 from tests.support.references import shared
 
