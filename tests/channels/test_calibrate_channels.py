@@ -92,12 +92,3 @@ def test_the_table_has_a_column_for_each_channel_and_a_row_for_each_effect(unit)
     assert lines[0].split() == list(HIDDEN)
     row = next(line for line in lines if line.startswith(QUADRATIC))
     assert "±" in row and "–" in row
-
-
-@pytest.mark.slow
-def test_models_and_readings_of_different_channels_are_refused(unit) -> None:
-    trail = unit.trails["none"].final.calibration
-    with pytest.raises(bc.InputError):
-        bc.calibrate_channels({"a": trail.model, "c": trail.model}, {"b": trail.readings})
-    with pytest.raises(bc.InputError):
-        bc.calibrate_channels({"a": trail.model}, {"a": trail.readings})

@@ -51,9 +51,3 @@ def test_a_loop_over_means_sets_spikes_aside_before(tmp_path: Path) -> None:
     assert found.status == 0, found.err
     step = found.data["steps"][-1]
     assert step["holdout_rmse"] == pytest.approx(20 / np.sqrt(10), rel=0.2)
-
-
-def test_averaging_is_proposed_where_a_log_is_long(tmp_path: Path, log: Path) -> None:
-    long = run("fit", write_log(tmp_path / "long.csv", 25_000, 4), *STILL, *QUICK)
-    proposed = "long.csv: 25,000 readings: --average 1s would leave about 2,500 with nearly the"
-    assert proposed in long.err

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._annexes.metrology import certificate
-from bayescal._annexes.metrology.certificate import d_si, read_certificate
+from bayescal._annexes.metrology.certificate import read_certificate
 from bayescal_models import still_sensor
 from tests.support.command_line import run
 from tests.support.stated import STATED
@@ -134,14 +133,6 @@ def test_a_digital_certificate_is_valid_by_the_schema_of_the_ptb(written, tmp_pa
     assert not schema.validate(etree.fromstring(broken.encode()))
 
 
-def test_a_digital_certificate_states_conformity_with_its_rule(written) -> None:
-    space = {"dcc": "https://ptb.de/dcc"}
-    said = ElementTree.fromstring(written).findall(".//dcc:measurementMetaData/dcc:metaData", space)
-    assert [one.findtext("dcc:conformity", "", space) for one in said] == ["pass", "fail"]
-    declared = said[0].findtext("dcc:declaration/dcc:content", "", space)
-    assert LIMIT in declared
-
-
 def test_a_digital_certificate_states_coefficients_in_si(calibration, written) -> None:
     root = ElementTree.fromstring(written)
     space = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
@@ -184,26 +175,3 @@ def test_a_digital_certificate_without_what_it_needs_is_refused(change, saved, t
     assert ran.status == 2 and not out.exists()
     ran = run("export", saved, "--format", "dcc")
     assert ran.status == 2
-
-
-def test_what_is_positive_and_skewed_has_an_interval_and_no_multiple_of_its_uncertainty() -> None:
-    told = certificate.real(0.0172, "deg/s", 9.80665, 0.0141, (0.004, 0.056))
-    assert told.form == "coverageInterval"
-    assert list(told.spread.values()) == ["0.00025", "0.00007", "0.00098", "0.95"]
-
-
-@pytest.mark.parametrize(
-    ("unit", "factor", "text"),
-    [
-        ("deg/s", np.pi / 180, "\\radian\\second\\tothe{-1}"),
-        ("ug/degC^2", 9.80665e-6, "\\metre\\second\\tothe{-2}\\kelvin\\tothe{-2}"),
-        ("1/g", 1 / 9.80665, "\\metre\\tothe{-1}\\second\\tothe{2}"),
-        ("degC", 1.0, "\\degreecelsius"),
-        ("ppm", 1e-6, "\\one"),
-        ("min", 60.0, "\\second"),
-        (None, 1.0, "\\one"),
-    ],
-)
-def test_units_in_d_si(unit, factor, text) -> None:
-    found = d_si(unit)
-    assert found == (pytest.approx(factor), text)

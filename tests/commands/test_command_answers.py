@@ -8,8 +8,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import bayescal as bc
-from bayescal_models import mems_gyro
 from tests.support.command_line import (
     GYRO,
     QUICK,
@@ -30,14 +28,6 @@ def test_instruments_and_effects_as_json(folder: Path) -> None:
     assert listed["bias.thermal_lag"]["kind"] == "candidate"
     assert listed["bias.thermal_lag"]["columns"] == ["time", "temperature"]
     assert listed["bias.elbow"]["kind"] == "your own"
-
-
-def test_simulate_as_json(tmp_path: Path) -> None:
-    out = tmp_path / "s.parquet"
-    said = run("simulate", *GYRO, "--effect", "bias.drift=0.2", "--out", out, "--json").data
-    assert said["file"] == str(out)
-    assert said["effects"] == {"bias.drift": 0.2}
-    assert said["rows"] == len(bc.read(out, mems_gyro.INSTRUMENT))
 
 
 def test_fit_as_json() -> None:

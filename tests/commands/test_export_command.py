@@ -61,11 +61,6 @@ def test_triads_of_a_unit_in_one_file(saved: Path, tmp_path: Path) -> None:
     assert "gyroscopes:" in text_of(tmp_path / "imu.yaml")
 
 
-def test_what_a_form_leaves_out_is_said_on_the_screen_too(saved: Path) -> None:
-    done = run("export", saved / "triad.nc", "--format", "px4-params")
-    assert done.status == 0
-
-
 @pytest.mark.parametrize(
     "given",
     [
@@ -83,31 +78,3 @@ def test_what_cannot_be_is_refused(given: tuple[str, ...], saved: Path, tmp_path
         done = run("export", *files, *more)
         assert done.status == 2
     assert not (tmp_path / "out.h").exists()
-
-
-def test_three_axes_are_not_compensated_as_one(saved: Path, tmp_path: Path) -> None:
-    done = run("compensate", saved / "triad.nc", saved / "x.csv", "--out", tmp_path / "o.csv")
-    assert done.status == 2
-
-
-def test_a_name_of_a_unit_is_refused_before_anything_is_read(tmp_path: Path) -> None:
-    for command in ("triad", "imu"):
-        log = tmp_path / "log.csv"
-        log.write_text("nothing")
-        done = run(command, log, "--name", "a-b", "--out", tmp_path / "out")
-        assert done.status == 2
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_triad_that_nobody_checked_is_checked_before_it_leaves(tmp_path: Path) -> None:
-    """A fit of bias, scale and misalignment to readings whose scale follows the temperature."""
-    warm = accelerometer_triad.Campaign(poses=14, temperatures=(-20.0, 25.0, 70.0))
-    readings = accelerometer_triad.simulate(
-        {"scale.temperature": (200.0,) * 3}, seed=3, campaign=warm
-    )
-    model = accelerometer_triad.INSTRUMENT.baseline()
-    fit = bc.fit(model, readings, bc.LeastSquares())
-    assert fit.verdict.ok
-    fit.save(tmp_path / "triad.nc")
-    done = run("export", tmp_path / "triad.nc", "--out", tmp_path / "triad.h")
-    assert done.status == 1

@@ -60,11 +60,3 @@ def test_a_basis_that_fails_when_it_is_asked_is_named_with_its_line(
     done = run("fit", TABLE, *GYRO, *QUICK, "--effects", own, "--add", "bias.own")
     assert done.status == 2
     assert len(done.said) == 1
-
-
-def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
-    own = tmp_path / "my.py"
-    for spoilt in (b"\xff\xfe\x00", b"x = 1\x00"):
-        own.write_bytes(spoilt)
-        done = run("effects", *GYRO, "--effects", own)
-        assert done.status == 2

@@ -39,12 +39,6 @@ def run_apart(*arguments: str, **variables: str) -> subprocess.CompletedProcess[
     )
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_shows_an_example(command: str) -> None:
-    done = run(command, "--help")
-    assert done.status == 0
-
-
 def test_every_command_is_tested_here() -> None:
     assert tuple(commands()) == COMMANDS
 
@@ -68,12 +62,6 @@ def test_help_loads_nothing_heavy() -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_no_command_shows_the_commands() -> None:
-    done = run()
-    assert done.status == 2
-    assert done.said == ["bayescal: Give a command, such as: bayescal demo. See: bayescal --help"]
-
-
 def test_a_narrow_terminal_breaks_no_table(monkeypatch: pytest.MonkeyPatch) -> None:
     printed = []
     for columns in ("40", "300"):
@@ -89,10 +77,3 @@ def test_a_narrow_terminal_breaks_no_table(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_terminal_without_degree_signs_still_prints() -> None:
     done = run_apart("instruments", PYTHONIOENCODING="ascii", PYTHONUTF8="0")
     assert done.returncode == 0, done.stderr
-
-
-def test_effects_lists_equation_size_columns_and_source(folder: Path) -> None:
-    text = run("effects", *GYRO, "--effects", folder / "my_effects.py").out
-    line = next(row for row in text.splitlines() if row.startswith("bias.temperature_quadratic"))
-    assert line.split()[1:] == ["0.0005", "°/s/°C²", "temperature", "c·(T", "−", "T0)²"]
-    assert "c·max(T − 60 °C, 0)" in text

@@ -11,7 +11,6 @@ import pytest
 
 import bayescal as bc
 from tests.support.command_line import GYRO, needs_installation, run
-from tests.support.hostile_names import HOSTILE
 from tests.support.inside import name_in_files
 
 pytestmark = needs_installation
@@ -55,18 +54,6 @@ def taken_away(folder: Path, file: Path, *said: str) -> None:
         program.export(folder / f"a.{suffix}")
     assert not MARKUP.search((folder / "report.html").read_text("utf-8"))
     compile((folder / "a.py").read_text("utf-8"), "a.py", "exec")
-
-
-@pytest.mark.slow
-def test_names_that_are_not_used(tmp_path) -> None:
-    columns = {"time [s]": TIME, "temperature [degC]": TEMPERATURE, "output [deg/s]": OUTPUT}
-    columns |= {f"{name} [V]": RNG.normal(size=60) for name in HOSTILE}
-    file = write(tmp_path / "lab.csv", columns)
-    done = run("calibrate", file, *GYRO, "--out", tmp_path / "out", "--max-effects", 1)
-    assert done.status == 0, done.err
-    kept = bc.load(tmp_path / "out" / "calibration.nc").readings
-    assert len(HOSTILE) >= 30 and set(kept.columns) >= set(map(name_in_files, HOSTILE))
-    taken_away(tmp_path, file)
 
 
 @pytest.mark.slow

@@ -14,11 +14,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal_models import gyro_triad
 from tests.support.command_line import GYRO, QUICK, TABLE, needs_installation, run
 from tests.support.inside import MANIFEST, files_of, identity_of, refuse_mixed
 from tests.support.made_up.gyro_lot import table
@@ -121,47 +119,6 @@ def readable(path: Path) -> bool:
     return text.rstrip().endswith("</html>") if path.suffix == ".html" else bool(json.loads(text))
 
 
-# A calibration does some 92 things to files, the later half for its picture; kills at later moments meet none.
-EACH = np.random.default_rng(1).permutation(np.arange(1, 91))[:38].tolist()
-
-
-@pytest.mark.parametrize(
-    ("counts", "least"), [([12], 1), pytest.param(EACH, 30, marks=pytest.mark.slow)]
-)
-def test_a_calibration_killed_at_any_moment_is_whole(
-    counts: list[int], least: int, tmp_path: Path
-) -> None:
-    out, met = tmp_path / "out", 0
-    folder = out / "loop"
-    folder.mkdir(parents=True)
-    (folder / "notes.txt").write_text("mine")
-    for seed, count in enumerate(counts):
-        command = [str(w).format(out=out) for w in CALIBRATE]
-        before = files_of(folder)
-        met += spoilt(out, count, [*command, "--seed", str(seed)])
-        whole(folder)
-        assert (folder / "notes.txt").read_text() == "mine"
-        assert not before or files_of(folder), "results that were there are gone"
-        if seed % 5 == 0:
-            again = run(*command, "--seed", seed)
-            assert again.status in (0, 1), again.err
-            assert {p.name for p in folder.iterdir()} == {*files_of(folder), MANIFEST, "notes.txt"}
-            assert whole(folder)
-            assert calibration_of(folder) == unbroken(command, seed, tmp_path / f"unbroken_{seed}")
-    assert met >= least, "so many kills met it"
-
-
-def calibration_of(folder: Path) -> str:
-    """Identity of the calibration: over its model, its readings, its seed and its draws."""
-    return json.loads((folder / MANIFEST).read_text("utf-8"))["calibration"]
-
-
-def unbroken(command: list[str], seed: int, folder: Path) -> str:
-    """The same of a run into a folder of its own, which nothing stopped."""
-    assert run(*command[:-1], folder, "--seed", seed).status in (0, 1)
-    return calibration_of(folder)
-
-
 def test_two_commands_into_one_folder_leave_the_results_of_one(tmp_path: Path) -> None:
     out = tmp_path / "loop"
     out.mkdir()
@@ -197,44 +154,3 @@ def test_files_of_commands_killed_at_each_moment_are_whole(
     assert readable(out / file)
     assert os.listdir(out) == [file], "what killed runs left is cleared away"
     assert met >= 3, "so many kills met it"
-
-
-UNITS = {  # command, and folders of its parts
-    "imu --accelerometers accel_x,accel_y,accel_z --gyroscopes gyro_x,gyro_y,gyro_z": (
-        "accelerometer",
-        "gyroscope",
-    ),
-    "triad --columns output_x=accel_x --columns output_y=accel_y --columns output_z=accel_z": ("",),
-}
-
-
-@pytest.mark.parametrize(("given", "of_unit"), UNITS.items(), ids=["imu", "triad"])
-def test_a_unit_killed_at_random_moments_is_of_one_run(
-    given: str, of_unit: tuple[str, ...], tmp_path: Path
-) -> None:
-    """Accelerometers, gyroscopes and what is of both: the old unit or the new, whichever moment a kill meets."""
-    told, *words = given.split()
-    log, out, met = tmp_path / "log.csv", tmp_path / "out", 0
-    made = gyro_triad.simulate_log(seed=1, campaign=gyro_triad.MovesByHand(poses=14))
-    units = {"time": "s", "gyro": "deg/s", "accel": "g", "mag": "uT"}
-    named = {f"{n} [{units[n.partition('_')[0]]}]": values for n, values in made.items()}
-    pd.DataFrame(named).to_csv(log, index=False)
-    unit = out / "unit"
-    unit.mkdir(parents=True)
-    (unit / "notes.txt").write_text("mine")
-    command = [told, str(log), *words, "--baseline", "--out", str(unit)]
-    assert run(*command).status == 0
-    files = {p.relative_to(unit) for p in unit.rglob("*")}
-    for seed, count in enumerate(np.random.default_rng(2).integers(1, 130, 8).tolist(), 1):
-        met += spoilt(out, count, [*command, "--seed", str(seed)])
-        # Pictures are drawn of a result that stands: killed between, a unit is without, never with those of another.
-        there = {p.relative_to(unit) for p in unit.rglob("*")}
-        assert {p.name for p in files ^ there} <= {"loop.png", "report.html"} and there <= files
-        parts = [unit / part for part in of_unit]
-        seeds = {json.loads((p / RESULT).read_text("utf-8"))["seed"] for p in parts}
-        assert len(seeds) == 1, "parts of two runs stand side by side"
-        assert all(whole(part) for part in parts)
-        refuse_mixed(unit)
-    assert met >= 2 * len(of_unit), "so many kills met it"
-    assert run(*command).status == 0
-    assert os.listdir(out) == ["unit"], "what killed runs left is cleared away"

@@ -9,9 +9,7 @@ import pytest
 
 from tests.support.command_line import (
     GYRO,
-    PRINTED_LINE,
     QUICK,
-    TABLE,
     Ran,
     needs_installation,
     run,
@@ -49,11 +47,6 @@ def test_the_last_model_of_the_loop_can_be_checked(loop: Ran, folder: Path) -> N
     checked = run("check", folder / "loop" / "calibration.nc", "--json").data
     last = [e for e in loop.data["check"] if e["step"] == len(loop.data["steps"]) - 1]
     assert [e["against"] for e in checked] == [e["against"] for e in last]
-
-
-def test_the_printed_line_leaves_every_residual_positive() -> None:
-    done = run("calibrate", TABLE, *GYRO, *QUICK, *PRINTED_LINE)
-    assert done.status == 1, "a calibration on trial failed, and nothing is added to save it"
 
 
 @pytest.mark.slow

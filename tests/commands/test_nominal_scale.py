@@ -116,8 +116,3 @@ def put_csv(tmp_path) -> Path:
     path = tmp_path / "t.csv"
     path.write_text("temperature [degC],output [V]\n20,1\n30,2\n")
     return path
-
-
-def test_a_scale_that_is_the_instruments_own_says_how_to_give_another(put_csv) -> None:
-    (flag,) = (f for f in bc.read(put_csv, mems_gyro.INSTRUMENT).flags if "nominal scale" in f)
-    assert "--nominal-scale" in flag and "--nominal-zero" in flag

@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro, still_sensor
-from tests.support.command_line import GYRO, TABLE, needs_installation, run
+from tests.support.command_line import needs_installation, run
 
 HIDDEN = "bias.thermal_lag"
 NO_TIME = 1e-6  # s
@@ -101,15 +100,6 @@ def test_a_time_limit_of_nothing_leaves_the_first_model_fitted(readings) -> None
     assert trail.final.discovery is not None and trail.final.discovery.nothing_missing is None
 
 
-def test_every_channel_is_there_without_time(unit, tmp_path) -> None:
-    models = {n: still_sensor.INSTRUMENT.for_readings(r).baseline() for n, r in unit.items()}
-    found = bc.calibrate_channels(models, unit, method=QUICK, time_limit=NO_TIME)
-    assert [*found.trails] == [*unit]
-    found.save(tmp_path)
-    for told in json.loads((tmp_path / "channels.json").read_text("utf-8"))["channels"].values():
-        assert told["stopped"] and (tmp_path / told["folder"] / "calibration.nc").is_file()
-
-
 @pytest.mark.usefixtures("at_a_terminal")
 def test_every_channel_is_there_after_ctrl_c_in_the_first_one_s_search(unit) -> None:
     models = {n: still_sensor.INSTRUMENT.for_readings(r).baseline() for n, r in unit.items()}
@@ -144,36 +134,11 @@ def test_what_is_missing_is_not_stated_without_time(readings) -> None:
     assert all(c.probability is None for c in found.candidates)
 
 
-def test_noise_without_time_is_white_and_says_so() -> None:
-    made = np.random.default_rng(1).normal(0.0, 0.05, 1000)
-    given = {"time": 0.1 * np.arange(made.size), "output": made}
-    record = bc.Measurements.from_arrays(still_sensor.INSTRUMENT, **given, units={"output": "g"})
-    found = bc.noise(record, time_limit=NO_TIME)
-    assert len(found.probabilities) == 1 and len(found.notes) > len(bc.noise(record).notes)
-    density = next(f for f in found.figures if f.symbol == "N")
-    assert density.si[0] == pytest.approx(9.80665 * 0.05 * np.sqrt(0.1), rel=0.1)
-
-
 def test_devices_of_a_batch_that_are_not_reached_say_so() -> None:
     devices = {f"D{i}": mems_gyro.simulate(seed=i) for i in range(3)}
     model = mems_gyro.INSTRUMENT.baseline()
     found = bc.fit_batch(model, devices, chunk=1, time_limit=NO_TIME)
     assert found.ok.tolist() == [True, False, False] and all(found.reasons[1:])
-
-
-@needs_installation
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("calibrate", TABLE, *GYRO, "--method", "least-squares"),
-        ("fit", TABLE, *GYRO),
-        ("compare", TABLE, *GYRO, "--structure", "line", "--structure", "cubic"),
-    ],
-    ids=lambda c: c[0],
-)
-def test_a_command_without_time_answers(command) -> None:
-    done = run(*command, "--time-limit", NO_TIME, "--json")
-    assert done.status in (0, 1) and done.data, done.err
 
 
 # Real processes ------------------------------------------------------------------------------------------------------
@@ -266,16 +231,6 @@ def test_ctrl_c_of_a_process_leaves_the_best_that_it_told_of(tmp_path) -> None:
     left(done, tmp_path / "out", lambda out: {out: done.best[""]})
 
 
-@needs_installation
-@pytest.mark.slow
-@pytest.mark.usefixtures("at_a_terminal")
-@pytest.mark.parametrize("seconds", [0.4, 0.9, 1.4, 1.9])
-def test_ctrl_c_while_a_process_begins(seconds: float, tmp_path) -> None:
-    command = simulated(*CALIBRATED[0], tmp_path)
-    done = ended(command, lambda since, _: since > seconds, tmp_path)
-    left(done, tmp_path / "out", lambda out: {out: done.best[""]})
-
-
 MOMENTS = [(i % len(CALIBRATED), kind) for i in range(10) for kind in ("limit", "ctrl-c")]
 
 
@@ -301,28 +256,3 @@ def test_the_best_told_of_is_what_is_left_at_any_moment(number, which, kind, tmp
     moment = float(np.random.default_rng(number).uniform(2.0, 12.0))
     done = ended_at(moment, kind, command, tmp_path)
     left(done, tmp_path / "out", lambda out: {out: done.best[""]})
-
-
-@needs_installation
-@pytest.mark.nightly
-@pytest.mark.usefixtures("at_a_terminal")
-@pytest.mark.parametrize("kind", ["limit", "ctrl-c"])
-@pytest.mark.parametrize("moment", [3.0, 8.0, 15.0, 25.0])
-def test_every_channel_is_left_at_any_moment(moment: float, kind: str, tmp_path) -> None:
-    names = [f"output_{i}" for i in range(6)]
-    made = [still_sensor.simulate({HIDDEN: 8.0 * (i < 3)}, seed=i, runs=1) for i in range(6)]
-    columns = {"time [s]": made[0]["time"], "temperature [degC]": made[0]["temperature"]}
-    unit = made[0].unit("output")
-    columns |= {f"{n} [{unit}]": m["output"] for n, m in zip(names, made, strict=True)}
-    pd.DataFrame(columns).to_csv(tmp_path / "unit.csv", index=False)
-    out = tmp_path / "out"
-    command = ["calibrate", str(tmp_path / "unit.csv"), "--instrument", "still_sensor"]
-    command += ["--channels", ",".join(names), "--out", str(out)]
-    done = ended_at(moment, kind, command, tmp_path)
-
-    def best(out: Path) -> dict[Path, str]:
-        told = json.loads((out / "channels.json").read_text("utf-8"))["channels"]
-        assert [*told] == names
-        return {out / told[n]["folder"]: done.best.get(n, "nothing to add") for n in names}
-
-    left(done, out, best)

@@ -67,19 +67,6 @@ def test_the_data_sheet_names_no_effect_that_is_not_there(case: Case) -> None:
     assert named <= known, f"on the data sheet, not in the model: {sorted(named - known)}"
 
 
-def test_every_folder_has_the_same_plan(case: Case) -> None:
-    files = ("model", "as_numpyro", "campaign", "simulator", "reference_problem", "example")
-    assert {f"{name}.py" for name in files} <= {file.name for file in case.folder.iterdir()}
-
-
-def test_data_name_their_source(case: Case) -> None:
-    folder = case.folder / "data"
-    files = {f.name for f in folder.iterdir()} - {"PROVENANCE.md"} if folder.is_dir() else set()
-    if files:
-        said = (folder / "PROVENANCE.md").read_text("utf-8")
-        assert not {f for f in files if f not in said}
-
-
 @pytest.mark.parametrize("case", SMALL_FIRST, indirect=True)
 def test_every_candidate_can_be_hidden(case: Case) -> None:
     plain = {}

@@ -176,11 +176,3 @@ def test_ten_megahertz_read_to_two_millihertz(tmp_path: Path) -> None:
     used = [bc.compensator(c)(c.readings).value for c in calibrations]
     np.testing.assert_allclose(used[1], used[0], atol=1e-6)
     assert str(bc.check(there)) == str(bc.check(here))
-
-
-def test_an_offset_that_the_prior_does_not_admit_is_said() -> None:
-    readings = still_sensor.simulate({}, seed=1, interval=120)
-    instrument = still_sensor.instrument("ug", size=2000, span=40, pace=3)  # constant: 20 000 µg
-    far = readings.with_column("output", readings["output"] + 1e9)
-    found = bc.fit(instrument.baseline(), far, LS, strict=False)
-    assert found.conflicts[0].code == "size.beyond_output"
