@@ -4,31 +4,23 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
-from missing_effect import leaderboard, prior, run
-from missing_effect.__main__ import main
-from missing_effect.draws import Draws
+from missing_effect import prior, run
 from missing_effect.entries import bic, bma, exhaustive, mbic
 from missing_effect.regression import Regression
-from missing_effect.run import InputError
-from missing_effect.score import FLOOR, ORACLE, Score, calibration, score, scored, summary
+from missing_effect.score import FLOOR, Score, calibration, score, summary
 from missing_effect.task import Task
 from missing_effect_maker import real
 from missing_effect_maker.generate import Case, generate, make, write
 from scipy.integrate import quad
 from scipy.special import ndtr
 
-from benchmarks.record import REFERENCE_DATA
-
-PACKAGE = Path(run.__file__).parents[1]
 HONEST = """
 import numpy as np
 def solve(task):
@@ -100,41 +92,6 @@ def test_tasks_are_not_to_be_found(tasks: Path, tmp_path: Path) -> None:
     """Where namespaces are, an entry sees an empty folder in place of the tasks, whatever the name of the truth."""
     code = HONEST.replace("(): 0.5", f"(): 0.1 + len(__import__('os').listdir({str(tasks)!r}))")
     assert answer_of(tasks, tmp_path, code)["sets"] == [[[], 0.1]]
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (("(): 0.5", "(): 0.5, ('soup',): 0.1"), "soup, which is no candidate"),
-        (("(): 0.5", "(): 0.7, ('outside',): 0.7"), "sum to 1.4"),
-        (("(): 0.5", "(): -0.5"), "probability -0.5"),
-        (("np.ones(n)", "np.zeros(n)"), "sd must be positive"),
-        (("np.zeros(n)", "np.zeros(n - 1)"), "finite numbers"),
-        (("n = len", "n = lem"), "NameError"),
-    ],
-)
-def test_an_answer_that_is_none_is_named(tasks: Path, change, said: str) -> None:
-    entry: dict[str, Any] = {}
-    exec(HONEST.replace(*change), entry)
-    assert said in run.here(entry["solve"], tasks / "task_000", 20.0)["failed"]
-
-
-def test_what_an_entry_dies_of_is_named(tasks: Path, tmp_path: Path) -> None:
-    assert "NameError" in answer_of(tasks, tmp_path, HONEST.replace("n = len", "n = lem"))["failed"]
-
-
-@pytest.mark.parametrize(
-    "code",
-    [
-        "import soup_kitchen",
-        "a = 1",
-    ],
-)
-def test_a_trusted_entry_that_cannot_be_loaded_is_named(tasks, tmp_path, code) -> None:
-    entry = tmp_path / "entry.py"
-    entry.write_text(code, "utf-8")
-    with pytest.raises(InputError):
-        list(run.run(entry, tasks, tmp_path / "results", 1, trusted=True))
 
 
 def test_the_time_of_a_start_counts_for_every_entry_alike(tasks: Path, tmp_path: Path) -> None:
@@ -381,40 +338,6 @@ def test_the_horseshoe_shrinks_what_is_not_there(tmp_path: Path) -> None:
     assert max(p for n, p in share.items() if n not in known.hidden) < 0.7
 
 
-@pytest.mark.slow
-def test_the_commands_of_the_readme(tmp_path: Path, monkeypatch) -> None:
-    """Its own entry, the oracle beside it, and a page that takes nothing from elsewhere."""
-    readme = (PACKAGE / "README.md").read_text("utf-8")
-    code = re.search(r"(    import numpy.*?\n        }\n)", readme, re.DOTALL)
-    assert code is not None
-    monkeypatch.chdir(tmp_path)
-    Path("my_entry.py").write_text(re.sub("^    ", "", code[1], flags=re.MULTILINE), "utf-8")
-    assert len(list(generate(Path("tasks"), 2))) == 2
-    assert main(["run", "my_entry.py", "--size", "2"]) == 0
-    assert main(["leaderboard", "--size", "2"]) == 0
-    assert main(["describe", "tasks/task_000"]) == 0
-    for page in ("leaderboard.html", "task.html"):
-        text = Path(page).read_text("utf-8")
-        assert "<script" not in text and not re.search(r'(src|href)="?http', text)
-    assert scored(Path("tasks"), Path("results"), ORACLE, 2)["task_000"].log == 0.0
-    assert leaderboard.order({"oracle": scored(Path("tasks"), Path("results"), ORACLE, 2)})
-
-
-@pytest.mark.parametrize(
-    "asked",
-    [
-        ["run", "soup"],
-        ["generate", "--size", "200"],
-        ["run", "bic", "--tasks", "nowhere"],
-        ["describe", "nowhere"],
-        ["leaderboard", "--results", "nowhere"],
-    ],
-)
-def test_what_cannot_be_done_is_said(asked, tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(asked) == 2
-
-
 def nist_like(name: str, x: np.ndarray, folder: Path) -> Path:
     """A made-up record in NIST's place: the certified curve, and residuals of the certified size."""
     known = real.nist()[name]
@@ -425,50 +348,3 @@ def nist_like(name: str, x: np.ndarray, folder: Path) -> Path:
     file = folder / f"{name.lower()}.csv"
     file.write_text(f"y,x\n{table}\n", "utf-8")
     return file
-
-
-LENGTHS = {"Pontius": (150e3, 3e6, 40), "ENSO": (1, 168, 168), "Gauss3": (1, 250, 250)}
-
-
-@pytest.mark.parametrize("name", LENGTHS)
-def test_real_tasks_come_from_the_users_own_folder(name: str, tmp_path: Path) -> None:
-    """What the certified model has and the task's has not is the truth; absent sets are skipped in words."""
-    nist_like(name, np.linspace(*LENGTHS[name]), tmp_path)
-    "\n".join(real.generate(tmp_path, tmp_path / "tasks"))
-    folder = tmp_path / "tasks" / f"task_real_{name.lower()}"
-    truth = json.loads((folder / "truth.json").read_text("utf-8"))
-    sets = bma.solve(Task.read(folder))["sets"]
-    assert max(sets, key=sets.get) == tuple(truth["set"]) == real.nist()[name].hidden
-
-
-def test_readings_that_are_not_nists_are_refused(tmp_path: Path) -> None:
-    file = nist_like("Norris", np.linspace(0, 1000, 36), tmp_path)
-    text = file.read_text("utf-8").splitlines()
-    file.write_text("\n".join([*text[:-1], "1003.0,1000.0"]), "utf-8")
-    tasks = str(tmp_path / "tasks")
-    assert main(["generate", tasks, "--size", "0", "--data", str(tmp_path)]) == 2
-    file.write_text("y,x\n1.0,soup\n", "utf-8")
-    assert main(["generate", tasks, "--size", "0", "--data", str(tmp_path)]) == 2
-
-
-def test_what_was_added_to_a_real_record_is_found_in_it(tmp_path: Path) -> None:
-    """A made-up ramp whose channels bend with temperature, with white noise: every added set is the most probable."""
-    draws, time = Draws(11), np.arange(8400) * 0.505
-    record = {"t_s": time, "temperature": 30 - 45 * np.cos(2 * np.pi * time / 4242) ** 3}
-    for channel in real.ADDED:
-        noise = 1e-3 * draws.normal(time.size)
-        record[channel] = 1e-3 * np.sin(record["temperature"] / 40) + noise
-    pd.DataFrame(record).to_csv(tmp_path / real.RAMP, index=False)
-    for channel, added in real.ADDED.items():
-        sets = bma.solve(Task.read(tmp_path / "tasks" / f"task_real_ramp_{channel}"))["sets"]
-        assert max(sets, key=sets.get) == added, channel
-    (tmp_path / real.RAMP).write_text("t_s,gyro_x\n1,2\n", "utf-8")
-    with pytest.raises(InputError):
-        list(real.generate(tmp_path, tmp_path / "tasks"))
-
-
-def test_the_records_themselves_are_those_certified(tmp_path: Path) -> None:
-    if not (REFERENCE_DATA / "nist_strd").is_dir():
-        pytest.skip("needs the NIST reference data in ../shared/data, beside this checkout")
-    printed = list(real.generate(REFERENCE_DATA, tmp_path))
-    assert sum(line.startswith("made") for line in printed) == len(real.nist()) + len(real.ADDED)

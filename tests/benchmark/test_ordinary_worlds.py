@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import dblquad, quad
 from scipy.stats import multivariate_normal
 
-from benchmarks.ordinary_test import good_records, naming, no_family, page
+from benchmarks.ordinary_test import no_family
 from benchmarks.ordinary_test.bodies import Body, Chamber, lump, slab, two_stages
-from benchmarks.ordinary_test.measurement import Cell, made, plan
 from benchmarks.ordinary_test.oracle import least_squares, log_evidence
 from benchmarks.ordinary_test.worlds import (
     STEP,
@@ -23,7 +21,6 @@ from benchmarks.ordinary_test.worlds import (
     Campaign,
     Plan,
     drawn,
-    within_runs,
 )
 
 BODIES = {
@@ -149,14 +146,6 @@ def test_settled_output_is_what_a_chamber_that_holds_shows(campaign: Campaign) -
     np.testing.assert_allclose(sensor.settled(record.package), expected, rtol=1e-12)
 
 
-def test_a_file_is_what_a_logger_writes(campaign: Campaign) -> None:
-    file = campaign.file(campaign.fitted, first=4)
-    assert list(file) == [
-        "run", "time [s]", "temperature [degC]", "supply [V]", "output [deg/s]",
-    ]  # fmt: skip
-    assert file["run"][0] == "4" and np.all(np.diff(file["time [s]"]) > 0)
-
-
 def small_problem(k: int, n: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(k)
     columns, sd = rng.standard_normal((n, k)), rng.uniform(0.5, 3.0, k)
@@ -199,39 +188,6 @@ def test_what_is_not_there_has_no_evidence() -> None:
     assert np.mean(gains) < 0 and np.mean(np.exp(gains)) < 3
 
 
-def test_errors_lose_the_mean_of_each_run() -> None:
-    run = np.array([0, 0, 1, 1])
-    assert within_runs(np.array([1.0, 3.0, 10.0, 12.0]), run) == pytest.approx(1.0)
-
-
-def test_the_plan_is_one_order_and_a_part_of_it_is_its_beginning() -> None:
-    cells = plan()
-    assert len(set(cells)) == len(cells) == 60
-    # Drawn before anything was measured: this is that order.
-    assert [tuple(c) for c in cells[:2]] == [
-        ("added", True, 200, 1), ("die", False, 200, 0),
-    ]  # fmt: skip
-
-
-def test_a_cell_is_the_same_each_time() -> None:
-    cell = Cell("die", True, 200, 0)
-    (one, name), (other, same) = made(cell), made(cell)
-    assert name == same and np.array_equal(one.fitted.output, other.fitted.output)
-    assert one.oracle() == other.oracle()
-
-
-def test_names_and_sets_are_families() -> None:
-    said = naming.said(["bias.rate"], [("bias.warm_up", "unknown(elapsed)")])
-    assert said == {"lag", "warm-up", "description"}
-    assert naming.family("unknown(supply)") == "supply"
-    true = {"lag", "supply"}
-    assert naming.invented(["bias.body", "unknown(elapsed)"], [], true) == []
-    assert naming.invented(["bias.hysteresis"], [("bias.hysteresis", "bias.rate")], true) == []
-    assert naming.invented(["bias.drift"], [], true) == ["bias.drift"]
-    sets = [("bias.drift", "unknown(time)"), ("unknown(time)", "unknown(elapsed)")]
-    assert naming.invented([], sets, true) == ["bias.drift or unknown(time)"]
-
-
 def test_a_body_needs_no_start_to_be_in_balance() -> None:
     still = np.full(100, 40.0)
     for body in BODIES.values():
@@ -255,25 +211,3 @@ def test_what_no_family_describes_has_its_strength_and_its_columns(shape: str) -
         np.testing.assert_allclose(first[:50], second[:50], atol=0.02)
     if shape == "step":
         assert set(np.unique(law(bare))) == {0.0, 1.0}
-
-
-ROW: dict[str, Any] = {
-    "structure": "die", "repeats": True, "readings": 1600, "instrument": "mems_gyro",
-    "hidden": ["lag", "run"], "oracle": {"lag": 100.0, "run": 3.0, "further": 20.0},
-    "final": ["bias.rate", "unknown(elapsed)", "bias.drift"], "sets": [[["bias.drift"], 0.99]],
-    "noise_law": "white", "status": 1, "shape": "elapsed",
-    "coefficients": {"slope": {"inside": False, "stated": True}},
-}  # fmt: skip
-
-
-def test_rows_say_what_was_lost_and_invented() -> None:
-    assert page.lost(ROW) == [] and page.lost({**ROW, "final": []}) == ["lag"]
-    assert page.invented(ROW) == ["bias.drift"] and page.described(ROW) == ["unknown(elapsed)"]
-    assert page.named([ROW]).startswith("1/1 ") and page.shut([ROW]).startswith("1/1 ")
-    assert page.inside([ROW], repeats=True).startswith("0/1 ")
-    assert page.strange([ROW]) == [ROW]
-
-
-def test_good_records_are_of_six_instruments() -> None:
-    cells = good_records.plan()
-    assert len(cells) == 60 and len({c.instrument for c in cells}) == 6

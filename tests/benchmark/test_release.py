@@ -40,14 +40,6 @@ def test_release_draws_campaigns_and_compares_them(campaigns: Bank) -> None:
     assert len(changed.rows) == 40
 
 
-def test_table_has_a_column_for_each_group_and_one_for_all() -> None:
-    groups = {"one": [{"held": True}, {"held": False}], "two": [{"held": True}]}
-    claim = ("held", lambda rows: pages.share(row["held"] for row in rows))
-    counts, held = pages.claims_table(groups, (claim,)).splitlines()[2:]
-    assert [cell.strip() for cell in counts.strip("|").split("|")] == ["campaigns", "2", "1", "3"]
-    assert "| 1/2 | 1/1 | 2/3 (9–99 %) |" in held
-
-
 def test_right_statements_come_true_as_often_as_is_due() -> None:
     pairs = [(0.9, i % 10 > 0) for i in range(100)]
     assert pages.stated_and_true(pairs, 0.95, 1.0) == "–"

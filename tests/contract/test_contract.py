@@ -20,9 +20,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._model import forward
 from bayescal_models import INSTRUMENTS
 from tests.support.contract_cases import Case
+from tests.support.inside import forward
 from tests.support.tiers import slow_but
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,12 +6,9 @@ import re
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 import bayescal as bc
-from bayescal._annexes.fleet import batch_result
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.made_up.gyro_lot import MODEL, table
@@ -92,16 +89,3 @@ def test_a_damaged_batch_is_refused_or_says_the_same(tmp_path, result) -> None:
         except bc.InputError as error:
             said = str(error)
         assert not said or re.search(words, said)  # or a byte that Parquet does not read
-
-
-def test_a_batch_whose_covariance_does_not_fit_is_refused(tmp_path, result) -> None:
-    path = result.save(tmp_path / "lot.parquet")
-    table = pq.read_table(path)
-    about = dict(table.schema.metadata)
-    short = [row[:1] for row in table.column("covariance").to_pylist()]
-    at = table.column_names.index("covariance")
-    table = table.set_column(at, "covariance", pa.array(short))
-    about[b"bayescal_sha256"] = batch_result._digest(table, about[b"bayescal"])
-    pq.write_table(table.replace_schema_metadata(about), path)
-    with pytest.raises(bc.InputError):
-        bc.load_batch(path)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-
 import pandas as pd
 import pytest
 
@@ -45,14 +43,6 @@ def test_settings_in_force_hold_on_the_workers(client, lot_folder, tmp_path) -> 
 
 
 @pytest.mark.nightly
-def test_a_client_writes_to_a_folder_and_reads_files(client, readings) -> None:
-    with pytest.raises(bc.InputError):
-        bc.fit_batch(MODEL, readings, client=client)  # pyright: ignore
-    with pytest.raises(bc.InputError):
-        bc.fit_batch(MODEL, readings, client=client, out="out")  # pyright: ignore
-
-
-@pytest.mark.nightly
 @needs_installation
 def test_the_workers_get_effects_of_the_users_own(client, lot_folder, tmp_path) -> None:
     file = tmp_path / "effects_of_mine.py"
@@ -62,24 +52,6 @@ def test_the_workers_get_effects_of_the_users_own(client, lot_folder, tmp_path) 
         *("--add", "bias.elbow", "--scheduler", client.scheduler.address),
     )
     assert ran.status == 0, ran.err
-
-
-@needs_installation
-def test_wrong_clusters_are_refused(lot_folder, tmp_path, monkeypatch) -> None:
-    command = ("batch", lot_folder, *GYRO, "-o", tmp_path / "out")
-    ran = run(*command, "--workers", 2, "--scheduler", "tcp://127.0.0.1:1")
-    assert ran.status == 2
-    monkeypatch.setattr("bayescal._annexes.fleet.engine.ANSWER_SECONDS", 0.5)
-    ran = run(*command, "--scheduler", "tcp://127.0.0.1:1")
-    assert ran.status == 2
-    find = importlib.util.find_spec
-
-    def without(name, *rest):
-        return None if name == "distributed" else find(name, *rest)
-
-    monkeypatch.setattr(importlib.util, "find_spec", without)
-    ran = run(*command, "--workers", 2)
-    assert ran.status == 2
 
 
 @pytest.mark.nightly

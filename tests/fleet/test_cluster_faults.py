@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -78,49 +73,3 @@ def test_killed_workers_change_nothing(folder, expected, tmp_path) -> None:
         assert not set(own.values()) & set(now.values())
     assert found.missing == {}
     pd.testing.assert_frame_equal(found.rows(), expected, check_exact=True)
-
-
-def test_a_killed_scheduler_is_said_and_gone_on_from(folder, expected, tmp_path) -> None:
-    from distributed import Client
-
-    out, port = tmp_path / "out", _free_port()
-    address = f"tcp://127.0.0.1:{port}"
-    with _processes(port) as (scheduler, _), Client(address, timeout=60) as client:
-        client.wait_for_workers(2, timeout=120)
-        killer = when(out, 3, scheduler.kill)
-        with pytest.raises(bc.InputError):
-            fit(folder, out, client)
-        killer.join(timeout=10)
-        before = done(out)
-        assert 3 <= before < len(list(folder.iterdir()))
-    with _processes(port), Client(address, timeout=60) as client:
-        client.wait_for_workers(2, timeout=120)
-        found = fit(folder, out, client)
-    assert found.about["found_done"] >= before
-    pd.testing.assert_frame_equal(found.rows(), expected, check_exact=True)
-
-
-def _free_port() -> int:
-    with socket.socket() as held:
-        held.bind(("127.0.0.1", 0))
-        return held.getsockname()[1]
-
-
-@contextmanager
-def _processes(port: int) -> Iterator[tuple[subprocess.Popen, list[subprocess.Popen]]]:
-    """A scheduler and two workers, processes of their own."""
-    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    scheduler = subprocess.Popen(
-        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1"]
-        + ["--port", str(port), "--no-dashboard"],
-        **quiet,
-    )
-    worker = [sys.executable, "-m", "distributed.cli.dask_worker", f"tcp://127.0.0.1:{port}"]
-    worker += ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "60"]
-    workers = [subprocess.Popen(worker, **quiet) for _ in range(2)]
-    try:
-        yield scheduler, workers
-    finally:
-        for process in (*workers, scheduler):
-            process.kill()
-            process.wait()

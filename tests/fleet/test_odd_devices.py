@@ -14,9 +14,7 @@ import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal._annexes.fleet.batch_result import printed
 from bayescal_models import mems_gyro
-from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.made_up.gyro_lot import MODEL, NOISE, table
 
 ODD = ("D03", "D07", "D11")  # by its constant; its noise; where it was measured
@@ -46,26 +44,12 @@ def fleet(file: Path, tmp_path_factory) -> bc.FleetResult:
     return bc.fit_batch(MODEL, file, out=tmp_path_factory.mktemp("fleet") / "out")
 
 
-def test_fitted_is_one_thing_and_checked_another(file: Path, fleet: bc.FleetResult) -> None:
-    for found in (fleet, bc.fit_batch(MODEL, file)):
-        str(found)
-    assert (fleet.fitted, fleet.checked) == (40, 0)
-
-
 def test_odd_devices_are_named_with_what_is_odd(
     file: Path, fleet: bc.FleetResult, tmp_path
 ) -> None:
     batch = bc.fit_batch(MODEL, file)
     assert set(fleet.odd) == {*ODD}
     assert fleet.odd == batch.odd == bc.load_batch(batch.save(tmp_path / "b.parquet")).odd
-
-
-@needs_installation
-def test_the_command_names_them(file: Path) -> None:
-    done = run("batch", file, *GYRO, "--out", file.parent / "results.parquet", "--json")
-    assert done.status == 0, done.err
-    assert set(done.data["odd"]) == {*ODD}
-    assert done.data["checked"] == 0 and done.data["not_fitted"] == []
 
 
 def test_fleet_json_holds_no_bare_nan(fleet: bc.FleetResult) -> None:
@@ -162,13 +146,3 @@ def test_of_searched_devices_what_one_lacks_and_what_one_has_is_odd(tmp_path: Pa
     found = bc.fit_batch(MODEL, tmp_path / "lot.parquet", out=tmp_path / "out", find=True)
     assert set(found.odd) == {name for name, kind in kinds.items() if kind}
     assert set(bc.load_fleet(tmp_path / "out").odd) == set(found.odd)
-
-
-def test_a_curve_is_one_line_of_a_table() -> None:
-    curve = [f"unknown(humidity)[{i}]" for i in range(1, 27)]
-    own = ["unknown(humidity).length", "unknown(humidity).amplitude"]
-    other = ["bias.constant", "bias.run(1)", "bias.lag[start](1)", "unknown(time, step)"]
-    rows = pd.DataFrame({"coefficient": [*other, *curve, *own], "mean": 1.0})
-    shown = printed(rows, 3).splitlines()
-    assert len(shown) == 1 + len(other) + 1
-    assert any("unknown(humidity), a curve (rms)" in line for line in shown)

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 import bayescal as bc
-from bayescal._annexes.fleet import fit_batch as fitting
-from bayescal._annexes.fleet.fit_batch import partitions_of
-from tests.support.command_line import GYRO, needs_installation, run
 from tests.support.made_up.gyro_lot import MODEL, table
 
 SMALL = 100  # readings in a partition: some five devices
@@ -67,23 +62,6 @@ def test_a_population_over_partitions_is_that_of_one_process(lot_folder, tmp_pat
     assert str(again) == str(found)
 
 
-@pytest.mark.slow
-def test_a_large_file_is_cut_between_devices(result, tmp_path) -> None:
-    made = table().sort_values("device", kind="stable")
-    file = tmp_path / "lot.parquet"
-    made.to_parquet(file, row_group_size=37)  # row groups end within devices
-    assert len(partitions_of([file], SMALL)) > 4
-    same(fitted(file, tmp_path / "out"), result)
-    one = made[made.device == "D03"]
-    long = pd.concat([one] * 12)  # a device longer than several partitions
-    pd.concat([made[made.device < "D03"], long, made[made.device > "D03"]]).to_parquet(
-        file, row_group_size=37
-    )
-    found = fitted(file, tmp_path / "long")
-    assert found.readings == len(made) + 11 * len(one)
-    assert (len(found), found.fitted) == (24, 24)
-
-
 def test_all_that_a_folder_holds_is_read_or_named(result, tmp_path) -> None:
     """A device a file; `d7.log2`, `.csv.gz`, `_d7.csv`, links and pipes were left out without a word."""
     folder = tmp_path / "in"
@@ -121,52 +99,6 @@ def test_all_that_a_folder_holds_is_read_or_named(result, tmp_path) -> None:
         fitted(folder, tmp_path / "empty")
 
 
-def test_what_is_done_is_not_done_again(lot_folder, tmp_path, monkeypatch) -> None:
-    folder, out = tmp_path / "in", tmp_path / "out"
-    shutil.copytree(lot_folder, folder)
-    first = fitted(folder, out)
-    before = first.rows()
-    calls: list[int] = []
-    real = fitting._fitted
-
-    def counted(request, partition, *rest):
-        calls.append(partition.number)
-        return real(request, partition, *rest)
-
-    monkeypatch.setattr(fitting, "_fitted", counted)
-    assert fitted(folder, out).about["found_done"] == 5
-    assert calls == []
-    (out / "devices" / "part-000001.parquet").unlink()  # never written
-    damaged = out / "devices" / "part-000003.parquet"
-    damaged.write_bytes(damaged.read_bytes()[:-100])  # or not whole
-    pd.testing.assert_frame_equal(fitted(folder, out).rows(), before, check_exact=True)
-    assert calls == [1, 3]
-    made = pd.read_parquet(folder / "lot-2.parquet")
-    made.iloc[0, made.columns.get_loc("output [deg/s]")] += 1.0
-    made.to_parquet(folder / "lot-2.parquet")  # other readings
-    assert fitted(folder, out).about["found_done"] == 4
-    assert fitted(folder, out, reference={"T0": 0.0}).about["found_done"] == 0  # another request
-    with pytest.raises(bc.InputError):
-        bc.fit_batch(MODEL, folder / "lot-0.parquet", out=out)
-
-
-def test_a_basis_of_another_form_is_another_request(lot_folder, tmp_path) -> None:
-    def model(power: int) -> bc.Model:
-        return MODEL + bc.Effect(
-            "bias.power",
-            "bias",
-            basis=lambda r: r.centred() ** power,
-            coefficients=(bc.Coefficient("deg/s", bc.Normal(0.0, 1.0)),),
-        )
-
-    file, done = lot_folder / "lot-0.parquet", []
-    for power in (2, 2, 3):
-        found = bc.fit_batch(model(power), file, out=tmp_path / "out")
-        assert isinstance(found, bc.FleetResult)
-        done.append(found.about["found_done"])
-    assert done == [0, 1, 0]
-
-
 def test_a_corrupt_file_is_named_and_done_once_it_is_mended(lot_folder, result, tmp_path) -> None:
     folder, out = tmp_path / "in", tmp_path / "out"
     shutil.copytree(lot_folder, folder)
@@ -182,24 +114,6 @@ def test_a_corrupt_file_is_named_and_done_once_it_is_mended(lot_folder, result, 
     same(found, result)
 
 
-def test_a_device_in_several_partitions_is_refused_once(lot_folder, result, tmp_path) -> None:
-    folder, out = tmp_path / "in", tmp_path / "out"
-    shutil.copytree(lot_folder, folder)
-    whole = pd.read_parquet(folder / "lot-3.parquet")
-    stray = table().query("device == 'D00'")  # which stands in lot-0
-    pd.concat([whole, stray]).to_parquet(folder / "lot-3.parquet")
-    found = fitted(folder, out)
-    assert (len(found), found.fitted) == (24, 23)
-    rows = found.rows()
-    own = rows[rows.device == "D00"]
-    assert len(own) == 1 and not own.ok.any()
-    assert found.table.devices.tolist() == [23, 23, 23]
-    again = fitted(folder, out)
-    assert again.about["found_done"] == 5  # nothing is done a third time
-    whole.to_parquet(folder / "lot-3.parquet")
-    same(fitted(folder, out), result)
-
-
 def test_devices_that_cannot_be_used_are_refused_alone(lot_folder, result, tmp_path) -> None:
     folder = tmp_path / "in"
     shutil.copytree(lot_folder, folder)
@@ -210,66 +124,3 @@ def test_devices_that_cannot_be_used_are_refused_alone(lot_folder, result, tmp_p
     assert (len(found), found.fitted) == (24, 19)
     with pytest.raises(bc.InputError):
         bc.fit_batch(MODEL, folder / "lot-0.parquet", out=tmp_path / "none")
-
-
-@needs_installation
-def test_a_folder_of_one_s_own_headers_is_asked_about_once(tmp_path) -> None:
-    folder = tmp_path / "lot"
-    folder.mkdir()
-    (folder / "README.txt").write_text("Lot 7, oven B.\n")
-    rng = np.random.default_rng(7)
-    for i in range(8):
-        heat = np.linspace(-20, 60, 30)
-        rate = 0.1 * i + 0.01 * heat + 0.01 * rng.standard_normal(30)
-        columns = {"Time (s)": 10.0 * np.arange(30), "Oven (C)": heat, "Gyro (dps)": rate}
-        if i == 5:
-            columns = dict(zip(("t/s", "T/°C", "w/(rad/s)"), columns.values(), strict=True))
-            columns["w/(rad/s)"] = np.deg2rad(rate)
-        pd.DataFrame(columns).to_csv(folder / f"N{i}.csv", index=False)
-    command = ("batch", folder, *GYRO, "--out", tmp_path / "out")
-    refused = run(*command)
-    assert refused.status == 2 and refused.err.count("Oven (C) looks like it") == 1
-    usual = ("--columns", "temperature=Oven (C)", "--columns", "output=Gyro (dps)")
-    run(*command, *usual)
-    run(*command, *usual, "--columns", "temperature=T/°C", "--columns", "output=w/(rad/s)")
-    table = bc.load_fleet(tmp_path / "out").rows()
-    slopes = table[table["coefficient"] == "bias.temperature"]["mean"]
-    assert np.allclose(slopes, 0.01, atol=1e-3)
-
-
-def test_a_full_disk_is_said_and_gone_on_from(lot_folder, result, tmp_path, monkeypatch) -> None:
-    out = tmp_path / "out"
-    write, written = pq.write_table, []
-
-    def full(table: pa.Table, where, **options):
-        if len(written) == 2:
-            raise OSError(28, "No space left on device")
-        written.append(where)
-        write(table, where, **options)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(pq, "write_table", full)
-        found = fitted(lot_folder, out)
-    assert sorted(found.missing) == ["lot-2.parquet", "lot-3.parquet", "lot-4.parquet"]
-    assert not list((out / "devices").glob(".*"))
-    found = fitted(lot_folder, out)
-    assert found.about["found_done"] == 2
-    same(found, result)
-
-
-@needs_installation
-def test_the_command_goes_by_partition(lot_folder, result, tmp_path) -> None:
-    out = tmp_path / "out"
-    ran = run("batch", lot_folder, *GYRO, "-o", out)
-    assert ran.status == 0, ran.err
-    same(bc.load_fleet(out), result)
-    assert json.loads((out / "fleet.json").read_text())["schema"] == "bayescal.fleet/1"
-    ran = run("batch", lot_folder, *GYRO, "-o", tmp_path / "out.parquet")
-    assert ran.status == 2
-    ran = run("batch", lot_folder / "none", *GYRO, "-o", out)
-    assert ran.status == 2
-    broken = tmp_path / "in"
-    shutil.copytree(lot_folder, broken)
-    (broken / "lot-4.parquet").write_bytes(b"PAR1")
-    ran = run("batch", broken, *GYRO, "-o", tmp_path / "other")
-    assert ran.status == 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 import bayescal as bc
 from tests.support.made_up.gyro_lot import MODEL, table
@@ -21,14 +20,8 @@ def test_bad_devices_are_refused_by_themselves(tmp_path, result) -> None:
     file = tmp_path / "lot.csv"
     made.to_csv(file, index=False)
     found = bc.fit_batch(MODEL, file)
-    said = {
-        "D02": "column 'output .deg/s.': holds no number",
-        "D05": "reads 'broken', a number in °/s was expected",
-        "D07": "reads 25 °C, one temperature only",
-        "D09": "plausible is",
-        "D11": "",
-    }
-    for name, message in said.items():
+    said = ("D02", "D05", "D07", "D09", "D11")
+    for name in said:
         assert not found[name].ok
     good = sorted(n for n in result.devices if n not in said)
     assert [n for n in found.devices if found[n].ok] == good
@@ -46,22 +39,3 @@ def test_measurements_that_differ_do_not_stop_each_other(readings, result) -> No
     )
     np.testing.assert_allclose(found["whole"].mean, result["D00"].mean, rtol=1e-12)
     np.testing.assert_allclose(found["last"].mean, result["D03"].mean, rtol=1e-12)
-
-
-def test_what_is_wrong_with_all_is_said_at_once(tmp_path, readings) -> None:
-    file = tmp_path / "lot.csv"
-    table(count=3).drop(columns="temperature [degC]").to_csv(file, index=False)
-    with pytest.raises(bc.InputError):
-        bc.fit_batch(MODEL, file)
-    table(count=3).rename(columns={"output [deg/s]": "output [m]"}).to_csv(file, index=False)
-    with pytest.raises(bc.InputError):
-        bc.fit_batch(MODEL, file)
-    unnamed = table(count=3)
-    unnamed.loc[4, "device"] = ""
-    unnamed.to_csv(file, index=False)
-    with pytest.raises(bc.InputError):
-        bc.fit_batch(MODEL, file)
-    with pytest.raises(bc.ModelError):
-        bc.fit_batch(MODEL, readings, population=["bias.colour"])
-    with pytest.raises(bc.InputError):
-        bc.fit_batch(MODEL, [])

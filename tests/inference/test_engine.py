@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 import bayescal as bc
 from bayescal import effects
 from bayescal._calibration.part import Part
-from bayescal._inference import nuts, programs, sampling
+from bayescal._inference import nuts, sampling
 from bayescal._inference.density import Density, about
 from bayescal._inference.gaussian import LOG_2PI, column_scale
 from bayescal._inference.laplace import across, find_mode
@@ -25,7 +25,7 @@ from bayescal._inference.problem import Problem
 from bayescal._inference.record import INTERPOLATED, Record, record_of
 from bayescal._inference.sampling import ManyPhi, weighted_draws
 from bayescal._model import forward
-from bayescal._model.parameters import Layout, bind
+from bayescal._model.parameters import bind
 from bayescal._model.summed_noise import over_record
 from bayescal._model.terms import ColumnsOf
 from bayescal.effects.thermal import BODIES
@@ -447,17 +447,6 @@ def test_a_long_record_with_a_lag_is_measured_as_with_every_weight_corrected(
     np.testing.assert_allclose(sd, exact_sd, rtol=0.02)
 
 
-def test_promoted_coefficients_stand_in_phi() -> None:
-    a = assembled("gyro, thermometer", "bias.temperature")
-    own = assembled("gyro, thermometer")
-    point, v = somewhere(a)
-    hyper = a.hyper(v)
-    x = np.insert(point, 1, hyper["bias.temperature"])
-    there = own.linearise(x, own.hyper(v[:-1]))
-    np.testing.assert_allclose(a.linearise(point, hyper).mean, there.mean, rtol=1e-12)
-    assert isinstance(a.layout, Layout)
-
-
 @pytest.mark.parametrize("tau", [61.0, 300.0, 1150.0])
 def test_columns_along_a_shape_are_interpolated_as_well_as_they_are_computed(tau: float) -> None:
     a = assembled("gyro")
@@ -487,20 +476,6 @@ def test_wandering_noise_is_whitened_as_its_covariance_says(known: bool, share: 
     made, log_volume = white.both(table)
     np.testing.assert_allclose(made.T @ made, table.T @ np.linalg.solve(covariance, table))
     assert log_volume == pytest.approx(np.linalg.slogdet(covariance)[1])
-
-
-def test_a_part_with_all_readings_is_the_whole() -> None:
-    whole = assembled("gyro, wandering")
-    part = Problem(whole.layout, Part(whole.record, np.arange(whole.record.size)))
-    flat, v = np.ones(whole.size), np.zeros(len(whole.hypers))
-    both = [Density(a, whole.start, flat).at(v)[0] for a in (whole, part)]
-    assert both[0] == both[1]
-
-
-def test_records_of_about_the_same_length_share_their_programs() -> None:
-    lengths = [programs.padded_length(n) for n in range(300, 331)]
-    assert len(set(lengths)) <= 2
-    assert all(n <= programs.padded_length(n) <= 1.3 * n for n in range(32, 5000, 7))
 
 
 def test_a_response_without_a_slope_somewhere_is_not_taken_for_affine() -> None:

@@ -137,15 +137,6 @@ def test_noise_as_stated_is_weighted_least_squares_and_its_chi_squared() -> None
     assert freedom == 6 and 0 < chance < 1
 
 
-def test_noise_as_stated_needs_that_it_is_stated() -> None:
-    model = STRAIGHT.baseline().fix({"noise.white": 0.0})
-    x = np.arange(8.0)
-    for known in ({}, {"output_uncertainty": np.where(x > 3, 1.0, 0.0)}):
-        readings = bc.Measurements.from_arrays(STRAIGHT, x=x, output=x, **known)
-        with pytest.raises(bc.ModelError):
-            bc.fit(model, readings, bc.LeastSquares())
-
-
 @pytest.fixture(scope="module")
 def iso(shared_data):
     path = shared_data / "gum" / "iso28037" / "examples.json"

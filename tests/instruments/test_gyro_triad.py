@@ -84,23 +84,6 @@ def test_what_is_corrected_counts_on_gravity() -> None:
     assert apart @ np.linalg.solve(found.covariance[0], apart) < 16
 
 
-def test_axes_to_turn_about_are_said_before_a_fit() -> None:
-    readings = gyro_triad.simulate(seed=1, campaign=Campaign(mountings=("x", "y")))
-    found = bc.undetermined(MODEL, readings)
-    assert [str(pose) for pose in found.add] == ["100 about the axis along z"]
-    assert not found.left
-    assert not bc.undetermined(MODEL, gyro_triad.simulate(seed=1)).combinations
-
-
-def test_refusals_say_what_to_do() -> None:
-    given: dict[str, Any] = {f"output_{a}": np.ones(4) for a in "xyz"}
-    with pytest.raises(bc.InputError):
-        bc.Measurements.from_arrays(INSTRUMENT, **given, rate=[0.0, 10.0, 10.0, 10.0])
-    directions: dict[str, Any] = {f"direction_{a}": np.zeros(4) for a in "xyz"}
-    with pytest.raises(bc.InputError):
-        bc.Measurements.from_arrays(INSTRUMENT, **given, **directions, rate=[0.0, 0.0, 5.0, 0.0])
-
-
 def test_at_rest_the_bias_alone_is_measured() -> None:
     random = np.random.default_rng(1)
     given: dict[str, Any] = {

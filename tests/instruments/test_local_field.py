@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models import accelerometer_triad, magnetometer_triad
+from bayescal_models import magnetometer_triad
 from bayescal_models.magnetometer_triad import Campaign, simulate
 from bayescal_models.magnetometer_triad.simulator import BASELINE
-from tests.support.command_line import needs_installation, run
 from tests.support.tiers import slow_but
 
 INSTRUMENT = magnetometer_triad.INSTRUMENT
@@ -97,30 +96,3 @@ def test_poses_of_a_log_keep_what_its_outputs_read(tmp_path: Path) -> None:
     assert not poses.has("magnitude")
     assert poses["magnitude_read"] == pytest.approx(log["magnitude_read"][0])
     assert log["magnitude_read"][0] == pytest.approx(31.0 * np.prod(SCALE) ** (1 / 3), rel=0.01)
-
-
-def test_what_is_no_local_field_is_refused(tmp_path: Path) -> None:
-    path = table(31.0, tmp_path, 31.0)
-    with pytest.raises(bc.InputError):
-        bc.read(path, INSTRUMENT, local_field="31 uT")
-    with pytest.raises(bc.InputError):
-        bc.read(path, INSTRUMENT, local_field="31")
-    for instrument, field in ((INSTRUMENT, "1 g"), (accelerometer_triad.INSTRUMENT, "31 uT")):
-        with pytest.raises(bc.InputError):
-            bc.read(path, instrument, local_field=field)
-
-
-@needs_installation
-@pytest.mark.usefixtures("unpainted")
-@pytest.mark.slow
-def test_the_command_takes_it(tmp_path: Path) -> None:
-    path = table(31.0, tmp_path)
-    asked = ("triad", path, "--poses", "--instrument", "magnetometer_triad", "--baseline")
-    done = run(*asked, "--local-field", "31 uT", "--out", tmp_path / "unit")
-    assert done.status == 0, done.err
-    correct = bc.load_vector_correction(tmp_path / "unit" / "correction.json")
-    assert np.all(correct.uncertainty[0, DIAGONAL] < 0.005)
-    done = run(*asked)
-    assert done.status == 0, done.err
-    done = run("imu", path, "--local-field", "31 uT")
-    assert done.status == 2

@@ -13,7 +13,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bayescal as bc
-from bayescal._annexes.imu.vector_correction import CorrectedVector
 from bayescal.workshop import UNCERTAINTY
 from bayescal_models import accelerometer_triad, gyro_triad, magnetometer_triad
 from bayescal_models.accelerometer_triad.simulator import BASELINE as ACCELEROMETERS
@@ -23,6 +22,7 @@ from bayescal_models.gyro_triad.simulator import BASELINE
 from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
 from tests.support.command_line import needs_installation, run
 from tests.support.coverage import assert_intervals_cover
+from tests.support.inside import CorrectedVector
 from tests.support.triad_truth import TRUE, matrix_of
 
 FORCE, TURNS = accelerometer_triad.INSTRUMENT, gyro_triad.INSTRUMENT
@@ -271,77 +271,6 @@ def test_a_heading_counts_the_errors_that_field_and_force_share() -> None:
     ups = [replace(force, terms=force.terms + e[None])(y_force, noise=0.0) for e in errors.T]
     drawn_headings = [f.heading_over(u)[0][0] for f, u in zip(fields, ups, strict=True)]
     assert stated == pytest.approx(np.std(drawn_headings), rel=0.12)
-
-
-@pytest.mark.slow
-def test_refusals_say_what_to_do() -> None:
-    forces, log = both(simulate_log(seed=6, campaign=FEW))
-    with pytest.raises(bc.ModelError):
-        bc.moves(log, FORCE, forces, exact())
-    short = forces.select(forces["time"] < 3.0)
-    with pytest.raises(bc.InputError):
-        bc.moves(log, TURNS, short, exact())
-    drawn, own, _ = magnetometers(71)
-    twice = drawn.with_column("output_x", drawn["output_y"])
-    with pytest.raises(bc.InputError):
-        bc.in_frame_of(own, twice, exact(), both(simulate_log(seed=71))[0])
-    for name, outputs in (
-        (
-            "output_x",
-            -log["output_x"],
-        ),
-        ("output_y", log["output_z"]),
-    ):
-        with pytest.raises(bc.InputError):
-            bc.moves(log.with_column(name, outputs), TURNS, forces, exact())
-    slow = log
-    for name in ("output_x", "output_y", "output_z"):
-        slow = slow.with_column(name, np.deg2rad(log[name]))
-    with pytest.raises(bc.InputError):
-        bc.moves(slow, TURNS, forces, exact())
-
-
-def held(log: dict[str, np.ndarray], moves: tuple[int, ...], samples: int) -> dict[str, np.ndarray]:
-    """The log with outputs of the gyroscopes that stand still for so many samples within each of these moves."""
-    log = {name: values.copy() for name, values in log.items()}
-    for k in moves:
-        begin = 100 * (7 * k + 5)  # one second into it, of poses of 4 s and moves of 3 s
-        for a in "xyz":
-            log[f"gyro_{a}"][begin : begin + samples] = log[f"gyro_{a}"][begin]
-    return log
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "moves"), [(3, (1, 3, 4)), (7, (10, 12, 17))])
-def test_moves_that_disagree_are_set_aside_by_name(seed: int, moves: tuple[int, ...]) -> None:
-    """Of 19 moves three, in which outputs stood still for half of the time; the rest measures as well without them."""
-    log = simulate_log(seed=seed, campaign=MovesByHand(poses=20, angle=2.5))
-    forces, turns = both(held(log, moves, 150))
-    rows = bc.moves(turns, TURNS, forces, exact())
-    aside = [re.search(r"the move from ([\d.]+) to", flag) for flag in rows.flags[1:]]
-    assert [round(float(found[1])) for found in aside if found] == [7 * k + 4 for k in moves]
-    assert len(rows) == 3 * 20 + 2 * (19 - len(moves))
-    calibration = bc.fit(gyro_triad.moved(), rows, bc.LeastSquares())
-    for name, true in TRUE.items():
-        draws = calibration.samples(name)
-        assert abs(draws.mean() - true) < 4 * draws.std()
-    assert calibration.samples("scale.constant[x]").std() < 200
-
-
-def test_too_many_moves_that_disagree_are_refused() -> None:
-    log = simulate_log(seed=3, campaign=MovesByHand(poses=20, angle=2.5))
-    forces, turns = both(held(log, (1, 3, 4, 8, 11, 15), 100))
-    with pytest.raises(bc.InputError):
-        bc.moves(turns, TURNS, forces, exact())
-
-
-def test_what_did_not_settle_is_not_called_a_wrong_unit(monkeypatch: pytest.MonkeyPatch) -> None:
-    from bayescal._annexes.imu import moves
-
-    monkeypatch.setattr(moves, "SWEEPS", 1)
-    forces, log = both(simulate_log(seed=6, campaign=FEW))
-    with pytest.raises(bc.InputError):
-        bc.moves(log, TURNS, forces, exact())
 
 
 @pytest.mark.slow

@@ -54,21 +54,6 @@ def test_the_reference_problems_model_is_the_baseline_with_proper_priors() -> No
             assert coefficient.size <= ng.INSTRUMENT.effect(effect.name).coefficients[0].size
 
 
-def test_hysteresis_needs_both_directions() -> None:
-    effect = ng.INSTRUMENT.effect("bias.hysteresis")
-    assert effect.untestable is not None
-    both = ng.simulate(seed=1, campaign=replace(ng.INSTRUMENT_A, alternate=True))
-    assert effect.untestable(both) is None
-
-
-def test_an_effect_that_lacks_its_column_says_so() -> None:
-    readings = ng.simulate(seed=1)
-    bare = bc.Measurements.from_xarray(readings.to_xarray().drop_vars("lab_temperature"))
-    model = ng.INSTRUMENT.baseline() + "base_tilt.lab_temperature"
-    with pytest.raises(bc.ModelError):
-        bc.fit(model, bare)
-
-
 @pytest.fixture(scope="module")
 def full() -> bc.Calibration:
     # Draws enough to know the ends of 99 % intervals: of 500, that of a coefficient moves by a third of its sd.

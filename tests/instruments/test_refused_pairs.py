@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ import bayescal as bc
 from bayescal_models import differential_pair as dp
 from bayescal_models.differential_pair.environment import SHARED, order_names
 from bayescal_models.differential_pair.pairing.devices import devices_from
-from tests.support.made_up.pairs import made_up
 
 
 def columns(**changed) -> dict[str, Any]:
@@ -46,19 +44,3 @@ def test_readings_that_make_no_pairs_are_refused(changed) -> None:
     readings = bc.Measurements.from_arrays(dp.INSTRUMENT, **columns(**changed))
     with pytest.raises(bc.InputError):
         devices_from(DRAWN, readings)
-
-
-def test_other_refusals_say_what_is_possible() -> None:
-    with pytest.raises(bc.InputError):
-        bc.Measurements.from_arrays(dp.INSTRUMENT, **columns(group=np.full(20, "middle")))
-    devices = made_up()
-    with pytest.raises(bc.InputError):
-        dp.select(devices, criterion="best")
-    with pytest.raises(bc.InputError):
-        dp.measure(devices, "o 1", "o 1", np.ones(3), np.ones(3))
-    with pytest.raises(bc.InputError):
-        dp.measure(devices, "o 1", "i 1", np.ones(3), np.ones(4))
-    with pytest.raises(bc.InputError):
-        dp.measure(replace(devices, others=("timing.skew",)), "o 1", "i 1", [1.0], [1.0])
-    with pytest.raises(ValueError):
-        dp.simulate({"bias.humidity": 1.0}, seed=0)

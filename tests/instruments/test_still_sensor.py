@@ -77,33 +77,6 @@ def test_a_loggers_file_is_opened_by_renaming_and_units(tmp_path: Path) -> None:
     assert found.model.names[-2:] == ("bias.temperature_quadratic", "bias.hysteresis")
 
 
-@pytest.mark.parametrize(
-    "units",
-    [
-        {},
-        {"acc_x": "furlong"},
-    ],
-)
-def test_a_channel_without_a_unit_is_refused(tmp_path: Path, units) -> None:
-    path, _ = log(tmp_path)
-    with pytest.raises(bc.InputError):
-        bc.read(
-            path, still_sensor.INSTRUMENT, columns=LOGGER_COLUMNS, units={**LOGGER_UNITS, **units}
-        )
-
-
-def test_a_nominal_scale_is_refused_where_the_unit_is_open(tmp_path: Path) -> None:
-    path, _ = log(tmp_path)
-    with pytest.raises(bc.InputError):
-        bc.read(
-            path,
-            still_sensor.INSTRUMENT,
-            columns=LOGGER_COLUMNS,
-            units={**LOGGER_UNITS, "acc_x": "V"},
-            nominal_scale=bc.NominalScale("V", 0.1),
-        )
-
-
 def test_plausible_sizes_grow_with_the_record_and_say_so() -> None:
     small, large = (
         still_sensor.simulate({"bias.constant": 0.0, "bias.temperature": c}, seed=1)
@@ -119,27 +92,6 @@ def test_plausible_sizes_grow_with_the_record_and_say_so() -> None:
         assert "empirical" in effect.source
     line = instrument.effect("bias.temperature").coefficients[0]
     assert 100 < line.size < 1000
-
-
-def test_a_channel_that_never_moves_is_refused() -> None:
-    still = still_sensor.simulate(seed=1).with_column("output", np.full(723, 3.0))
-    with pytest.raises(bc.InputError):
-        still_sensor.INSTRUMENT.for_readings(still)
-    with pytest.raises(bc.InputError):
-        still_sensor.instrument("V", span=-1)
-
-
-def test_a_model_meets_only_readings_in_its_own_unit() -> None:
-    readings = still_sensor.simulate(seed=1, runs=1)
-    with pytest.raises(bc.ModelError):
-        bc.fit(still_sensor.INSTRUMENT.baseline(), readings)
-    with pytest.raises(bc.ModelError):
-        bc.fit(still_sensor.instrument("V").baseline(), readings)
-
-
-def test_an_unknown_noise_law_is_refused() -> None:
-    with pytest.raises(ValueError):
-        still_sensor.simulate(seed=0, noise_law="pink")
 
 
 def test_the_simulated_laws_are_the_catalogues() -> None:

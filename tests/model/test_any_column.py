@@ -103,20 +103,6 @@ def test_what_follows_the_past_of_a_column_is_fitted(name) -> None:
     assert draws.mean() == pytest.approx(0.3, abs=5 * draws.std())
 
 
-def test_a_delay_of_a_column_without_rates_is_refused() -> None:
-    late = effects.thermometer_delay(10.0, source=S, column="pressure")
-    with pytest.raises(bc.ModelError):
-        fitted(0.3 * PRESSURE, POLYNOMIALS[1], late)
-
-
-@pytest.mark.parametrize(
-    "prior", [bc.HalfNormal(1.0), bc.HalfNormal, bc.LogNormal(1.0, 0.5), bc.HalfCauchy(1.0)]
-)
-def test_a_coefficient_has_no_prior_that_is_not_gaussian(prior) -> None:
-    with pytest.raises(bc.ModelError):
-        bc.Coefficient("mV", prior)
-
-
 @pytest.mark.parametrize(
     "law",
     [

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 import bayescal as bc
-from bayescal_models import mems_gyro
 from tests.support.command_line import Ran, needs_installation, run
 from tests.support.reported import unpaint
 from tests.support.shown_output import assert_as_shown, blocks
@@ -49,18 +48,6 @@ def _one(followed: dict[str, Ran], start: str) -> Ran:
     return next(ran for command, ran in followed.items() if command.startswith(f"bayescal {start}"))
 
 
-def test_the_effect_is_a_few_lines() -> None:
-    lines = [line for line in MY_EFFECTS.splitlines() if line.strip() and "import" not in line]
-    assert len(lines) <= 5
-
-
-@pytest.mark.nightly
-def test_check_names_the_column_that_no_effect_uses(followed: dict[str, Ran]) -> None:
-    printed = _one(followed, "check").out
-    assert_as_shown(printed, blocks(PAGE, "text")[0])
-    assert printed.splitlines()[3].startswith("humidity ")
-
-
 @pytest.mark.nightly
 def test_discovery_finds_the_effect(followed: dict[str, Ran]) -> None:
     printed = _one(followed, "discover line/calibration.nc --effects").out
@@ -92,11 +79,6 @@ def test_a_saved_calibration_asks_for_the_file_with_its_effect(followed: dict[st
     assert refused.status == 2
 
 
-@pytest.mark.nightly
-def test_a_report_looks_for_it_too(followed: dict[str, Ran], folder: Path) -> None:
-    assert followed[REPORT].status == 0
-
-
 def damp(size: float) -> bc.Effect:
     return bc.Effect(
         "bias.damp",
@@ -105,18 +87,3 @@ def damp(size: float) -> bc.Effect:
         coefficients=(bc.Coefficient("deg/s/%", bc.Normal(0.0, size)),),
         columns=("humidity",),
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("size", "shown"), [(0.02, False), (1e-12, True), (1e9, True)], ids=["right", "small", "large"]
-)
-def test_an_effect_in_a_wrong_unit_is_asked_about(size: float, shown: bool) -> None:
-    readings = mems_gyro.simulate({"unlisted.humidity": 0.02}, seed=1)
-    baseline, quick = mems_gyro.INSTRUMENT.baseline(), bc.LeastSquares(draws=50)
-    line = bc.fit(baseline, readings, quick)
-    with_it = bc.fit(baseline + damp(size), readings, quick, strict=False)
-    assert line.off_scale == ()
-    found = bc.discover(line, effects=[damp(size)], max_effects=1)
-    for said in (with_it.off_scale, found.off_scale):
-        assert [one.of[0] for one in said] == ["bias.damp"] * shown

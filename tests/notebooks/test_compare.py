@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 import bayescal as bc
 from bayescal_models.mems_gyro import INSTRUMENT
@@ -57,15 +56,3 @@ def test_over_many_groups_their_scores_rank() -> None:
     found = bc.compare(both(campaign(12, bend=2e-4)))
     assert found.chosen_by == "leave-one-group-out"
     assert found.rows[1].group_error
-
-
-def test_fits_in_a_list_are_named_by_what_they_add() -> None:
-    readings = campaign(3, bend=0.0)
-    twice = [*both(readings), bc.fit(CURVE, readings, QUICK)]
-    assert {r.name for r in bc.compare(twice).rows} == {
-        "model 1",
-        "+ bias.temperature_quadratic",
-        "model 3",
-    }
-    with pytest.raises(bc.InputError):
-        bc.compare([])

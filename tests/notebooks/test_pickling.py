@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal import effects
 from bayescal_models import INSTRUMENTS, mems_gyro, still_sensor
 from tests.support.compilations import compiled
 from tests.support.inside import identity_of
@@ -44,13 +43,6 @@ def test_models_and_effects_of_every_instrument(name) -> None:
     model = instrument.baseline()
     assert again(model) == model
     assert again(model + instrument.candidates) == model + instrument.candidates
-
-
-def test_the_catalogue_makes_the_same_effect_twice() -> None:
-    one, other = (effects.linear("bias", 1.0, "deg/s/degC", source="ours") for _ in range(2))
-    assert one == other
-    assert one.basis == other.basis
-    assert one.basis != effects.quadratic("bias", 1.0, "deg/s/degC^2", source="ours").basis
 
 
 def test_a_tailored_and_a_changed_instrument() -> None:
@@ -109,28 +101,6 @@ def own(basis, **more) -> bc.Effect:
 def test_an_effect_of_a_module_is_pickled() -> None:
     effect = own(partial(squared, "humidity"))
     assert again(effect) == effect
-
-
-def test_a_lambda_is_refused_in_a_sentence_and_left_to_cloudpickle() -> None:
-    cloudpickle = pytest.importorskip("cloudpickle")
-    model = GYRO.baseline() + own(lambda r: r["humidity"])
-    with pytest.raises(bc.ModelError):
-        pickle.dumps(model)
-    copy = pickle.loads(cloudpickle.dumps(model))  # what joblib and Dask fall back to
-    assert copy.names == model.names
-
-
-def test_an_instrument_without_a_name_is_refused_in_a_sentence() -> None:
-    instrument = bc.Instrument(
-        name="mine",
-        title="mine",
-        columns=(bc.Column("output", "deg/s", "output"),),
-        slots=(bc.Slot("bias", "deg/s"),),
-        response=lambda slots, r: slots["bias"],
-        effects=(),
-    )
-    with pytest.raises(bc.ModelError):
-        pickle.dumps(instrument)
 
 
 def summary_of(content: bytes) -> tuple[str, str, int]:

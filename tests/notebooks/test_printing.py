@@ -82,12 +82,6 @@ def test_results_are_printed_as_in_the_golden_text(results) -> None:
     assert_golden(Path(__file__).with_name("printed.txt"), told)
 
 
-def test_repr_of_what_stands_in_results_is_short(results) -> None:
-    assert repr(INSTRUMENT) == f"<Instrument: mems_gyro, {INSTRUMENT.title}>"
-    said = repr(results["discovery"].best)
-    assert len(said) < 200
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_html_holds_every_word_of_the_text_and_nothing_unescaped(results, name) -> None:
     found = results[name]._repr_html_()

@@ -123,12 +123,6 @@ def test_microseconds_of_unix_time_are_kept(put):
     assert m["time"].tolist() == [0.0, 2e-6, 0.123456]
 
 
-def test_a_clock_that_may_count_from_its_start_needs_a_unit(put):
-    counts = [str(1_200_000_000 + int(10e6 * i)) for i in range(12)]  # µs since switched on, 20 min
-    with pytest.raises(bc.InputError):
-        bc.read(put(text(("timestamp", *HEAD[1:]), (counts, TEMPERATURE, RATE))), GYRO)
-
-
 def test_runs_by_date_share_one_clock(put):
     later = [spaced(BEGAN + timedelta(days=1, seconds=t)) for t in TIME]
     first = put(dated(spaced), "one.csv")
@@ -143,11 +137,6 @@ def test_runs_by_date_share_one_clock(put):
 
 
 # --- what is said --------------------------------------------------------------------------------
-
-
-def test_each_header_that_was_interpreted_is_said(put):
-    said = bc.read(put(text(("t_s", "Temp (C)", "output [deg/s]"))), GYRO).flags
-    assert said == ("t.csv: read 't_s' as time in s", "t.csv: read 'Temp (C)' as temperature in °C")
 
 
 def test_dropped_rows_are_gaps_that_are_said(put):

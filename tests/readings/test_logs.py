@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import sqlite3
-import sys
 from contextlib import closing
 
 import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._tables.logs import Sensor, columns_of
 from bayescal_models import still_sensor
 from tests.support.log_files import write_bag, write_dataflash, write_ulog, write_ulog_topics
 
@@ -108,14 +106,6 @@ def test_a_bag_whose_messages_are_a_query_without_end_is_refused(tmp_path) -> No
         bc.read(path, INSTRUMENT, columns={"output": "gyro_x"})
 
 
-@pytest.mark.parametrize("package", ["pyulog", "pymavlink", "rosbags"])
-def test_without_its_package_a_log_is_refused_with_the_command(package, put, monkeypatch) -> None:
-    suffix = {"pyulog": ".ulg", "pymavlink": ".bin", "rosbags": ".bag"}[package]
-    monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(bc.InputError):
-        bc.read(put(b"x", f"t{suffix}"), INSTRUMENT, columns={"output": "gyro_x"})
-
-
 def test_px4_names_the_device_and_borrows_its_temperature(tmp_path) -> None:
     log = write_ulog(tmp_path / "t.ulg", TIME, TEMPERATURE, UNITS, gyro_temperature=False)
     readings = bc.read(log, INSTRUMENT, columns={"output": "gyro_x_1"})
@@ -124,30 +114,6 @@ def test_px4_names_the_device_and_borrows_its_temperature(tmp_path) -> None:
     assert len(readings) == ROWS - 1
     wanted = np.interp(TIME[1:], TIME + 0.002, TEMPERATURE)
     np.testing.assert_allclose(readings["temperature"], wanted, rtol=1e-6)
-
-
-def test_ardupilot_s_own_correction_is_told(tmp_path) -> None:
-    parameters = {"INS_TCAL1_ENABLE": 0.0, "INS_TCAL2_ENABLE": 1.0}
-    log = write_dataflash(tmp_path / "t.bin", TIME, TEMPERATURE, UNITS, parameters=parameters)
-    readings = bc.read(log, INSTRUMENT, columns={"output": "gyro_x"})
-    said = [flag for flag in readings.flags if "INS_TCAL" in flag]
-    assert len(said) == 1
-
-
-def test_channels_of_several_sensors_stand_at_the_times_of_the_slowest() -> None:
-    fast, slow = np.arange(0.0, 10.0, 0.01), np.arange(0.055, 9.0, 0.1)
-    random = np.random.default_rng(4)
-    noise = random.standard_normal(len(fast))
-    sensors = [
-        Sensor(fast, {"gyro_x": (noise, "rad/s")}),
-        Sensor(slow, {"acc_x": (slow**2, "m/s^2")}, temperature=slow),
-    ]
-    columns, notes = columns_of(sensors, ["gyro_x", "acc_x"], "t.ulg")
-    np.testing.assert_array_equal(columns["time [s]"], slow)
-    np.testing.assert_array_equal(columns["acc_x [m/s^2]"], slow**2)
-    taken = columns["gyro_x [rad/s]"]
-    assert set(taken) <= set(noise) and len(set(taken)) == len(slow)  # single samples, none twice
-    assert notes == ["t.ulg: rows at the times of acc_x"]
 
 
 @pytest.mark.parametrize(("size", "unit"), [(1.0, "Pa"), (0.01, "mbar")], ids=["Pa", "mbar"])

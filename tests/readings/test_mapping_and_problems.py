@@ -82,16 +82,6 @@ def test_a_mapping_that_is_none_is_refused(tmp_path: Path, content, message) -> 
         options_of(f"--mapping {path}")
 
 
-def test_a_channel_that_looks_like_the_output_is_the_one_problem_of_its_file(
-    tmp_path: Path,
-) -> None:
-    path = tmp_path / "still.csv"
-    path.write_text("time [s],gyro_x [deg/s]\n0,0.1\n1,0.2\n2,0.1\n", "utf-8")
-    done = run("noise", path)
-    assert done.status == 2
-    assert "output=gyro_x" in done.err and "[any]" not in done.err
-
-
 def test_a_still_sensor_needs_no_temperature(tmp_path: Path) -> None:
     path = tmp_path / "still.csv"
     path.write_text(text((HEAD[0], HEAD[2]), (TIME, NOISY)))
@@ -120,9 +110,3 @@ def test_files_that_call_a_column_differently_are_read_together(tmp_path: Path) 
     columns = mapping_of(kept)["columns"]
     found = bc.read(files, mems_gyro.INSTRUMENT, columns=columns)
     assert np.allclose(found["output"][: len(TIME)], found["output"][len(TIME) :])
-
-
-def test_a_unit_is_said_once(tmp_path: Path) -> None:
-    (path := tmp_path / "lab.csv").write_text(UNNAMED)
-    said = run("fit", path, *GYRO, "--unit", "time=s", "--unit", "time=ms")
-    assert said.status == 2 and "--unit says time twice, s and ms: say it once" in said.err

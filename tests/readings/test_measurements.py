@@ -146,17 +146,6 @@ def test_netcdf_of_others_is_read(tmp_path):
         bc.read(path, SCALE)
 
 
-def test_writing_is_refused_in_words(tmp_path):
-    m = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0])
-    with pytest.raises(bc.InputError):
-        m.write(tmp_path / "t.pkl")
-    (tmp_path / "taken").write_text("a file")
-    with pytest.raises(bc.InputError):
-        m.write(tmp_path / "taken" / "t.csv")
-    (tmp_path / "taken").unlink()
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".nc"])
 def test_any_name_of_a_column_is_written_and_read_back(tmp_path, suffix):
     m = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0])
@@ -193,13 +182,6 @@ def test_arrays_are_checked_as_files_are():
 def test_further_arrays_need_a_unit_to_be_kept():
     m = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0], humidity=[1.0, 2.0])
     assert not m.has("humidity")
-
-
-def test_columns_come_as_a_mapping_behind_the_instrument():
-    m = bc.Measurements.from_arrays(SCALE, {"output": [1.0, 2.0], "humidity [%]": [40.0, 41.0]})
-    assert m.has("humidity") and len(m) == 2
-    with pytest.raises(bc.InputError):
-        bc.Measurements.from_arrays({"output": [1.0, 2.0]}, SCALE)  # pyright: ignore[reportArgumentType]
 
 
 def test_readings_cannot_be_changed_by_accident():
@@ -267,30 +249,6 @@ def test_a_further_column_may_carry_its_unit_as_in_a_file():
     m = bc.Measurements.from_arrays(SCALE, **columns)
     assert m.unit("humidity") == "1"
     np.testing.assert_allclose(m["humidity"], [0.45, 0.5])
-
-
-def test_readings_describe_themselves(grouped):
-    assert "output" in grouped and "colour" not in grouped
-    with pytest.raises(bc.InputError):
-        grouped["x"]
-    with pytest.raises(bc.InputError):
-        bc.Measurements.from_xarray(xr.Dataset({"output": ("other", [1.0])}))
-
-
-@pytest.mark.parametrize(
-    "column",
-    [
-        {"name": "cell", "unit": None},
-        {"name": "x", "unit": "V", "allowed": ("a",)},
-        {"name": "x", "unit": None, "low": 1.0},
-        {"name": "x", "unit": "V", "low": 1.0, "high": 0.0},
-        {"name": "x", "unit": None, "known": (("step", 1.0),)},
-        {"name": "x", "unit": "V", "known": (("step", 0.0),)},
-    ],
-)
-def test_a_column_that_contradicts_itself_is_refused(column):
-    with pytest.raises(bc.InputError):
-        bc.Column(**column)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._data.dataset_checks import repeated_rows
 from tests.support.gyro_files import GOOD, GYRO, HEAD, refused
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,21 +47,6 @@ def test_groups_are_numbered_as_they_appear(put, order):
     m = bc.Measurements.from_arrays(GYRO, output=range(6), temperature=range(6), run=runs)
     assert m.groups("run")[0] == ("b", "a")
     assert m.groups("run")[1].tolist() == [int(run == "a") for run in runs]
-
-
-def test_repeated_rows_are_those_that_pandas_finds():
-    import pandas as pd
-
-    rng = np.random.default_rng(3)
-    few = rng.integers(0, 4, (400, 2))
-    columns = {
-        "run": np.array([f"run {i}" for i in rng.integers(0, 3, 400)], dtype=object),
-        "a": np.choose(few[:, 0], [0.0, -0.0, np.nan, 1e308]),
-        "b": np.choose(few[:, 1], [1.0, np.nextafter(1.0, 2.0), -1.0, np.inf]),
-    }
-    wanted = np.flatnonzero(pd.DataFrame(columns).duplicated())
-    assert 300 < len(wanted) < 400
-    np.testing.assert_array_equal(repeated_rows(columns), wanted)
 
 
 def test_headers_carry_units_of_their_own(put):
@@ -144,19 +128,6 @@ def test_an_optional_column_without_content_is_left_out(put):
     assert sum("is empty and was left out" in flag for flag in m.flags) == 2
 
 
-def test_many_rows_are_checked_in_stretches(put, monkeypatch):
-    monkeypatch.setattr("bayescal._tables.csv_reader._BLOCK", 64)
-    monkeypatch.setattr("bayescal._tables.csv_reader._ROWS", 7)
-    rows = [f"a,{i},{20 + i % 5},{i / 8}" for i in range(100)]
-    m = bc.read(put(HEAD + "\n".join(rows)), GYRO)
-    np.testing.assert_array_equal(m["output"], np.arange(100) / 8)
-    rows[61] = "a,61,20,1.2.3"
-    refused(put(HEAD + "\n".join(rows)), r"row 63 of .* reads '1\.2\.3'")
-    rows[61] = "a,61,20"
-    refused(put(HEAD + "\n".join(rows)), "row 63 of 't.csv': 3 fields, 'a,61,20', its header has 4")
-    refused(put(HEAD + "a" * 200), "row 2 of 't.csv' is longer than 64 bytes")
-
-
 # --- several files -------------------------------------------------------------------------------
 
 
@@ -202,31 +173,6 @@ def test_files_that_do_not_go_together(put):
         [x, y], r"column 'p' is in Pa in 'y\.csv' and in V|column 'p' is in V in 'x\.csv' and in Pa"
     )
     refused([a, a], r"'a\.csv' was given 2 times")
-
-
-def test_files_that_go_together_in_a_doubtful_way_are_flagged(put):
-    text = "run,temperature [degC],output [V]\nr,{},1\n"
-    a, b = put(text.format(20), "a.csv"), put(text.format(30), "b.csv")
-    assert any(
-        "run 'r' of b.csv is taken as the one of a.csv" in f for f in bc.read([a, b], GYRO).flags
-    )
-    copy = put(text.format(20), "copy.csv")
-    assert any(
-        "copy.csv has the same content as a.csv" in f for f in bc.read([a, b, copy], GYRO).flags
-    )
-    point = put("temperature_point [degC],temperature [degC],output [V]\n40,40,1\n", "point.csv")
-    m = bc.read([point, put("temperature [degC],output [V]\n30,1\n", "ramp.csv")], GYRO)
-    assert m.groups("cell")[1].tolist() == [0, -1]
-    assert any("ramp.csv: no 'temperature_point'" in f for f in m.flags)
-
-
-def test_a_refusal_names_the_file_among_several(put):
-    a, b = put(GOOD, "a.csv"), put(GOOD + "b,-1,20,1\n", "b.csv")
-    with pytest.raises(
-        bc.InputError,
-        match=r"row 2 of 'b\.csv', column 'time': reads 0 s after 10 s in row 3 of 'a",
-    ):
-        bc.read([a, b], GYRO)
 
 
 # --- what is flagged -----------------------------------------------------------------------------

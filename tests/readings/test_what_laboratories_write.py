@@ -47,14 +47,6 @@ def options_said(path: Path, instrument: bc.Instrument) -> str:
     return " ".join(dict.fromkeys(p.option for p in refused.value.problems if p.option))
 
 
-def test_what_a_chamber_was_told_is_never_proposed_for_its_thermometer(tmp_path: Path) -> None:
-    path = tmp_path / "setpoint.csv"
-    text = table(**{"time [s]": STEPS, "Setpoint (°C)": 20 + STEPS, "output [deg/s]": STEPS / 1e4})
-    path.write_text(text, encoding="utf-8")
-    said = options_said(path, GYRO)
-    assert "Setpoint" not in said
-
-
 def test_a_unit_of_differences_is_refused_with_file_and_column(tmp_path: Path) -> None:
     path = tmp_path / "milli.csv"
     path.write_text(at_rest(**{"time [s]": STEPS, "temperature [mK]": 20000 + STEPS}), "utf-8")
@@ -182,12 +174,6 @@ def test_what_says_that_labels_are_counted_is_no_part_of_their_name(put, head, o
     assert bc.read(path, GYRO).groups(ours)[0] == ("0", "1", "2")
 
 
-def test_labels_that_may_be_runs_are_said(put) -> None:
-    labels = ["left"] * 30 + ["right"] * 30
-    flags = bc.read(put(at_rest(**{"time [s]": STEPS, "Side": labels})), STILL).flags
-    assert any("--columns run=Side" in flag for flag in flags)
-
-
 @pytest.mark.parametrize("head", ["Charge [#]", "Block [xyz]"])
 def test_labels_of_an_unknown_name_are_asked_about_and_never_left_out(put, head) -> None:
     path = put(at_rest(**{"time [s]": STEPS, head: (STEPS // 200).astype(int)}))
@@ -259,12 +245,6 @@ def test_a_header_that_looks_like_two_columns_is_an_alternative_for_each(put) ->
 def test_no_unit_is_asked_of_headers_that_have_one(put) -> None:
     columns = {"time [s]": STEPS, "Oven (°C)": 20 + STEPS / 20, "Flow (l/min)": STEPS}
     assert "--unit" not in options_said(put(table(**columns)), STILL)
-
-
-def test_a_column_that_may_be_one_of_the_instrument_s_is_said(put) -> None:
-    columns = {"time [s]": STEPS, "Room temp. (°C)": 20 + STEPS / 20, "output [g]": STEPS / 1e6}
-    flags = bc.read(put(table(**columns)), STILL).flags
-    assert any("--columns 'temperature=Room temp. (°C)'" in flag for flag in flags)
 
 
 @pytest.mark.parametrize(

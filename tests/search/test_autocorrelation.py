@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._calibration.check import autocorrelation
-from bayescal._model import forward
 from bayescal_models import still_sensor
+from tests.support.inside import autocorrelation, forward
 
 SENSOR = still_sensor.instrument("ug", size=20.0, constant=200.0, span=20.0)
 FAST = bc.LeastSquares(draws=100)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._inference.noise_on_record import Whitening
 from bayescal_models import still_sensor
+from tests.support.inside import Whitening
 from tests.support.tiers import slow_but
 
 SENSOR, QUICK = still_sensor.INSTRUMENT, bc.LeastSquares(draws=200)

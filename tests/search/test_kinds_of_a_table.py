@@ -52,11 +52,3 @@ def test_a_late_thermometer_reads_what_was_a_minute_before(tmp_path: Path) -> No
     record = SENSOR.campaign(2).record
     warm = kind.spoil(record, SENSOR, np.random.default_rng(1))["temperature"]
     assert warm[6:241] == pytest.approx(record["temperature"][:235])
-
-
-@pytest.mark.parametrize(
-    "wrong", ['steps = [{ do = "melted" }]', 'steps = []\ncolour = "red"', 'steps = []\nof = "all"']
-)
-def test_a_table_of_what_there_is_not_is_refused(tmp_path: Path, wrong: str) -> None:
-    with pytest.raises(ValueError):
-        kinds_of(written(tmp_path, f'[[kind]]\nname = "odd"\n{wrong}\n'))

@@ -99,11 +99,6 @@ def test_the_first_experiment_separates_what_the_last_does_not(
     assert reached[first] > 2 * reached[last]
 
 
-def test_one_effect_alone_has_nothing_to_be_told_from(line: bc.Calibration) -> None:
-    with pytest.raises(bc.ModelError):
-        bc.next_experiment(line, RIVALS[:1])
-
-
 def test_an_unknown_dependence_becomes_a_draft_that_can_be_run() -> None:
     readings = mems_gyro.simulate({"unlisted.humidity": 0.02}, seed=31)
     model = INSTRUMENT.baseline() + "unknown(humidity)"
@@ -119,8 +114,3 @@ def test_an_unknown_dependence_becomes_a_draft_that_can_be_run() -> None:
     exec(draft, names)
     again = bc.fit(INSTRUMENT.baseline() + names["effect"], readings, bc.LeastSquares())
     assert again.mode.log_evidence > found.mode.log_evidence - 3
-
-
-def test_a_named_effect_has_no_draft(line: bc.Calibration) -> None:
-    with pytest.raises(bc.ModelError):
-        bc.draft_effect(line, "bias.temperature")

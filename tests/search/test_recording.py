@@ -10,13 +10,6 @@ from bayescal_models import mems_gyro
 from bayescal_models.mems_gyro import INSTRUMENT
 
 
-def test_an_output_that_never_changes_is_refused() -> None:
-    readings = mems_gyro.simulate({}, seed=1)
-    stuck = readings.with_column("output", np.full(len(readings), 1.5))
-    with pytest.raises(bc.ModelError, match=r"the output reads 1\.5 in all 330 readings"):
-        bc.fit(INSTRUMENT.baseline(), stuck)
-
-
 def test_noise_below_the_resolution_of_doubles_is_no_crash() -> None:
     readings = mems_gyro.simulate({}, seed=1)
     exact = 20.0 + 0.05 * (readings["temperature"] - 55.0)
@@ -73,13 +66,4 @@ def test_an_output_of_too_few_digits_is_refused() -> None:
     readings = mems_gyro.simulate({}, seed=1)
     far = readings.with_column("output", readings["output"] + 1e14)
     with pytest.raises(bc.ModelError, match="too few of its digits are left"):
-        bc.fit(INSTRUMENT.baseline(), far)
-
-
-def test_a_constant_beyond_all_digits_of_its_prior_is_refused_at_once() -> None:
-    readings = mems_gyro.simulate({}, seed=1)
-    far = readings.with_column("output", readings["output"] + 1e12)
-    with pytest.raises(
-        bc.ModelError, match=r"times the plausible size of bias\.constant .* digits"
-    ):
         bc.fit(INSTRUMENT.baseline(), far)

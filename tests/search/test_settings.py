@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-import re
-
 import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
 from tests.support.inside import result_of
 from tests.support.made_up import split_search
-
-NAMES = [field.name for field in dataclasses.fields(bc.Settings)]
-
-
-def test_there_are_few_settings_each_with_its_reason() -> None:
-    said = dict(re.findall(r"^        (\w+): (.+)$", str(bc.Settings.__doc__), re.MULTILINE))
-    assert list(said) == NAMES
-    assert len(NAMES) <= 10 and all(len(reason) > 30 for reason in said.values())
 
 
 def line_of(*temperatures: float) -> bc.Measurements:
@@ -44,11 +33,6 @@ def test_draws_are_judged_by_them() -> None:
         assert not bc.fit(model, readings, few, strict=False).verdict.ok
     with bc.use_settings(bc.Settings(effective_draws=10)):
         assert bc.fit(model, readings, few, strict=False).verdict.ok
-
-
-def test_other_things_are_no_settings() -> None:
-    with pytest.raises(TypeError):
-        bc.use_settings(0.9).__enter__()  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.slow

@@ -114,15 +114,6 @@ def test_far_beyond_the_range_of_the_fit_it_says_nothing() -> None:
     assert np.allclose(columns, 0.0, atol=1e-12)
 
 
-def test_a_calibration_with_it_is_saved_and_loaded(trail: bc.SearchPath, tmp_path) -> None:
-    final = trail.final.calibration
-    final.save(tmp_path / "c.nc")
-    again = bc.load(tmp_path / "c.nc")
-    assert again.model.names == final.model.names
-    fresh = mems_gyro.simulate(HUMID, seed=33)
-    assert np.allclose(bc.predict(again, fresh).mean, bc.predict(final, fresh).mean)
-
-
 def test_its_prior_is_a_smooth_process_of_the_stated_amplitude() -> None:
     readings = mems_gyro.simulate({}, seed=1)
     frame = frame_of(readings)
@@ -184,16 +175,3 @@ def test_a_named_effect_is_preferred_to_an_unknown_dependence_on_its_covariate()
     curved = mems_gyro.simulate({"bias.temperature_quadratic": 1e-3}, seed=34)
     found = bc.discover(bc.fit(INSTRUMENT.baseline(), curved))
     assert [e.name for e in found.best] == ["bias.temperature_quadratic"]
-
-
-def test_an_instrument_without_a_slot_in_the_output_unit_says_so() -> None:
-    bare = bc.Instrument(
-        "bare",
-        "no bias",
-        INSTRUMENT.columns,
-        (bc.Slot("scale", "1"),),
-        lambda slots, r: slots["scale"] * r["temperature"],
-        INSTRUMENT.effects[:0],
-    )
-    with pytest.raises(bc.ModelError):
-        bare.unknown("temperature")

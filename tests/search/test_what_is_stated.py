@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._search.calibrate import Loop
 from bayescal_models import mems_gyro, still_sensor
 
 QUICK = bc.LeastSquares(draws=200)
@@ -22,34 +20,11 @@ def search(most: int) -> bc.SearchPath:
     return bc.calibrate(model, readings, method=QUICK, max_effects=most, widen_noise=False)
 
 
-def test_at_the_limit_of_effects_no_model_is_called_complete() -> None:
-    last = search(1).final.discovery
-    assert last is not None and last.nothing_missing is None
-
-
 def test_below_the_limit_it_is() -> None:
     path = search(4)
     last = path.final.discovery
     assert last is not None and last.nothing_missing is not None
     assert str(path).splitlines()[-2].split()[-1] == f"{last.nothing_missing:.2f}"
-
-
-@pytest.mark.parametrize(("late", "said"), [(1.2, "leave-one-run-out error has risen"), (0.8, "")])
-def test_no_model_is_called_complete_whose_left_out_error_has_risen(late: float, said: str) -> None:
-    def step(rmse: float, added: str | None) -> SimpleNamespace:
-        discovery = SimpleNamespace(candidates=())
-        score = np.array([-50.0 * rmse])
-        left_out = SimpleNamespace(
-            rmse=rmse, group="run", log_score=score, variance=None, error=lambda _, e=rmse: e
-        )
-        calibration = SimpleNamespace(model=SimpleNamespace(noise=bc.White()))
-        return SimpleNamespace(
-            left_out=left_out, added=added, discovery=discovery, calibration=calibration
-        )
-
-    loop = Loop(None, None, None, 0, None, 5, frozenset())  # pyright: ignore[reportArgumentType]
-    found = loop.incomplete([step(1.0, None), step(late, "bias.x")])  # pyright: ignore[reportArgumentType]
-    assert said in found and bool(said) == bool(found)
 
 
 def channels() -> bc.Channels:

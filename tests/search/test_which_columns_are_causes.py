@@ -5,13 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import bayescal as bc
-from bayescal_models import mems_gyro, still_sensor
-from tests.support.command_line import GYRO, TABLE, needs_installation, run
-from tests.support.command_line import QUICK as LEAST_SQUARES
+from bayescal_models import still_sensor
 
 SENSOR, QUICK = still_sensor.INSTRUMENT, bc.LeastSquares(draws=200)
 
@@ -75,19 +72,6 @@ def test_only_covariates_that_are_named_are_causes(line: bc.Calibration) -> None
         bc.discover(line, ignore=["drive"], covariates=["drive"])
 
 
-@needs_installation
-def test_the_command_takes_both(tmp_path: Path) -> None:
-    """Of a table without time, in which no correlated noise is looked for."""
-    table, path = pd.read_csv(TABLE), tmp_path / "table.csv"
-    table["drive [V]"] = 5 + 0.05 * np.cos(1.7 * np.arange(len(table)))
-    table["pressure [hPa]"] = 1000 + np.sin(2.9 * np.arange(len(table)))
-    table.to_csv(path, index=False)
-    given = ("calibrate", path, *GYRO, *LEAST_SQUARES)
-    done = run(*given, "--max-effects", "1", "--ignore", "drive", "--json")
-    names = {c["effect"] for c in done.data["missing"][0]["candidates"]}
-    assert "unknown(pressure)" in names and "unknown(drive)" not in names
-
-
 @pytest.mark.parametrize(
     ("output", "others"),
     [
@@ -117,14 +101,3 @@ def test_channels_are_known_by_their_names(output: str, others: list[str], tmp_p
     np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=head, comments="")
     found = bc.read(tmp_path / "log.csv", SENSOR, columns={"output": output})
     assert found.no_causes == set(others) and {"drive", "max", "zinc"} <= set(found.columns)
-
-
-def test_what_cannot_be_tested_is_said_by_families() -> None:
-    readings = mems_gyro.simulate(seed=1)
-    columns = {name: readings[name] for name in ("temperature", "output")}
-    bare = bc.Measurements.from_arrays(mems_gyro.INSTRUMENT, **columns)
-    line = bc.fit(mems_gyro.INSTRUMENT.baseline(), bare, bc.LeastSquares())
-    found = bc.discover(line, max_effects=1, widen_noise=False)
-    shut = [c.effect for c in found.candidates if c.kind == "not testable"]
-    assert {"bias.thermal_lag", "bias.warm_up", "bias.drift"} <= {*shut}
-    assert len(shut) == len({*shut}) and not any(name.count(".") > 1 for name in shut)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import json
 import os
 import signal
 import subprocess
@@ -14,7 +13,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.command_line import needs_installation, run
+from tests.support.command_line import needs_installation
 from tests.support.inside import Origin, Session, identity_of
 from tests.workbench.conftest import Campaign
 from tests.workbench.test_session import OWN
@@ -116,50 +115,3 @@ def test_killed_at_any_moment(campaign: Campaign, tmp_path: Path) -> None:
             assert state.step.errors() == reference.states[number].step.errors()
         assert found.add("bias.warm_up").parent is not None
     assert numbers == {2, 3}
-
-
-def test_a_folder_of_something_else_is_refused(session: Session, tmp_path: Path) -> None:
-    with pytest.raises(bc.InputError):
-        Session.resume(tmp_path)
-    with pytest.raises(bc.InputError):
-        Session.begin(session.current.model, session.readings, folder=session.folder)
-    other = Origin.of("mems_gyro", ["/elsewhere/other.csv"])
-    with pytest.raises(bc.InputError):
-        Session.resume(session.folder, of=other)
-    told = session.folder / "session.json"
-    told.write_text(json.dumps({**json.loads(told.read_text()), "schema": "bayescal.workbench/9"}))
-    with pytest.raises(bc.InputError):
-        Session.resume(session.folder)
-
-
-def test_a_changed_state_is_refused(session: Session) -> None:
-    script = session.folder / "state_000" / "script.py"
-    script.write_text(script.read_text() + "# more\n")
-    with pytest.raises(bc.InputError):
-        Session.resume(session.folder)
-
-
-@pytest.mark.slow
-@needs_installation
-def test_report_and_exports_are_the_command_lines(session: Session, tmp_path: Path) -> None:
-    session.add("bias.warm_up")
-    for what, suffix in {"c": "h", "json": "json", "python": "py"}.items():
-        made = session.export(what)
-        kept = made.parent / "calibration.nc"
-        asked = tmp_path / f"asked.{suffix}"
-        done = run("export", kept, "--format", what, "--out", asked)
-        assert done.status == 1  # written all the same
-        said, expected = made.read_text(), asked.read_text()
-        assert said.replace(made.stem, "X") == expected.replace(asked.stem, "X")
-    made = session.report()
-    asked = tmp_path / "report.html"
-    done = run("report", made.parent, "-o", asked)
-    assert done.status == 1
-
-    def undated(path: Path) -> list[str]:
-        return [x for x in path.read_text("utf-8").splitlines() if " UTC" not in x]
-
-    assert undated(made) == undated(asked)
-    told = json.loads((made.parent / "result.json").read_text("utf-8"))
-    assert [s["title"] for s in told["steps"]] == ["baseline", "+ bias.warm_up"]
-    assert told["method"] == "marginal"

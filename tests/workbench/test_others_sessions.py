@@ -58,13 +58,6 @@ def test_a_file_that_a_session_names_is_not_run(session: Session, evil: Path) ->
     assert ran(evil)
 
 
-def test_an_instrument_in_a_file_that_a_session_names_is_not_run(session, evil) -> None:
-    change(session, origin={"instrument": f"{evil}:INSTRUMENT"})
-    with pytest.raises(bc.InputError):
-        Session.resume(session.folder)
-    assert not ran(evil)
-
-
 @needs_installation
 def test_the_command_runs_what_it_names_itself_alone(
     session: Session, evil: Path, campaign: Campaign
@@ -77,36 +70,6 @@ def test_the_command_runs_what_it_names_itself_alone(
     done = run(*asked)
     assert done.status == 2
     assert not ran(evil)
-
-
-def test_what_this_process_ran_is_no_news(session: Session) -> None:
-    code = EVIL.replace("Path(__file__)", "Path('/nowhere/x')").replace(".touch()", "")
-    (name,) = session.load_draft(code)
-    again = Session.resume(session.folder)
-    assert name in again.own
-    (draft,) = (session.folder / "drafts").iterdir()
-    draft.write_text(code + "\n")
-    with pytest.raises(bc.InputError):
-        Session.resume(session.folder)
-
-
-HOSTILE: dict[str, dict[str, Any]] = {
-    "its method 'load' is not one of": {"settings": {"method": {"name": "load", "path": "x.nc"}}},
-    "settings.max_effects": {"settings": {"max_effects": "5"}},
-    "settings.seed": {"settings": {"seed": 1.5}},
-    "origin.files": {"origin": {"files": "readings.csv"}},
-    "origin.read.max_bytes is not known": {"origin": {"read": {"max_bytes": 10**15}}},
-    "origin.more is not known": {"origin": {"more": 1}},
-    "current": {"current": "0"},
-    "unexpected keyword": {"settings": {"method": {"name": "Marginal", "evil": 1}}},
-}
-
-
-@pytest.mark.parametrize("said", HOSTILE)
-def test_a_hostile_session_is_refused_in_words(said, session: Session) -> None:
-    change(session, **HOSTILE[said])
-    with pytest.raises(bc.InputError):
-        Session.resume(session.folder)
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"schema":' * 50_000, "[]", "null", "\x00"])

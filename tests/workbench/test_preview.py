@@ -84,20 +84,3 @@ def test_other_instruments(instrument: bc.Instrument) -> None:
         if len(able) == 2:
             break
     assert able
-
-
-def test_another_model_may_be_asked_about(gyro: bc.Calibration) -> None:
-    without = gyro.model - "bias.temperature"
-    found = bc.preview(gyro, without)
-    after = bc.fit(without, gyro.readings, QUICK, strict=False)
-    np.testing.assert_allclose(residuals(gyro) - found.curve, residuals(after), atol=1e-6)
-    assert found.size is None and found.rms > found.rms_before
-
-
-def test_refusals(gyro: bc.Calibration) -> None:
-    with pytest.raises(bc.ModelError):
-        bc.preview(gyro, "bias.temperature")
-    with pytest.raises(bc.ModelError):
-        bc.preview(gyro, "scale.constant")
-    with pytest.raises(bc.ModelError):
-        bc.preview(gyro, "bias.colour")

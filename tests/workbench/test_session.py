@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._annexes.workbench.panes.model_pane import effect_rows
-from bayescal._annexes.workbench.session import Session
 from bayescal_models import mems_gyro
+from tests.support.inside import Session
 from tests.workbench.conftest import HIDDEN, Campaign
 
 OWN = """
@@ -79,20 +78,6 @@ def test_consequences_come_before_the_change(
 def test_what_was_fixed_is_set_free(session: Session) -> None:
     session.fix("bias.temperature", 0.05)
     assert session.free("bias.temperature").step.rmse_fitted == session.states[0].step.rmse_fitted
-
-
-def test_refusals_are_sentences(session: Session) -> None:
-    with pytest.raises(bc.ModelError):
-        session.add("bias.constant")
-    with pytest.raises(bc.ModelError):
-        session.noise("pink")
-    with pytest.raises(bc.InputError):
-        session.act("paint", "red")
-    with pytest.raises(bc.InputError):
-        session.go_to(7)
-    with pytest.raises(bc.InputError):
-        session.export("dvd")
-    assert len(session.states) == 1
 
 
 @pytest.mark.slow
@@ -198,13 +183,3 @@ def test_a_typed_formula_is_drawn_before_it_is_added_and_goes_on_with_the_sessio
     assert again.current.model == added.model and not again.not_taken
     with pytest.raises(bc.InputError):
         session.typed("square: a*(temperatur - 40)^2; a = 1e-3 deg/s")
-
-
-def test_a_curve_is_one_line(session: Session) -> None:
-    session.add("unknown(time)")
-    rows = {row["id"]: row for row in effect_rows(session.current.calibration)}
-    assert (
-        len(rows["unknown(time)"]["cells"]) == 2
-        and "rms" in rows["unknown(time)"]["cells"][1]["text"]
-    )
-    assert session.compare(0).count("unknown(time)") == 3  # two titles and one line
