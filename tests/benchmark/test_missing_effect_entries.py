@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from pathlib import Path
@@ -16,7 +15,6 @@ from missing_effect.entries import bic, bma, exhaustive, mbic
 from missing_effect.regression import Regression
 from missing_effect.score import FLOOR, Score, calibration, score, summary
 from missing_effect.task import Task
-from missing_effect_maker import real
 from missing_effect_maker.generate import Case, generate, make, write
 from scipy.integrate import quad
 from scipy.special import ndtr
@@ -94,16 +92,6 @@ def test_tasks_are_not_to_be_found(tasks: Path, tmp_path: Path) -> None:
     assert answer_of(tasks, tmp_path, code)["sets"] == [[[], 0.1]]
 
 
-def test_the_time_of_a_start_counts_for_every_entry_alike(tasks: Path, tmp_path: Path) -> None:
-    """Of a second's work where an entry is loaded, all is in each task's seconds, isolated or not."""
-    entry = tmp_path / "entry.py"
-    busy = "import time\nwhile time.process_time() < 1.0: pass\n"
-    entry.write_text(busy + HONEST, "utf-8")
-    assert run.solve(entry, tasks / "task_000", tasks)["seconds"] >= 1.0
-    found = dict(run.run(entry, tasks, tmp_path / "results", 2, trusted=True))
-    assert len(found) == 2 and min(a["seconds"] for a in found.values()) >= 1.0
-
-
 TRUTH: dict[str, Any] = {
     "track": "linear",
     "instrument": "mems_gyro",
@@ -149,12 +137,6 @@ def test_crps_is_its_integral() -> None:
     found = scored_as([[[], 1.0]])
     assert found.crps == pytest.approx(np.mean(each) / 0.5, rel=1e-6)
     assert found.covered == pytest.approx(2 / 3)
-
-
-def test_a_task_without_an_answer_has_the_floor(tasks: Path) -> None:
-    truth = json.loads((tasks / "task_000" / "truth.json").read_text("utf-8"))
-    found = score({"failed": "over", "seconds": 60.0}, truth, tasks / "task_000")
-    assert found.log == math.log(FLOOR) and found.crps > 1 and found.failed == "over"
 
 
 def test_an_interval_holds_its_mean_and_bands_count_every_task() -> None:
@@ -232,14 +214,6 @@ def test_what_stands_outside_is_told_from_candidates(tmp_path: Path) -> None:
         assert np.all(said["sd"] > 0) and sum(said["sets"].values()) == pytest.approx(1.0)
 
 
-def test_rivals_are_the_two_quantities_of_a_confounded_task(tmp_path: Path) -> None:
-    for track, count in (("confounded", 2), ("linear", 0)):
-        made = make("task", Case(track, 1), edition=77)
-        write(made, tmp_path)
-        found = prior.rivals(Task.read(tmp_path))
-        assert len(found) == count and (not found or {*made.truth["set"]} <= {*found})
-
-
 def test_sets_have_the_data_sheets_shares() -> None:
     """Of white, coloured and outside together they are those of the tracks, whatever the number of candidates."""
     for count in (7, 10):
@@ -287,21 +261,6 @@ def test_sizes_below_the_data_sheets_count_against_a_set(tmp_path: Path) -> None
     assert min(beside) < 0.1 * alone and np.median(beside) < 0.7 * alone
 
 
-def test_a_fleets_findings_are_exclusive_within_and_free_among_each_other() -> None:
-    """One of two is missing with 0.9; a third with 0.2; what stands outside is no fleet's."""
-    from missing_effect.entries import bayescal
-
-    each = {"a": 0.6, "b": 0.3, "c": 0.2, "unknown(time)": 0.1}
-    found = SimpleNamespace(
-        sets=[SimpleNamespace(effects=("a", "b"), probability=0.9)],
-        candidates=[SimpleNamespace(effect=n, probability=p) for n, p in each.items()],
-    )
-    said = bayescal._sets(found)  # pyright: ignore[reportArgumentType]
-    assert sum(said.values()) == pytest.approx(1.0)
-    assert said[("a",)] == pytest.approx(0.6 * 0.8) and said[("b", "c")] == pytest.approx(0.3 * 0.2)
-    assert ("a", "b") not in said
-
-
 @pytest.mark.slow
 def test_the_horseshoes_evidence_is_that_of_the_whole_covariance() -> None:
     jax = pytest.importorskip("jax")
@@ -320,31 +279,3 @@ def test_the_horseshoes_evidence_is_that_of_the_whole_covariance() -> None:
     gram, right, each = map(jax.numpy.asarray, (x.T @ x, x.T @ y / sigma, size / sigma))
     found = gained(gram, right, each, own)
     assert float(found) == pytest.approx(whole - alone, rel=1e-10)
-
-
-@pytest.mark.slow
-def test_the_horseshoe_shrinks_what_is_not_there(tmp_path: Path) -> None:
-    """Two cycles that the readings decide are in nearly every draw, what is not there is in fewer."""
-    pytest.importorskip("numpyro")
-    from missing_effect.entries import horseshoe
-
-    known = real.nist()["ENSO"]
-    nist_like("ENSO", np.arange(1.0, 169.0), tmp_path)
-    list(real.generate(tmp_path, tmp_path / "tasks"))
-    sets = horseshoe.solve(Task.read(tmp_path / "tasks" / "task_real_enso"))["sets"]
-    share = {t.name: sum(p for s, p in sets.items() if t.name in s) for t in known.candidates}
-    assert sum(sets.values()) == pytest.approx(1.0)
-    assert min(share[n] for n in known.hidden) > 0.9
-    assert max(p for n, p in share.items() if n not in known.hidden) < 0.7
-
-
-def nist_like(name: str, x: np.ndarray, folder: Path) -> Path:
-    """A made-up record in NIST's place: the certified curve, and residuals of the certified size."""
-    known = real.nist()[name]
-    noise = np.random.default_rng(5).standard_normal(x.size)
-    noise *= known.residual_sd * np.sqrt((x.size - known.parameters) / np.sum(noise**2))
-    rows = zip((known.curve(x) + noise).tolist(), x.tolist(), strict=True)
-    table = "\n".join(f"{y!r},{at!r}" for y, at in rows)
-    file = folder / f"{name.lower()}.csv"
-    file.write_text(f"y,x\n{table}\n", "utf-8")
-    return file

@@ -59,22 +59,3 @@ def test_triads_of_a_unit_in_one_file(saved: Path, tmp_path: Path) -> None:
             assert f"imu_{one}_triad_correct(" in text_of(tmp_path / file)
     assert run("export", *unit[:2], "--out", tmp_path / "imu.yaml").status == 0
     assert "gyroscopes:" in text_of(tmp_path / "imu.yaml")
-
-
-@pytest.mark.parametrize(
-    "given",
-    [
-        ("gyro.nc", "--name", "9x"),
-        ("gyro.nc", "triad.nc"),
-        ("triad.nc", "accelerometer_triad.json"),
-        ("gyro.nc", "--format", "yaml"),
-        ("triad.nc", "--format", "json", "--without-uncertainty"),
-    ],
-)
-def test_what_cannot_be_is_refused(given: tuple[str, ...], saved: Path, tmp_path: Path) -> None:
-    files = [saved / g if "." in g else g for g in given]
-    ways = [("--out", tmp_path / "out.h")]
-    for more in [*ways, ()] if "--format" in given else ways:
-        done = run("export", *files, *more)
-        assert done.status == 2
-    assert not (tmp_path / "out.h").exists()

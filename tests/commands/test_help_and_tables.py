@@ -26,19 +26,6 @@ COMMANDS = (
 )
 
 
-def run_apart(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    """Run a command in a process of its own."""
-    path = os.pathsep.join((str(ROOT), str(ROOT / "models"), os.environ.get("PYTHONPATH", "")))
-    return subprocess.run(
-        [sys.executable, "-W", "error", "-m", "bayescal._cli.main", *arguments],
-        env={**os.environ, "PYTHONPATH": path.rstrip(os.pathsep), **variables},
-        capture_output=True,
-        encoding="utf-8",
-        timeout=120,
-        check=False,
-    )
-
-
 def test_every_command_is_tested_here() -> None:
     assert tuple(commands()) == COMMANDS
 
@@ -71,9 +58,3 @@ def test_a_narrow_terminal_breaks_no_table(monkeypatch: pytest.MonkeyPatch) -> N
     widths = [len(line) for line in printed[0].splitlines() if line.startswith("──")]
     assert widths
     assert max(widths) <= 120
-
-
-@pytest.mark.slow
-def test_a_terminal_without_degree_signs_still_prints() -> None:
-    done = run_apart("instruments", PYTHONIOENCODING="ascii", PYTHONUTF8="0")
-    assert done.returncode == 0, done.stderr

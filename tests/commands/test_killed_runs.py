@@ -10,15 +10,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import bayescal as bc
-from tests.support.command_line import GYRO, QUICK, TABLE, needs_installation, run
-from tests.support.inside import MANIFEST, files_of, identity_of, refuse_mixed
+from tests.support.command_line import GYRO, needs_installation, run
+from tests.support.inside import MANIFEST, files_of, refuse_mixed
 from tests.support.made_up.gyro_lot import table
 
 pytestmark = [
@@ -26,9 +24,7 @@ pytestmark = [
     needs_installation,
     pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX"),
 ]
-RESULT = "result.json"
 ROOT = Path(__file__).resolve().parents[2]
-CALIBRATE = ("calibrate", TABLE, *GYRO, *QUICK, "--out", "{out}/loop")
 FILES = {
     "batch": (("batch", "{lot}", *GYRO, "-o", "{out}/lot.parquet"), "lot.parquet"),
     "report": (("report", "{saved}", "-o", "{out}/report.html"), "report.html"),
@@ -100,39 +96,11 @@ def spoilt(out: Path, count: int, command: list[str]) -> bool:
     return killed("-m", "tests.support.spoilt_runs", "killed", str(out), str(count), *command)
 
 
-def whole(folder: Path) -> bool:
-    """Whether a folder holds results, which are then of one run."""
-    refuse_mixed(folder)
-    if not files_of(folder):
-        assert not (folder / "calibration.nc").exists() and not (folder / RESULT).exists()
-        return False
-    own = identity_of(bc.load(folder / "calibration.nc"))
-    assert json.loads((folder / RESULT).read_text("utf-8"))["calibration"] == own
-    assert json.loads((folder / MANIFEST).read_text("utf-8"))["calibration"] == own
-    return True
-
-
 def readable(path: Path) -> bool:
     if path.suffix == ".parquet":
         return len(bc.load_batch(path)) == 3
     text = path.read_text("utf-8")
     return text.rstrip().endswith("</html>") if path.suffix == ".html" else bool(json.loads(text))
-
-
-def test_two_commands_into_one_folder_leave_the_results_of_one(tmp_path: Path) -> None:
-    out = tmp_path / "loop"
-    out.mkdir()
-    (out / "notes.txt").write_text("mine")
-    words = [str(word).format(out=tmp_path) for word in CALIBRATE]
-    for seed, later in enumerate(np.random.default_rng(5).uniform(0.0, 0.4, 4)):
-        given = [[sys.executable, "-m", "bayescal", *words, "--seed", f"{seed}{n}"] for n in (1, 2)]
-        first = subprocess.Popen(given[0], cwd=ROOT, stdout=subprocess.DEVNULL)
-        time.sleep(later)
-        assert subprocess.run(given[1], cwd=ROOT, capture_output=True, check=False).returncode < 2
-        assert first.wait() < 2
-        assert whole(out)
-        assert {p.name for p in out.iterdir()} == {*files_of(out), MANIFEST, "notes.txt"}
-        assert os.listdir(tmp_path) == ["loop"]
 
 
 @pytest.mark.parametrize("name", FILES)

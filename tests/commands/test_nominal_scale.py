@@ -92,27 +92,3 @@ def test_it_is_read_as_data_sheets_write_it(instrument, scale, gain) -> None:
     made = nominal_scale_of(instrument, scale)
     assert made is not None and made.offset == 0
     np.testing.assert_allclose(made.gain, gain, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"nominal_scale": "250"},
-        {"nominal_scale": "250 V"},
-        {"nominal_scale": "250 V/g"},
-        {"nominal_scale": "0 V/(deg/s)"},
-        {"nominal_scale": "2 florin/(deg/s)"},
-        {"nominal_zero": "1.2 K"},
-        {"nominal_zero": "one volt"},
-    ],
-)
-def test_what_is_none_is_refused(put_csv, given) -> None:
-    with pytest.raises(bc.InputError):
-        bc.read(put_csv, mems_gyro.INSTRUMENT, **given)
-
-
-@pytest.fixture
-def put_csv(tmp_path) -> Path:
-    path = tmp_path / "t.csv"
-    path.write_text("temperature [degC],output [V]\n20,1\n30,2\n")
-    return path

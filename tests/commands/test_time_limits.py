@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
-import subprocess
-import sys
-import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro, still_sensor
-from tests.support.command_line import needs_installation, run
 
 HIDDEN = "bias.thermal_lag"
 NO_TIME = 1e-6  # s
 QUICK = bc.LeastSquares(draws=400)
-BEST = re.compile(r"(?:bayescal: (?P<channel>\w+): )?.*best so far: (?P<best>.*?), [^ ]+ \S+ rms")
 
 
 @pytest.fixture
@@ -144,115 +136,8 @@ def test_devices_of_a_batch_that_are_not_reached_say_so() -> None:
 # Real processes ------------------------------------------------------------------------------------------------------
 
 
-class Ended(NamedTuple):
-    """A process: its exit status, the best of each channel that it told of last, and s that it took after the end
-    that it was given."""
-
-    status: int
-    best: dict[str, str]
-    late: float
-
-
-def ended(
-    words: list[str], pressed: Callable[[float, str], bool], folder: Path, limit: float = np.inf
-) -> Ended:
-    """Run a command, Ctrl-C pressed once where `pressed(s since its start, what stands on stderr)` says so."""
-    begun, at, said = time.monotonic(), limit, folder / "stderr.txt"
-    with said.open("w") as file:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "bayescal", *words],
-            stdout=subprocess.DEVNULL,
-            stderr=file,
-        )
-    while process.poll() is None:
-        since = time.monotonic() - begun
-        if at == np.inf and pressed(since, said.read_text("utf-8")):
-            process.send_signal(signal.SIGINT)
-            at = since
-        time.sleep(0.02)
-    told = filter(None, map(BEST.match, said.read_text("utf-8").splitlines()))
-    best = {one["channel"] or "": one["best"] for one in told}
-    return Ended(process.wait(), best, time.monotonic() - begun - at)
-
-
 def shown(structure: dict) -> str:
     """A structure of result.json as progress tells of it."""
     noise = [f"{structure['noise']} noise"] if structure["noise"] else []
     named = [*noise, *structure["effects"]]
     return "+ " + " + ".join(named) if named else "nothing to add"
-
-
-def agrees(folder: Path, best: str) -> None:
-    """What was told of last as the best is what a folder holds."""
-    told = json.loads((folder / "result.json").read_text("utf-8"))
-    first = told["search"]["structures"][0]
-    assert shown(first) == best
-    if not told["complete"]:
-        assert added(told["steps"]) == {*first["effects"]}
-    names = bc.load(folder / "calibration.nc").model.names
-    assert [*names] == told["steps"][-1]["effects"]
-
-
-CALIBRATED = (
-    ("mems_gyro", ("--effect", "bias.thermal_lag=0.03")),
-    ("still_sensor", ()),
-    ("ng_accelerometer", ()),
-    ("quartz_beam_accelerometer", ()),
-    ("inclinometer", ()),
-    ("accelerometer_dividing_head", ()),
-)
-
-
-def simulated(instrument: str, hidden: tuple[str, ...], folder: Path) -> list[str]:
-    """A command that calibrates a simulated test."""
-    file = folder / f"{instrument}.csv"
-    assert run("simulate", "--instrument", instrument, *hidden, "--out", file).status == 0
-    out = str(folder / "out")
-    return ["calibrate", str(file), "--instrument", instrument, "--out", out]
-
-
-def left(done: Ended, out: Path, best: Callable[[Path], dict[Path, str]]) -> None:
-    """A process has left the best that it told of, or nothing where Ctrl-C came before the first model."""
-    if done.status in (130, -signal.SIGINT):  # the latter before Python has loaded the command
-        assert not done.best and not out.exists()
-        return
-    assert done.status in (0, 1)
-    for folder, told in best(out).items():
-        agrees(folder, told)
-
-
-@needs_installation
-@pytest.mark.slow
-@pytest.mark.usefixtures("at_a_terminal")
-def test_ctrl_c_of_a_process_leaves_the_best_that_it_told_of(tmp_path) -> None:
-    command = simulated(*CALIBRATED[0], tmp_path)
-    done = ended(command, lambda _, said: "best so far: +" in said, tmp_path)
-    assert done.status in (0, 1) and done.best[""] != "nothing to add"
-    left(done, tmp_path / "out", lambda out: {out: done.best[""]})
-
-
-MOMENTS = [(i % len(CALIBRATED), kind) for i in range(10) for kind in ("limit", "ctrl-c")]
-
-
-def ended_at(moment: float, kind: str, command: list[str], folder: Path) -> Ended:
-    """Run a command that ends after so many seconds: of its limit, or by Ctrl-C once it tells of a best."""
-    if kind == "limit":
-        return ended([*command, "--time-limit", str(moment)], lambda *_: False, folder, moment)
-    told = list[float]()
-
-    def pressed(since: float, said: str) -> bool:
-        told.extend([since] * ("best so far" in said and not told))
-        return bool(told) and since > told[0] + 0.5 * moment
-
-    return ended(command, pressed, folder)
-
-
-@needs_installation
-@pytest.mark.nightly
-@pytest.mark.usefixtures("at_a_terminal")
-@pytest.mark.parametrize(("number", "which", "kind"), [(i, *m) for i, m in enumerate(MOMENTS)])
-def test_the_best_told_of_is_what_is_left_at_any_moment(number, which, kind, tmp_path) -> None:
-    command = simulated(*CALIBRATED[which], tmp_path)
-    moment = float(np.random.default_rng(number).uniform(2.0, 12.0))
-    done = ended_at(moment, kind, command, tmp_path)
-    left(done, tmp_path / "out", lambda out: {out: done.best[""]})

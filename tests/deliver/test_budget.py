@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,24 +76,6 @@ def test_of_few_runs_the_coverage_is_said_to_be_short_and_their_spread_is_type_a
     found = bc.budget(bc.fit(model, readings, bc.LeastSquares(draws=200)))
     spread = next(s for s in found.sources if s.name.startswith("bias.run"))
     assert spread.kind == "A"
-
-
-def test_it_is_shown_in_the_unit_in_which_the_instrument_reports(gyro) -> None:
-    """A tilt is kept in rad; of an inclinometer that reads arcsec the budget says arcsec, and its tilt in degrees."""
-    made = replace(
-        gyro, unit="rad", output_unit="arcsec", at={"tilt": 0.1}, at_units={"tilt": "rad"}
-    )
-    shown = made.shown()
-    second = np.pi / 648000
-    np.testing.assert_allclose(shown.uncertainty * second, made.uncertainty)
-    np.testing.assert_allclose(shown.expanded_reading * second, made.expanded_reading)
-    for before, after in zip(made.coefficients, shown.coefficients, strict=True):
-        np.testing.assert_allclose(after.contribution, abs(after.sensitivity) * after.uncertainty)
-        assert (after.share, after.value) == (before.share, before.value)
-    text = str(made)
-    assert "rad" not in text
-    other = replace(made, output_unit="Hz").shown()
-    assert (other.unit, other.uncertainty) == ("rad", made.uncertainty)
 
 
 def test_a_prior_that_matters_shows_in_its_sensitivity(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -24,50 +23,6 @@ def gyro() -> bc.Calibration:
 
 
 # What is written.
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "bias ±0.5 °/s",
-        "bias: around 0.5",
-        "bias: 1..0 °/s",
-        "bias: ≤ 1e999 °/s",
-        "bias: ±1 parsec",
-        "bias: ±1 °/s over 60..-20 °C",
-        "bias: ±1 °/s at noon",
-        "bias: ±1",
-        "bias: ±1 °C",
-        "beauty: ±1 °/s",
-        "bias: ±1 °/s over pressure 1..2 hPa",
-        "bias: ±1 °/s over 1..2 hPa",
-        "bias: ±1 °/s over temperature 1..2 hPa",
-        "bias.constant: ±1 °/s over 30..60 °C",
-    ],
-)
-def test_what_is_no_limit_is_refused_in_words(gyro, text) -> None:
-    with pytest.raises(bc.InputError):
-        bc.decide(gyro, text)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"rule": "lucky"},
-        {"false_accept": 0.5},
-        {"false_accept": math.nan},
-        {"conformity": 1.0},
-        {"capability": 0.0},
-        {"population": "sd -1 °/s"},
-        {"population": "many"},
-        {"population": "sd 1 V"},
-    ],
-)
-def test_options_that_are_none_are_refused(gyro, options) -> None:
-    with pytest.raises(bc.InputError):
-        bc.decide(gyro, "bias: ±0.5 °/s", **options)
-    with pytest.raises(bc.InputError):
-        bc.decide(gyro, [])
 
 
 # What follows from the posterior.

@@ -169,27 +169,6 @@ def test_what_a_cubic_cannot_hold_is_projected_and_said() -> None:
     assert made.text().isascii()
 
 
-@pytest.mark.parametrize(
-    ("names", "format"),
-    [
-        (["gyro_x"], "px4"),
-        (
-            ["gyro_x"],
-            "px4-params",
-        ),
-        (["gyro_w"], "px4-params"),
-        (["gyro_x_3"], "ardupilot-params"),
-        (["acc_x"], "ardupilot-params"),
-        ([], "ardupilot-params"),
-    ],
-)
-def test_what_makes_no_parameters_is_refused(
-    axes: dict[str, bc.Calibration], names, format
-) -> None:
-    with pytest.raises(bc.InputError):
-        bc.firmware_parameters(dict.fromkeys(names, axes["gyro_x"]), format)
-
-
 @needs_installation
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["px4-params", "ardupilot-params"])

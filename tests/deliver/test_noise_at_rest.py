@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from scipy.signal import butter, sosfilt
 
 import bayescal as bc
 from bayescal_models import still_sensor
-from tests.support.command_line import run
 
 GYRO = still_sensor.instrument("deg/s", size=1.0, constant=10.0, span=0.0)
 STEP, N, K = 0.1, 0.003, 0.002  # s; °/s/√Hz; °/s/√s
@@ -92,15 +89,6 @@ def test_a_walk_that_is_not_there_has_a_bound() -> None:
 
 
 @pytest.mark.slow
-def test_long_record_says_what_its_parts_say() -> None:
-    found = bc.noise(still(5, n=20_000))
-    assert "noise.blocks" in codes(found)
-    for name, true in (("N", 60 * N), ("K", 3600 * 60 * K)):
-        one = symbol(found, name)
-        assert one.low < true < one.high < 2 * one.low
-
-
-@pytest.mark.slow
 def test_a_dependence_on_temperature_is_no_noise() -> None:
     plain = still(6, walk=0.0)
     temperature = 25 + 5 * np.sin(np.arange(len(plain)) / 900)
@@ -122,26 +110,6 @@ def test_lost_readings_are_missing_ones_of_the_filter() -> None:
     (claim,) = found.claims
     assert claim.code == "noise.lost"
     assert claim.numbers["share"] == pytest.approx(np.mean(lost), rel=0.02)
-
-
-def test_what_cannot_be_told_is_refused() -> None:
-    data = still(6)
-    rounded = data.with_column("output", np.round(data["output"], 1))
-    with pytest.raises(bc.InputError):
-        bc.noise(rounded)
-    uneven = data.select(np.flatnonzero(np.arange(len(data)) % 7 < 4))
-    with pytest.raises(bc.InputError):
-        bc.noise(uneven)
-
-
-@pytest.mark.slow
-def test_event_is_told_from_noise() -> None:
-    calm = still(6)
-    knocked = np.where(np.arange(len(calm)) < 40, 0.1, 0.0) + calm["output"]
-    found = bc.noise(calm.with_column("output", knocked))
-    (event,) = (claim for claim in found.claims if claim.code == "noise.event")
-    assert event.numbers["at"] == pytest.approx(4.0, abs=1.0)
-    assert "noise.event" not in codes(bc.noise(calm))
 
 
 # Filters, interpolation and held values.
@@ -218,29 +186,6 @@ def test_density_below_a_low_pass_is_not_seen() -> None:
     data = bc.Measurements.from_arrays(GYRO, time=0.01 * np.arange(1500), output=output)
     found = bc.noise(data)
     assert symbol(found, "N").bound and "noise.no_level" in codes(found)
-
-
-@pytest.mark.slow
-def test_law_that_its_own_record_leaves_is_status_one(tmp_path) -> None:
-    output = 0.02 * np.random.default_rng(4).standard_normal(2000)
-    output += 0.05 * np.sin(2 * np.pi * np.arange(2000) / 90)
-    path = log(tmp_path / "still.csv", output)
-    done = run("noise", path, "--columns", "output=gyro_x", "--json")
-    assert done.status == 1
-    (found,) = json.loads(done.out).values()
-    assert "noise.outside" in [claim["code"] for claim in found["claims"]]
-
-
-def log(path: Path, output: np.ndarray, labels=None, name: str = "device") -> Path:
-    """A log of a gyroscope at 100 Hz; of several in turn, if there are labels."""
-    labels = [] if labels is None else labels
-    count, more = max(1, len(labels)), f",{name}" if len(labels) else ""
-    rows = (
-        f"{0.01 * (i // count):.2f},{y:.6f}" + (f",{labels[i % count]}" if len(labels) else "")
-        for i, y in enumerate(output)
-    )
-    path.write_text(f"time [s],gyro_x [deg/s]{more}\n" + "\n".join(rows) + "\n")
-    return path
 
 
 # The file for a filter.

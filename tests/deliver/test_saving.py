@@ -16,7 +16,7 @@ from bayescal import effects
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
 from tests.support.inside import identity_of
-from tests.support.resealed import described, netcdf_bytes, resealed, write_sealed
+from tests.support.resealed import netcdf_bytes, resealed, write_sealed
 
 SQUARE = bc.Effect(
     "bias.square",
@@ -143,14 +143,6 @@ def test_every_noise_law_comes_back(noise, tmp_path) -> None:
 # What is refused.
 
 
-def test_an_effect_that_is_not_installed_is_refused_by_name(own, tmp_path) -> None:
-    path = own.save(tmp_path / "own.nc")
-    with pytest.raises(
-        bc.InputError,
-    ):
-        bc.load(path)
-
-
 def test_an_effect_of_the_same_name_but_another_prior_is_refused(tmp_path) -> None:
     narrow = effects.linear("bias", 0.001, "deg/s/degC", source="mine")
     model = INSTRUMENT.baseline() - "bias.temperature" + narrow
@@ -178,13 +170,6 @@ def test_what_is_no_calibration_is_refused(tmp_path) -> None:
     write_sealed(netcdf_bytes(data), foreign)
     with pytest.raises(bc.InputError):
         bc.load(foreign)
-
-
-def test_another_instrument_is_refused_by_name(line, tmp_path) -> None:
-    path = line.save(tmp_path / "line.nc")
-    resealed(path, tmp_path / "sundial.nc", described(instrument="sundial"))
-    with pytest.raises(bc.InputError):
-        bc.load(tmp_path / "sundial.nc")
 
 
 # A write that is broken off.

@@ -27,22 +27,6 @@ def test_workers_give_the_same_numbers(client, lot_folder, tmp_path) -> None:
 
 
 @pytest.mark.nightly
-def test_settings_in_force_hold_on_the_workers(client, lot_folder, tmp_path) -> None:
-    given = {"out": tmp_path / "out", "client": client, "partition_rows": SMALL}
-    with bc.use_settings(bc.Settings(temperature_span=1.0)):
-        found = bc.fit_batch(MODEL, lot_folder, **given)
-        assert found.fitted == 24 and found.about["settings"] == {"temperature_span": 1.0}
-    with (
-        bc.use_settings(bc.Settings(temperature_span=500.0)),
-        pytest.raises(bc.InputError),
-    ):
-        bc.fit_batch(MODEL, lot_folder, **given)
-    usual = bc.fit_batch(MODEL, lot_folder, **given)
-    assert usual.fitted == 24 and "settings" not in usual.about
-    assert usual.about["found_done"] == 0  # what others had been written with is not taken
-
-
-@pytest.mark.nightly
 @needs_installation
 def test_the_workers_get_effects_of_the_users_own(client, lot_folder, tmp_path) -> None:
     file = tmp_path / "effects_of_mine.py"

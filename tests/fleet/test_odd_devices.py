@@ -6,7 +6,6 @@ has an odd device by chance.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -50,28 +49,6 @@ def test_odd_devices_are_named_with_what_is_odd(
     batch = bc.fit_batch(MODEL, file)
     assert set(fleet.odd) == {*ODD}
     assert fleet.odd == batch.odd == bc.load_batch(batch.save(tmp_path / "b.parquet")).odd
-
-
-def test_fleet_json_holds_no_bare_nan(fleet: bc.FleetResult) -> None:
-    def refuse(token: str) -> None:
-        raise AssertionError(f"{token} is no JSON")
-
-    text = (fleet.folder / "fleet.json").read_text("utf-8")
-    told = json.loads(text, parse_constant=refuse)
-    (noise,) = (row for row in told["coefficients"] if row["coefficient"] == "noise.white")
-    assert noise["typical sd"] is None  # held at its estimate
-    assert set(told["odd"]) == {*ODD} and told["checked"] == 0
-    again = bc.load_fleet(fleet.folder)
-    pd.testing.assert_frame_equal(again.table, fleet.table)
-    assert str(again) == str(fleet)
-
-
-def test_results_of_a_version_before_are_read(fleet: bc.FleetResult, tmp_path) -> None:
-    told = json.loads((fleet.folder / "fleet.json").read_text("utf-8"))
-    told["trusted"] = told.pop("fitted")
-    del told["checked"], told["odd"]
-    (tmp_path / "fleet.json").write_text(json.dumps(told), "utf-8")
-    assert bc.load_fleet(tmp_path).fitted == 40
 
 
 KINDS = ("constant", "slope", "noise", "lacks", "has")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -97,30 +96,3 @@ def test_all_that_a_folder_holds_is_read_or_named(result, tmp_path) -> None:
         path.unlink()
     with pytest.raises(bc.InputError):
         fitted(folder, tmp_path / "empty")
-
-
-def test_a_corrupt_file_is_named_and_done_once_it_is_mended(lot_folder, result, tmp_path) -> None:
-    folder, out = tmp_path / "in", tmp_path / "out"
-    shutil.copytree(lot_folder, folder)
-    whole = (folder / "lot-1.parquet").read_bytes()
-    (folder / "lot-1.parquet").write_bytes(whole[: len(whole) // 2])
-    found = fitted(folder, out)
-    assert list(found.missing) == ["lot-1.parquet"]
-    assert "Parquet" in found.missing["lot-1.parquet"]
-    assert set(found.rows().device) == set(result.devices) - set(sorted(result.devices)[1::5])
-    (folder / "lot-1.parquet").write_bytes(whole)
-    found = fitted(folder, out)
-    assert found.missing == {} and found.about["found_done"] == 4
-    same(found, result)
-
-
-def test_devices_that_cannot_be_used_are_refused_alone(lot_folder, result, tmp_path) -> None:
-    folder = tmp_path / "in"
-    shutil.copytree(lot_folder, folder)
-    made = pd.read_parquet(folder / "lot-0.parquet")
-    made["temperature [degC]"] = 25.0  # all devices of a partition
-    made.to_parquet(folder / "lot-0.parquet")
-    found = fitted(folder, tmp_path / "out")
-    assert (len(found), found.fitted) == (24, 19)
-    with pytest.raises(bc.InputError):
-        bc.fit_batch(MODEL, folder / "lot-0.parquet", out=tmp_path / "none")

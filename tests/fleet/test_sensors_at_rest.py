@@ -53,27 +53,3 @@ def test_measurements_give_what_fit_gives() -> None:
         alone = bc.fit(model, readings, method=bc.LeastSquares())
         mean, sd = found[name]["bias.temperature"]
         assert mean == pytest.approx(np.mean(alone.samples("bias.temperature")), abs=0.1 * sd)
-
-
-def test_what_was_changed_in_the_model_stays() -> None:
-    readings = still_sensor.simulate(seed=1)
-    quadratic = GENERAL.effect("bias.temperature_quadratic")
-    given = GENERAL.baseline() + quadratic
-    found = bc.fit_batch(given.resize("bias.temperature_quadratic", 1e-9), {"one": readings})
-    free = bc.fit_batch(given, {"one": readings})
-    own, other = (f["one"]["bias.temperature_quadratic"][1] for f in (found, free))
-    assert own < 2e-9 < other
-
-
-def test_a_first_device_that_stood_still_keeps_no_other_from_its_fit(tmp_path: Path) -> None:
-    stuck = "".join(f"{10 * i},{20 + i},1.5\n" for i in range(30))
-    (tmp_path / "a.csv").write_text(f"time [s],temperature [degC],output [ug]\n{stuck}")
-    still_sensor.simulate(seed=1).write(tmp_path / "b.csv")
-    files = sorted(tmp_path.glob("*.csv"))
-    assert bc.fit_batch(GENERAL.baseline(), files)["b"].ok
-    for rows in (None, 1):
-        out = tmp_path / f"out {rows}"
-        found = bc.fit_batch(GENERAL.baseline(), files, out=out, partition_rows=rows)
-        assert found["b"].ok
-    with pytest.raises(bc.InputError):
-        bc.fit_batch(GENERAL.baseline(), files[:1], out=tmp_path / "none")

@@ -97,12 +97,3 @@ def test_a_row_names_what_is_there(row: list[str]) -> None:
         assert re.search(rf"\b{re.escape(word)}", " ".join(said.split()), re.IGNORECASE), (
             f"ARCHITECTURE.md, row {asked!r}: no docstring of what it names says {word!r}"
         )
-
-
-@pytest.mark.parametrize("page", ["ARCHITECTURE.md", "CONTRIBUTING.md", "docs/tour.py"])
-def test_files_named_in_the_text_exist(page: str) -> None:
-    text = re.sub(
-        r"^```.*?^```", "", (ROOT / page).read_text("utf-8"), flags=re.DOTALL | re.MULTILINE
-    )
-    for path in re.findall(r"`([\w.]+(?:/[\w.]+)*/[\w.]*)`", text):
-        assert file_of(path).exists() or path == "demo_output/", path

@@ -101,22 +101,3 @@ def test_what_follows_the_past_of_a_column_is_fitted(name) -> None:
     assert found.verdict.ok
     draws = found.samples("response.pressure")
     assert draws.mean() == pytest.approx(0.3, abs=5 * draws.std())
-
-
-@pytest.mark.parametrize(
-    "law",
-    [
-        bc.Heteroscedastic("run"),
-        bc.Heteroscedastic("elapsed"),
-        bc.Heteroscedastic("output"),
-        bc.SummedNoise(10.0, 1000.0, ("correlated",), scatter="run"),
-        bc.Quantised(1e6),
-    ],
-)
-def test_a_law_that_cannot_be_of_these_readings_is_refused(law) -> None:
-    instrument = sensor()
-    readings = bc.Measurements.from_arrays(
-        instrument, run=np.repeat("a", N), time=np.arange(N), pressure=PRESSURE, output=PRESSURE
-    )
-    with pytest.raises(bc.ModelError):
-        bc.fit(instrument.baseline().with_noise(law), readings)

@@ -345,20 +345,6 @@ def test_ornstein_uhlenbeck_noise_is_the_sum_of_one_term(rng) -> None:
     assert alone.coefficients_in_time == {"noise.diffusion": "K"}
 
 
-@pytest.mark.parametrize(
-    "terms",
-    [
-        (),
-        ("wander",),
-        ("walk", "walk"),
-        ("correlated",) * 4,
-    ],
-)
-def test_a_sum_that_cannot_be_told_is_refused(terms) -> None:
-    with pytest.raises(ValueError):
-        law_of(terms)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "terms",

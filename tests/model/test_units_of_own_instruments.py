@@ -172,12 +172,6 @@ def test_a_factor_stands_between_the_units_that_are_declared(unit, column, facto
     assert recovered(model, factor, pressure=PRESSURE) == pytest.approx(1, abs=2e-3)
 
 
-def test_units_that_do_not_agree_are_refused_with_both() -> None:
-    with pytest.raises(bc.ModelError) as refused:
-        gravimeter("um/s^2/degC")
-    str(refused.value)
-
-
 @pytest.mark.parametrize(
     ("column", "base", "unit", "factor"),
     [

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import multiprocessing
 import pickle
-from functools import partial
 from importlib import import_module
 
 import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal_models import INSTRUMENTS, mems_gyro, still_sensor
+from bayescal_models import INSTRUMENTS, mems_gyro
 from tests.support.compilations import compiled
 from tests.support.inside import identity_of
 
@@ -27,10 +26,6 @@ def instrument_of(name: str) -> bc.Instrument:
     return import_module(f"bayescal_models.{name}").INSTRUMENT
 
 
-def squared(column, r):
-    return r[column] ** 2
-
-
 @pytest.mark.parametrize("name", INSTRUMENTS)
 def test_models_and_effects_of_every_instrument(name) -> None:
     instrument = instrument_of(name)
@@ -43,15 +38,6 @@ def test_models_and_effects_of_every_instrument(name) -> None:
     model = instrument.baseline()
     assert again(model) == model
     assert again(model + instrument.candidates) == model + instrument.candidates
-
-
-def test_a_tailored_and_a_changed_instrument() -> None:
-    tailored = still_sensor.INSTRUMENT.for_readings(still_sensor.simulate({}, seed=1))
-    assert again(tailored) is tailored
-    from dataclasses import replace
-
-    fewer = replace(GYRO, candidates=GYRO.candidates[:2])
-    assert again(fewer).candidates == fewer.candidates
 
 
 @pytest.fixture(scope="module")
@@ -90,17 +76,6 @@ def test_results_of_a_search(calibration) -> None:
     discovery = trail.steps[0].discovery
     assert discovery is not None
     assert again(discovery).best == discovery.best
-
-
-def own(basis, **more) -> bc.Effect:
-    return bc.Effect(
-        "bias.humidity", "bias", basis, (bc.Coefficient("deg/s"),), columns=("humidity",), **more
-    )
-
-
-def test_an_effect_of_a_module_is_pickled() -> None:
-    effect = own(partial(squared, "humidity"))
-    assert again(effect) == effect
 
 
 def summary_of(content: bytes) -> tuple[str, str, int]:

@@ -26,10 +26,6 @@ from tests.support.lab_files import (
 EXPORTS = lab_exports()
 
 
-def test_there_are_twenty() -> None:
-    assert len(EXPORTS) == 20
-
-
 @pytest.mark.parametrize("name", EXPORTS)
 def test_it_is_read_with_at_most_one_refusal_that_names_its_cure(put, name) -> None:
     export = EXPORTS[name]

@@ -6,13 +6,12 @@ import shlex
 from pathlib import Path
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.command_line import GYRO, QUICK, needs_installation, options_of, run
+from tests.support.command_line import GYRO, QUICK, needs_installation, run
 from tests.support.inside import mapping_of, write_mapping
 from tests.support.lab_files import HEAD, RATE, TEMPERATURE, TIME, text, with_cell
 
@@ -62,24 +61,6 @@ def test_a_mapping_is_read_as_it_was_written(tmp_path_factory, columns, units, g
     made = {"columns": columns, "units": units, "local_gravity": gravity, "missing": "drop"}
     write_mapping(path, made)
     assert mapping_of(path) == {name: value for name, value in made.items() if value}
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("columns = 1\n", "lab.toml: columns is 1, a table was expected"),
-        ("[columns]\noutput = 1\n", "columns.output is 1, text was expected"),
-        ("colour = 'red'\n", "colour is not known here; there are: columns, units, .*, missing,"),
-        ("columns\n", "is not TOML"),
-        (None, "cannot be read"),
-    ],
-)
-def test_a_mapping_that_is_none_is_refused(tmp_path: Path, content, message) -> None:
-    path = tmp_path / "lab.toml"
-    if content is not None:
-        path.write_text(content)
-    with pytest.raises(bc.InputError, match=message):
-        options_of(f"--mapping {path}")
 
 
 def test_a_still_sensor_needs_no_temperature(tmp_path: Path) -> None:

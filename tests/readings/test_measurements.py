@@ -179,23 +179,6 @@ def test_arrays_are_checked_as_files_are():
             bc.Measurements.from_arrays(SCALE, **columns)
 
 
-def test_further_arrays_need_a_unit_to_be_kept():
-    m = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0], humidity=[1.0, 2.0])
-    assert not m.has("humidity")
-
-
-def test_readings_cannot_be_changed_by_accident():
-    given = np.array([1.0, 2.0])
-    m = bc.Measurements.from_arrays(SCALE, output=given)
-    with pytest.raises(ValueError, match="read-only"):
-        m["output"][0] = 5
-    given[0] = 7
-    assert m["output"][0] == 1
-    changed = m.with_column("output", [3.0, 4.0])
-    assert changed["output"].tolist() == [3, 4] and changed.unit("output") == "ug"
-    assert m["output"].tolist() == [1, 2]
-
-
 # --- groups and selections -----------------------------------------------------------------------
 
 
@@ -223,14 +206,6 @@ def test_groups_come_in_order_of_appearance(grouped):
         grouped.groups("output")
     with pytest.raises(bc.InputError):
         grouped.groups("colour")
-
-
-def test_without_runs_there_is_one_and_without_points_no_cell():
-    m = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0])
-    assert m.groups("run")[0] == ("1",)
-    assert m.groups("cell")[0] == () and m.groups("cell")[1].tolist() == [-1, -1]
-    point = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0], temperature_point=[20.0, 30.0])
-    assert point.groups("cell")[0] == ("run 1, 20 °C", "run 1, 30 °C")
 
 
 def test_some_of_the_readings_can_be_chosen(grouped):

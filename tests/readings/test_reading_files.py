@@ -142,39 +142,6 @@ def test_several_files_are_runs_named_after_them(put):
     assert not bc.read(one, GYRO).has("run")
 
 
-def test_equal_stems_are_made_distinct(put):
-    paths = [put(BARE.format(20 + i, 25), f"{d}/t.csv") for i, d in enumerate(("a", "b"))]
-    paths.append(put(BARE.format(28, 29), "b/t.CSV"))
-    m = bc.read(paths, GYRO)
-    assert m.groups("run")[0] == ("a/t", "b/t", "b/t (2)")
-    named = put(
-        "run," + BARE.format("x,20", "x,21").replace("\n0", "\nt,0").replace("\n1", "\nt,1")
-    )
-    named.write_text("run,temperature [degC],output [V]\nc,20,1\n")
-    assert bc.read([named, put(BARE.format(1, 2), "c.csv")], GYRO).groups("run")[0] == (
-        "c",
-        "file c",
-    )
-
-
-def test_files_that_do_not_go_together(put):
-    a = put("temperature [degC],output [V],lab_temperature [degC]\n20,1,23\n", "a.csv")
-    b = put("temperature [degC],output [V]\n30,1\n", "b.csv")
-    m = bc.read([a, b], GYRO)
-    assert not m.has("lab_temperature")
-    assert any("'lab_temperature' left out: a.csv has it, b.csv has not" in f for f in m.flags)
-    c = put("device,temperature [degC],output [V]\n1,30,1\n", "c.csv")
-    refused(
-        [a, c], r"'a\.csv' lacks the column 'device' that 'c\.csv' has: label every file, or none"
-    )
-    x = put("temperature [degC],output [V],p [V]\n20,1,23\n", "x.csv")
-    y = put("temperature [degC],output [V],p [Pa]\n20,1,23\n", "y.csv")
-    refused(
-        [x, y], r"column 'p' is in Pa in 'y\.csv' and in V|column 'p' is in V in 'x\.csv' and in Pa"
-    )
-    refused([a, a], r"'a\.csv' was given 2 times")
-
-
 # --- what is flagged -----------------------------------------------------------------------------
 
 

@@ -164,24 +164,6 @@ def test_what_is_called_a_cycle_and_holds_no_labels_is_none(put) -> None:
         assert not found.has("run") and any("Cycle" in flag for flag in found.flags)
 
 
-@pytest.mark.parametrize(
-    ("head", "ours"),
-    [("Essai n°", "run"), ("N° de montage", "run"), ("Mounting", "run"), ("Zyklus-Nr.", "run")]
-    + [("Sensor ID", "device"), ("N° de série", "device"), ("Achse", "axis")],
-)
-def test_what_says_that_labels_are_counted_is_no_part_of_their_name(put, head, ours) -> None:
-    path = put(at_rest(**{"time [s]": STEPS, head: (STEPS // 200).astype(int)}))
-    assert bc.read(path, GYRO).groups(ours)[0] == ("0", "1", "2")
-
-
-@pytest.mark.parametrize("head", ["Charge [#]", "Block [xyz]"])
-def test_labels_of_an_unknown_name_are_asked_about_and_never_left_out(put, head) -> None:
-    path = put(at_rest(**{"time [s]": STEPS, head: (STEPS // 200).astype(int)}))
-    asked = options_said(path, STILL)
-    assert "--ignore" not in asked
-    assert bc.read(path, STILL, **options_of(asked)).groups("run")[0] == ("0", "1", "2")
-
-
 # --- options that are suggested ---------------------------------------------------------------------------------
 
 
@@ -206,47 +188,6 @@ def test_axes_are_told_apart_by_the_letters_in_their_names(put, heads) -> None:
     assert np.allclose(found["output_x"], [row[x] for row in rows])
 
 
-def test_a_column_that_is_another_s_only_one_is_not_proposed(put) -> None:
-    path = put(
-        "\n".join(["Angle (deg),Tilt (arcmin)", *(f"{i},{0.1 * i % 1:.2f}" for i in range(24))])
-    )
-    found = bc.read(path, LEVEL, **options_of(options_said(path, LEVEL)))
-    assert np.allclose(found["output"][:3], [0.0, 6.0, 12.0])
-
-
-@pytest.mark.parametrize("head", ["Drehrate (grad/s)", "Rate [quux]"])
-def test_what_may_be_needed_is_not_proposed_to_be_left_out(put, head) -> None:
-    columns = {"time [s]": STEPS, "temperature [degC]": 20 + STEPS / 20, "UB (V)": 5 + STEPS % 7}
-    asked = options_said(put(table(**columns, **{head: STEPS / 1e4})), GYRO)
-    assert "--ignore" not in asked and f"{head}=UNIT" in asked
-
-
-def test_a_unit_that_nothing_shows_is_not_suggested(put) -> None:
-    columns = {"SampleTimeFine": STEPS * 1e4, "ax [g]": STEPS, "ay [g]": STEPS, "az [g]": STEPS}
-    with pytest.raises(bc.InputError, match="SampleTimeFine=UNIT"):
-        bc.read(put(table(**columns)), TRIAD)
-
-
-def test_a_header_that_looks_like_two_columns_is_an_alternative_for_each(put) -> None:
-    """Until a nominal scale says in which unit the output is."""
-    columns = {"Achse": ["x"] * 60, "Anlagewinkel [°]": STEPS - 300, "Anzeige [mV]": STEPS / 7}
-    path, angle = put(table(**columns)), "Anlagewinkel [°]"
-    with pytest.raises(bc.InputError) as refused:
-        bc.read(path, LEVEL)
-    told = f"(--columns 'placement_angle={angle}' or --columns 'output={angle}')"
-    assert str(refused.value).endswith(f"if they are meant: {told}")
-    with pytest.raises(bc.InputError) as refused:
-        bc.read(path, LEVEL, nominal_scale="100 mV/deg")
-    told = f"--columns 'placement_angle={angle}' --columns 'output=Anzeige [mV]'"
-    assert str(refused.value).endswith(f"if they are meant: {told}")
-    assert "columns={" not in str(refused.value)
-
-
-def test_no_unit_is_asked_of_headers_that_have_one(put) -> None:
-    columns = {"time [s]": STEPS, "Oven (°C)": 20 + STEPS / 20, "Flow (l/min)": STEPS}
-    assert "--unit" not in options_said(put(table(**columns)), STILL)
-
-
 @pytest.mark.parametrize(
     ("head", "unit", "size"),
     [("gyro_deg_s", "deg/s", 1.0), ("w_deg_h", "deg/s", 1 / 3600), ("Rate in deg/hr", "deg/s", 1 / 3600)]
@@ -258,13 +199,6 @@ def test_a_unit_is_all_of_what_a_header_ends_in(put, head, unit, size) -> None:
     found = bc.read(path, STILL, columns={"output": head})
     assert found.unit("output") == unit
     assert np.allclose(np.diff(found["output"]), 0.5 * size)
-
-
-@pytest.mark.parametrize("head", ["p_kg_m3", "flow_L_min", "temp_rate_degC_min"])
-def test_half_a_unit_is_none(put, head) -> None:
-    path = put("\n".join([f"time [s],{head}", *(f"{10 * i},{3 + i * 0.5}" for i in range(30))]))
-    with pytest.raises(bc.InputError, match="the header has no unit"):
-        bc.read(path, STILL, columns={"output": head})
 
 
 def test_dates_that_go_on_are_the_time_whatever_they_are_called(put) -> None:
@@ -296,26 +230,6 @@ def test_the_voltage_of_the_supply_is_known(put, head) -> None:
     assert bc.read(path, mems_gyro.INSTRUMENT).unit("supply_voltage") == "V"
 
 
-@pytest.mark.parametrize(
-    ("unit", "values", "kept"), [("g", 1000 + STEPS / 1e3, 1e-3), ("mg/m^3", STEPS, 1e-6)]
-)
-def test_a_g_that_is_hardly_gravity_is_asked_about(put, unit, values, kept) -> None:
-    columns = {"time [s]": STEPS, "temperature [degC]": 20 + STEPS / 20}
-    path = put(table(**columns, **{f"output [{unit}]": values}))
-    found = bc.read(path, STILL, **options_of(options_said(path, STILL)))
-    assert found.unit("output") == ("kg" if unit == "g" else "kg/m^3")
-    np.testing.assert_allclose(found["output"], kept * values, atol=1e-12)
-    assert (
-        bc.read(path, STILL, units={"output": unit}).unit("output").startswith("ug")
-    )  # said to be
-
-
-def test_an_accelerometer_in_g_is_read_as_ever(put) -> None:
-    columns = {"time [s]": STEPS, "temperature [degC]": 20 + STEPS / 20}
-    found = bc.read(put(table(**columns, **{"output [g]": 0.99 + STEPS / 1e6})), STILL)
-    assert found.unit("output") == "ug"
-
-
 # --- encodings, and several files -------------------------------------------------------------------------------
 
 
@@ -325,15 +239,6 @@ def test_windows_1252_is_read(put) -> None:
     assert "Gehäuse – außen" in found.columns
     with pytest.raises(bc.InputError, match="is not UTF-8"):
         bc.read(put(content.encode() + "é,1,1,1\n".encode("windows-1252")), STILL)
-
-
-def test_what_is_wrong_with_several_files_alike_is_said_once(put) -> None:
-    content = at_rest(time=STEPS, **{"p [foo]": STEPS})
-    paths = [put(content + f"90,{i},{i},1\n", f"t{i}.csv") for i in range(4)]
-    with pytest.raises(bc.InputError) as refused:
-        bc.read(paths, STILL)
-    said = str(refused.value)
-    assert said.count("the header has no unit") == 1 and "all 4 files, column 'time'" in said
 
 
 # --- headers made up at random ----------------------------------------------------------------------------------
@@ -422,18 +327,3 @@ def test_poses_that_are_held_briefly_are_all_found() -> None:
         for axis, value in zip("xyz", values, strict=True):
             draws = found.samples(f"{name}[{axis}]")
             assert abs(draws.mean() - value) < 3 * draws.std()
-
-
-@pytest.mark.parametrize(
-    ("name", "asked"),
-    [
-        ("rollover/micros.csv", "2^32us"),
-        ("rollover/millis.csv", "2^32ms"),
-        ("rollover/gpsweek.csv", "604800s"),
-        ("loadcell_grams/loadcell.csv", "gram"),
-    ],
-)
-def test_small_inputs_are_asked_about_and_read_after(name, asked) -> None:
-    said = options_said(small_input(name), STILL)
-    assert asked in said
-    assert len(bc.read(small_input(name), STILL, **options_of(said))) > 400

@@ -3,43 +3,15 @@
 from __future__ import annotations
 
 import inspect
-import os
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.command_line import needs_installation
 from tests.support.inside import Origin, Session, identity_of
 from tests.workbench.conftest import Campaign
 from tests.workbench.test_session import OWN
-
-ROOT = Path(__file__).resolve().parents[2]
-WORK = """
-import sys
-from pathlib import Path
-from tests.support.spoilt_runs import killed_at
-import bayescal as bc
-from tests.support.inside import Origin, Session
-from bayescal_models import mems_gyro
-
-file, out, *counts = sys.argv[1:]
-readings = bc.read(file, mems_gyro.INSTRUMENT)
-session = Session.begin(
-    mems_gyro.INSTRUMENT.baseline(), readings, folder=out, origin=Origin.of("mems_gyro", [file])
-)
-session.add("bias.drift")
-print("began", flush=True)
-for count in map(int, counts):
-    killed_at(out, count)
-session.add("bias.temperature_quadratic")
-session.go_to(1)
-print("ended", flush=True)
-"""
 
 
 def same_states(one: Session, other: Session) -> None:
@@ -87,31 +59,3 @@ def test_a_file_read_with_every_option_is_gone_on_with(campaign: Campaign, tmp_p
     begun = Session.begin(model, campaign.readings, folder=tmp_path / "out", origin=origin)
     again = Session.resume(begun.folder, of=Origin.of("mems_gyro", [campaign.file], read=how))
     assert again.script() == begun.script()
-
-
-@pytest.mark.nightly
-@needs_installation
-@pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
-def test_killed_at_any_moment(campaign: Campaign, tmp_path: Path) -> None:
-    """The steps before are there; the one that was being written is there whole, or not at all."""
-
-    def work(name: str, *counts: int) -> tuple[Path, int]:
-        out = tmp_path / name
-        command = [sys.executable, "-c", WORK, str(campaign.file), str(out), *map(str, counts)]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-        return out, done.returncode
-
-    whole, status = work("whole")
-    assert status == 0
-    reference = Session.resume(whole)
-    assert len(reference.states) == 3 and reference.current.number == 1
-    numbers = set()
-    for count in (1, 9, 17, 25, 40):
-        out, status = work(f"killed_{count}", count)
-        found = Session.resume(out)
-        assert status in (0, -signal.SIGKILL)
-        numbers.add(len(found.states))
-        for number, state in found.states.items():
-            assert state.step.errors() == reference.states[number].step.errors()
-        assert found.add("bias.warm_up").parent is not None
-    assert numbers == {2, 3}

@@ -11,7 +11,7 @@ import pytest
 
 import bayescal as bc
 from tests.support.command_line import GYRO, needs_installation, run
-from tests.support.inside import Origin, Session, whole_folder
+from tests.support.inside import Session
 from tests.workbench.conftest import Campaign
 
 pytest.importorskip("panel", reason="bayescal[workbench] is not installed")
@@ -77,23 +77,3 @@ def test_a_session_that_is_nested_or_none_is_refused(text, tmp_path) -> None:
     (tmp_path / "session.json").write_text(text)
     with pytest.raises(bc.InputError):
         Session.resume(tmp_path)
-
-
-@pytest.mark.parametrize("told", [{"parent": 0}, {"number": 7}, {"parent": -1}, {"title": ["x"]}])
-def test_states_that_go_in_a_circle_are_refused(told, session: Session) -> None:
-    """A state that is its own parent was a path without an end."""
-    own = session.folder / "state_000"
-    state = json.loads((own / "state.json").read_text("utf-8"))
-    inner = {p.name: p.read_bytes() for p in own.iterdir() if p.name != "manifest.json"}
-    with whole_folder(own, "0") as hidden:
-        for name, content in inner.items():
-            (hidden / name).write_bytes(content)
-        (hidden / "state.json").write_text(json.dumps({**state, **told}))
-    with pytest.raises(bc.InputError):
-        Session.resume(session.folder)
-
-
-def test_a_session_of_this_command_goes_on(session: Session, evil: Path) -> None:
-    change(session, origin={"effect_files": [str(evil)]})
-    origin = Origin.from_data(json.loads((session.folder / "session.json").read_text())["origin"])
-    assert Session.resume(session.folder, of=origin).own

@@ -19,7 +19,6 @@ from pathlib import Path
 import pytest
 
 from tests.support.command_line import GYRO, needs_installation
-from tests.support.inside import Session
 from tests.support.open_ports import listening, needs_proc
 from tests.workbench.conftest import Campaign
 from tests.workbench.real_page import Bench
@@ -138,17 +137,6 @@ def test_no_page_from_elsewhere_may_read_what_is_served(server: Server) -> None:
             assert path != asked or status == 404
 
 
-@pytest.mark.nightly
-@needs_installation
-def test_a_request_of_a_megabyte_is_refused(server: Server) -> None:
-    server.ready()
-    host = f"127.0.0.1:{server.port}"
-    with contextlib.suppress(ConnectionError, http.client.HTTPException):  # or it is just cut off
-        assert asked_as(server, host, "/", b"x" * 2**20) in (400, 405, 413)
-    with contextlib.suppress(ConnectionError, http.client.HTTPException):
-        assert asked_as(server, host, "/", Cookie="x" * 2**20) in (400, 431)
-
-
 BROWSER = """#!/bin/sh
 printf '%s\\n' "$@" > {0}.part && mv {0}.part {0}
 """
@@ -220,24 +208,3 @@ def test_a_websocket_needs_the_address_and_comes_from_it(server: Server) -> None
     assert asyncio.run(opened(f"{server.path}/ws", f"http://{evil}", Host=evil)) == 403
     assert asyncio.run(opened(f"{server.path}/ws", own, Host=evil)) == 403
     assert asyncio.run(opened(f"{server.path}/ws", "null")) == 403
-
-
-@pytest.mark.nightly
-@needs_installation
-@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as POSIX does")
-def test_ended_and_gone_on_with(campaign: Campaign, tmp_path: Path) -> None:
-    """Killed, then resumed by the same command, then ended by Ctrl-C."""
-    folder = tmp_path / "out"
-    first = Server(campaign.file, folder)
-    first.ready()
-    assert first.end(signal.SIGKILL) == -signal.SIGKILL
-    session = Session.resume(folder / first.session)
-    session.add("bias.drift")
-    again = Server(campaign.file, folder)
-    assert again.session == first.session and again.path != first.path
-    again.ready()
-    assert again.end(signal.SIGINT) == 0
-    assert (
-        "Traceback" not in "".join(again.said) and again.said[-1] == "bayescal workbench: ended\n"
-    )
-    assert sorted(p.name for p in folder.iterdir()) == ["session_1"]

@@ -75,11 +75,6 @@ def test_consequences_come_before_the_change(
     assert state.step.rmse_fitted == pytest.approx(told.rms, rel=1e-3)
 
 
-def test_what_was_fixed_is_set_free(session: Session) -> None:
-    session.fix("bias.temperature", 0.05)
-    assert session.free("bias.temperature").step.rmse_fitted == session.states[0].step.rmse_fitted
-
-
 @pytest.mark.slow
 def test_find_all_is_what_calibrate_finds(session: Session, campaign: Campaign) -> None:
     told: list[int] = []
@@ -95,38 +90,6 @@ def test_find_all_is_what_calibrate_finds(session: Session, campaign: Campaign) 
     assert session.current.discovery is not None and trail.final.discovery is not None
     assert str(session.current.discovery) == str(trail.final.discovery)
     assert told == sorted(told)
-
-
-@pytest.mark.slow
-def test_a_search_is_stopped_and_gone_on_with(session: Session) -> None:
-    begun = threading.Event()
-
-    def follow(_: bc.SearchPath) -> None:
-        begun.set()
-        session.stop()
-
-    session.find_all(follow)
-    assert begun.is_set()
-    first = session.states[0].discovery
-    assert first is not None and "interrupted" in first.stopped
-    session.go_to(0)
-    session.find_all()
-    added = session.current.model.names
-    assert all(any(n.startswith(hidden) for n in added) for hidden in HIDDEN), "in some form"
-    assert session.states[0].discovery is not None and not session.states[0].discovery.stopped
-
-
-def test_a_draft_runs_only_when_it_is_loaded_and_fails_in_words(session: Session) -> None:
-    told = session.load_draft(OWN)
-    assert told == ("bias.steps",)
-    assert session.look().candidates and "bias.steps" in {
-        c.effect for c in session.look().candidates
-    }
-    with pytest.raises(bc.InputError):
-        session.load_draft("a = 1\nb = 1 / 0\n")
-    with pytest.raises(bc.InputError):
-        session.load_draft("a = 1\n")
-    assert [p.name for p in sorted((session.folder / "drafts").iterdir())] == ["draft_1.py"]
 
 
 def test_two_sessions_know_nothing_of_each_other(campaign: Campaign, tmp_path: Path) -> None:
@@ -145,12 +108,6 @@ def test_two_sessions_know_nothing_of_each_other(campaign: Campaign, tmp_path: P
     for one, name in zip(both, HIDDEN, strict=True):
         assert one.current.model.names[-1] == name
         assert len(one.states) == 2
-
-
-def test_other_readings_begin_a_session_beside(session: Session) -> None:
-    other = session.with_readings(mems_gyro.INSTRUMENT.simulate({}, seed=9))
-    assert other.folder != session.folder and other.folder.parent == session.folder.parent
-    assert len(other.states) == len(session.states) == 1
 
 
 @pytest.mark.slow
