@@ -61,8 +61,7 @@ ALIKE = ("truth", "truth unbuffered", "fork", "maker")
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "how",
-    [pytest.param(how, marks=[pytest.mark.slow] if how in ALIKE else []) for how in CHEATS],
+    "how", [pytest.param(how, marks=[pytest.mark.slow] if how in ALIKE else []) for how in CHEATS]
 )
 def test_an_entry_that_cheats_is_refused(tasks: Path, tmp_path: Path, how: str) -> None:
     act, said = CHEATS[how]

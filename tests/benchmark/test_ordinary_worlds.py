@@ -11,11 +11,7 @@ from scipy.stats import multivariate_normal
 
 from benchmarks.ordinary_test.bodies import Body, lump, slab, two_stages
 from benchmarks.ordinary_test.oracle import least_squares, log_evidence
-from benchmarks.ordinary_test.worlds import (
-    STRUCTURES,
-    Campaign,
-    drawn,
-)
+from benchmarks.ordinary_test.worlds import STRUCTURES, Campaign, drawn
 
 BODIES = {
     "die": lump(300.0),

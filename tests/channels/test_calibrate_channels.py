@@ -12,11 +12,7 @@ from bayescal_models import still_sensor
 from bayescal_models.still_sensor.campaign import LAG_TIME
 
 LAG, QUADRATIC = "bias.thermal_lag", "bias.temperature_quadratic"
-HIDDEN = {
-    "strong": {LAG: 8.0},
-    "weak": {LAG: 3.0},
-    "none": {QUADRATIC: 0.05},
-}
+HIDDEN = {"strong": {LAG: 8.0}, "weak": {LAG: 3.0}, "none": {QUADRATIC: 0.05}}
 
 
 @pytest.fixture(scope="module")

@@ -129,11 +129,7 @@ def test_a_digital_certificate_states_coefficients_in_si(calibration, written) -
 
 
 @pytest.mark.parametrize(
-    "change",
-    [
-        ("serial = 4711\n", ""),
-        ('country = "GB"', 'country = "Britain"'),
-    ],
+    "change", [("serial = 4711\n", ""), ('country = "GB"', 'country = "Britain"')]
 )
 def test_a_digital_certificate_without_what_it_needs_is_refused(change, saved, tmp_path) -> None:
     stated = tmp_path / "stated.toml"

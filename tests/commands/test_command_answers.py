@@ -8,13 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.support.command_line import (
-    GYRO,
-    QUICK,
-    TABLE,
-    needs_installation,
-    run,
-)
+from tests.support.command_line import GYRO, QUICK, TABLE, needs_installation, run
 
 pytestmark = needs_installation
 
@@ -42,10 +36,7 @@ def test_fit_as_json() -> None:
 def test_a_saved_calibration_is_checked_discovered_and_predicted(
     saved: Path, tmp_path: Path
 ) -> None:
-    for name in (
-        "check",
-        "discover",
-    ):
+    for name in ("check", "discover"):
         text = run(name, saved)
         assert text.status == 0, text.err
     entries = run("check", saved, "--json").data
@@ -59,30 +50,6 @@ def test_a_saved_calibration_is_checked_discovered_and_predicted(
     assert said["rows"] == len(written) == 18
     assert said["rmse"] == pytest.approx(float(np.sqrt(np.mean(residual**2))))
     text = run("predict", saved, TABLE).out
-
-
-def test_compare_sets_structures_side_by_side() -> None:
-    chosen = ("--structure", "line", "--structure", "line+bias.temperature_quadratic")
-    text = run("compare", TABLE, *GYRO, *QUICK, *chosen)
-    assert text.status == 0, text.err
-    said = run("compare", TABLE, *GYRO, *QUICK, *chosen, "--json").data
-    assert {row["name"] for row in said["rows"]} == set(chosen[1::2])
-    assert sum(row["weight"] for row in said["rows"]) == pytest.approx(1.0)
-
-
-def test_an_instrument_of_ones_own(folder: Path, tmp_path: Path) -> None:
-    rows = "".join(f"{t},{3 + 0.1 * t + 0.05 * (-1) ** t}\n" for t in range(20, 40))
-    file = tmp_path / "level.csv"
-    file.write_text("temperature [degC],output [arcsec]\n" + rows, encoding="utf-8")
-    own = ("--instrument", f"{folder / 'level.py'}:INSTRUMENT")
-    done = run("fit", file, *own, *QUICK, "--out", tmp_path / "level", "--json")
-    assert done.status == 0, done.err
-    assert done.data["coefficients"][0]["unit"] == "arcsec"
-    written = tmp_path / "level" / "calibration.nc"
-    text = run("check", written, *own)
-    assert text.status == 0
-    refused = run("check", written)
-    assert refused.status == 2
 
 
 def test_columns_and_units_can_be_named(saved: Path, tmp_path: Path) -> None:

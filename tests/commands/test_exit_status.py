@@ -10,14 +10,7 @@ from typing import Any
 import pytest
 
 import bayescal as bc
-from tests.support.command_line import (
-    GYRO,
-    PRINTED_LINE,
-    QUICK,
-    TABLE,
-    needs_installation,
-    run,
-)
+from tests.support.command_line import GYRO, PRINTED_LINE, QUICK, TABLE, needs_installation, run
 
 pytestmark = needs_installation
 

@@ -26,18 +26,6 @@ FAILING = {
     "def f(): f()\nf()": ("line 3", "RecursionError: maximum recursion depth exceeded"),
     "bc.Effect('bias.own', slot='bias')": ("line 3", "TypeError"),
 }
-BASIS = """
-import sys
-import bayescal as bc
-
-def basis(r):
-    {fails}
-
-EFFECTS = bc.Effect(
-    "bias.own", slot="bias", columns=("temperature",), basis=basis,
-    coefficients=(bc.Coefficient("deg/s", bc.Normal(0.0, 0.1)),), equation="c",
-)
-"""
 
 
 @pytest.mark.parametrize("text", FAILING)
@@ -49,14 +37,3 @@ def test_a_file_that_fails_is_named_with_its_line(text: str, tmp_path: Path) -> 
     assert done.status == 2
     assert done.said == [done.said[0]]
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("fails", ["raise ValueError('no basis')", "sys.exit(3)", "return 1 / 0"])
-def test_a_basis_that_fails_when_it_is_asked_is_named_with_its_line(
-    fails: str, tmp_path: Path
-) -> None:
-    own = tmp_path / "my.py"
-    own.write_text(BASIS.format(fails=fails), encoding="utf-8")
-    done = run("fit", TABLE, *GYRO, *QUICK, "--effects", own, "--add", "bias.own")
-    assert done.status == 2
-    assert len(done.said) == 1

@@ -9,12 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.command_line import (
-    GYRO,
-    commands,
-    needs_installation,
-    run,
-)
+from tests.support.command_line import GYRO, commands, needs_installation, run
 
 pytestmark = needs_installation
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,13 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.command_line import (
-    GYRO,
-    QUICK,
-    Ran,
-    needs_installation,
-    run,
-)
+from tests.support.command_line import GYRO, QUICK, Ran, needs_installation, run
 
 pytestmark = needs_installation
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -76,14 +75,6 @@ def test_all_formats_keep_their_columns_and_gain_two(suffix, tmp_path) -> None:
         assert xr.open_dataset(out, engine="h5netcdf").load()["output_compensated"].units == "ug"
 
 
-def test_raw_volts_pass_the_nominal_scale(gyro, tmp_path) -> None:
-    table = pd.DataFrame({"temperature [degC]": [40.0], "output [V]": [1.2 + 0.83e-3 * 25.0]})
-    table.to_csv(tmp_path / "in.csv", index=False)
-    compensate_file(gyro, tmp_path / "in.csv", tmp_path / "out.csv")
-    found = pd.read_csv(tmp_path / "out.csv")["output_compensated [deg/s]"][0]
-    np.testing.assert_allclose(found, gyro(output=25.0, temperature=40.0).value[0], rtol=1e-9)
-
-
 def test_a_refused_file_leaves_the_old_one_whole(gyro, tmp_path, monkeypatch) -> None:
     out = tmp_path / "out.csv"
     out.write_text("precious")
@@ -127,14 +118,6 @@ def test_the_commands_compensate_export_and_budget(saved, tmp_path) -> None:
     assert ran.status == 0, ran.err
     assert ran.data["k"] == 3 and ran.data["at"] == {"rate_input": 50.0, "temperature": 60.0}
     json.dumps(ran.data)
-
-
-def test_a_folder_of_results_stands_for_its_calibration(saved, tmp_path) -> None:
-    shutil.copy(saved, tmp_path / "calibration.nc")
-    assert run("budget", tmp_path, *OWN).out == run("budget", saved, *OWN).out
-    (tmp_path / "channels.json").write_text('{"channels": {"x": {"folder": "gyro_x"}}}')
-    ran = run("budget", tmp_path, *OWN)
-    assert ran.status == 2
 
 
 def german(path: Path, header: str = "Messgröße (°/s)") -> Path:

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from tests.support.export_check import (
-    inputs_of,
-    needs_compiler,
-    random_rows,
-    run_header,
-    tilted,
-)
+from tests.support.export_check import inputs_of, needs_compiler, random_rows, run_header, tilted
 from tests.support.made_up import bent_sensor, split_search
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")

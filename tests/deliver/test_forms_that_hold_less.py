@@ -25,10 +25,7 @@ def bent(instrument: str, order: int = 3, powers: int = 3) -> bc.VectorCorrectio
     terms[:, 30:33] /= AT[instrument] ** 2
     scale = np.where(made.terms == 0, 1.0, terms / made.terms).ravel()
     return replace(
-        made,
-        terms=terms,
-        covariance=made.covariance * np.outer(scale, scale),
-        reach=AT[instrument],
+        made, terms=terms, covariance=made.covariance * np.outer(scale, scale), reach=AT[instrument]
     )
 
 

@@ -20,9 +20,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import bayescal as bc
-from bayescal.workshop import (
-    load_correction,
-)
+from bayescal.workshop import load_correction
 from tests.deliver.test_noise_at_rest import told
 from tests.support import references
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler

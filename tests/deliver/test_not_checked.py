@@ -70,12 +70,7 @@ def test_a_step_on_the_way_is_checked_by_itself() -> None:
 
 @needs_installation
 @pytest.mark.parametrize(
-    "asked",
-    [
-        ("decide", "--limit", LIMIT),
-        ("export", "--format", "c"),
-        ("budget",),
-    ],
+    "asked", [("decide", "--limit", LIMIT), ("export", "--format", "c"), ("budget",)]
 )
 def test_commands_leave_with_1(saved, asked) -> None:
     command, *options = asked

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 from functools import cache
-from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import pytest
 import bayescal as bc
 from tests.support.export_check import COMPILER, FLAGS, needs_compiler, run_c
 from tests.support.made_up import bent_sensor
-from tests.support.shown_output import load_module
 
 UNITS = {"accelerometer_triad": "g", "gyro_triad": "deg/s", "magnetometer_triad": "uT"}
 AT = {"accelerometer_triad": 1.0, "gyro_triad": 50.0, "magnetometer_triad": 48.0}
@@ -148,34 +146,6 @@ def test_two_sensors_of_one_name_do_not_compile(tmp_path: Path) -> None:
         assert done.returncode != 0
     twice = '#include "a.h"\n#include "a.h"\nint main(void) { return 0; }\n'
     assert run_c(twice, np.zeros(0), tmp_path).size == 0
-
-
-def test_all_modules_in_one_process(tmp_path: Path) -> None:
-    line, bent = scalar("line"), scalar("bent")
-    unit = [triad("accelerometer_triad", 3, 2), triad("gyro_triad", 2), triad("magnetometer_triad")]
-    made = load_module(bc.export_vector(unit[0], tmp_path / "unit.py", others=unit[1:]))
-    y = np.array([0.3, -0.5, 0.8])
-    for one in unit:
-        beside = GRAVITY if one.beside else None
-        wanted = one(y, WARM, noise=NOISE, beside=beside)
-        correct = getattr(made, f"{one.instrument}_correct")
-        vector, covariance, outside = correct(y, WARM, noise=NOISE, beside=beside)
-        assert vector == pytest.approx(wanted.vector[0], rel=1e-12)
-        assert covariance == pytest.approx(wanted.covariance[0], rel=1e-9)
-        assert not outside
-    spare = triad("accelerometer_triad")
-    path = bc.export_vector(spare, tmp_path / "spare.py", name="spare", uncertainty=False)
-    vector, outside = load_module(path).spare_correct(y, 90.0)
-    assert vector == pytest.approx(spare(y).vector[0], rel=1e-12) and outside
-    for one in (line, bent):
-        inputs = inputs_of(one)
-        wanted = one(output=0.3, method="first order", noise=False, warn=False, **inputs)
-        path = one.export(tmp_path / "one.py")
-        value, own, *_ = load_module(path).compensate(0.3, *inputs.values())
-        assert (value, own) == pytest.approx((wanted.value[0], wanted.uncertainty[0]), rel=1e-9)
-        plain = load_module(one.export(tmp_path / "plain.py", uncertainty=False)).compensate
-        own_inputs = {n: v for n, v in inputs.items() if n in signature(plain).parameters}
-        assert plain(0.3, **own_inputs)[0] == value
 
 
 @needs_compiler

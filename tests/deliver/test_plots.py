@@ -6,14 +6,11 @@ import re
 
 import numpy as np
 import pytest
-from matplotlib.colors import rgb_to_hsv, to_hex, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 import bayescal as bc
 from tests.support.reported import HIDDEN, trail
 
-OKABE_ITO = {"#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7"}
 UNIT = re.compile(r"\[[^\[\]]+\]")
 
 
@@ -79,11 +76,3 @@ def test_identifiability_is_the_root_of_what_is_left(figures) -> None:
     width = ax.patches[names.index("bias.temperature")].get_width()
     prior = c.model.effect("bias.temperature").coefficients[0].size
     assert width == pytest.approx(c.samples("bias.temperature").std(ddof=1) / prior, rel=1e-6)
-
-
-def test_colours_are_those_that_the_colour_blind_tell_apart(figures) -> None:
-    """Of lines and bars: the palette's, or without a hue."""
-    shown = [a for f in figures.values() for ax in f.axes for a in (*ax.lines, *ax.patches)]
-    used = {to_hex(a.get_color() if isinstance(a, Line2D) else a.get_facecolor()) for a in shown}
-    coloured = {c for c in used if rgb_to_hsv(to_rgb(c))[1] > 0.05}
-    assert len(coloured) > 2 and coloured <= OKABE_ITO

@@ -152,26 +152,6 @@ def test_every_key_is_documented_with_its_type(data: dict[str, Any]) -> None:
             assert isinstance(value, dict | list) or value is None, f"{path} is not documented"
 
 
-RARELY = ("noise_laws", "unnamed", "equivalent", "latent")  # of what is missing
-
-
-def test_every_documented_key_is_found_in_one_result_or_the_other(
-    written: dict[str, Any], sampled: dict[str, Any], shut: dict[str, Any]
-) -> None:
-    found = {path for one in (written, sampled, shut) for path, _ in values(one)}
-    rare = {
-        *("flags[]", "settings.*", "steps[].verdict.reasons[]", "steps[].dropped[]"),
-        *("missing[].candidates[].shape.*", "missing[].candidates[].indistinguishable_from[]"),
-        # The table has one covariate,
-        *("pairs[].step", "pairs[].against[]", "pairs[].log_bayes_factor"),
-        *(f"other_path.{key}" for key in KEYS["other_path"].split()),
-        "other_path.added[]",
-        # no times, and too few readings.
-        *(p for p in DOCUMENTED if p.startswith(("allan[]", *(f"missing[].{k}" for k in RARELY)))),
-    }
-    assert set(DOCUMENTED) - found <= rare
-
-
 def test_what_the_values_mean(written: dict[str, Any]) -> None:
     assert written["schema"] == "bayescal.result/2"
     assert written["reference"]["T0"] == 50.0

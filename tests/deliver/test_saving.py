@@ -97,13 +97,6 @@ def test_other_programs_open_a_sealed_file(line, tmp_path) -> None:
         assert opened.attrs["bayescal_identity"] == identity_of(line)
 
 
-def test_saving_leaves_the_calibration_as_it_was(line, tmp_path) -> None:
-    groups, attributes = set(line.tree.children), dict(line.tree.attrs)
-    line.save(tmp_path / "line.nc")
-    assert set(line.tree.children) == groups
-    assert line.tree.attrs == attributes
-
-
 def test_effects_of_ones_own_come_back_when_they_are_given(own, tmp_path) -> None:
     path = own.save(tmp_path / "own.nc")
     same(own, bc.load(path, effects=[SQUARE]))
@@ -163,9 +156,7 @@ def test_what_is_no_calibration_is_refused(tmp_path) -> None:
     foreign = tmp_path / "foreign.nc"
     data = xr.Dataset({"a": ("x", [1.0, 2.0])})
     data.to_netcdf(foreign, engine="h5netcdf")
-    with pytest.raises(
-        bc.InputError,
-    ):
+    with pytest.raises(bc.InputError):
         bc.load(foreign)
     write_sealed(netcdf_bytes(data), foreign)
     with pytest.raises(bc.InputError):
@@ -205,9 +196,7 @@ def test_a_file_with_the_names_of_0_2_is_read(tmp_path) -> None:
     assert name in loaded.posterior.data_vars
 
 
-def test_a_lag_saved_before_its_starts_had_a_learned_spread_is_read_as_it_was(
-    tmp_path,
-) -> None:
+def test_a_lag_saved_before_its_starts_had_a_learned_spread_is_read_as_it_was(tmp_path) -> None:
     lag = INSTRUMENT.known["bias.thermal_lag"]
     slope, begun = lag.coefficients
     before = replace(lag, coefficients=(slope, replace(begun, group_sd=None)))

@@ -127,14 +127,6 @@ def test_a_damaged_manifest_is_refused_until_another_is_written(text, tmp_path) 
     refuse_mixed(tmp_path)
 
 
-def test_results_of_a_run_before_go_but_not_those_that_were_changed(tmp_path) -> None:
-    write(tmp_path, "1")
-    (tmp_path / "b.json").write_text("changed")
-    with whole_folder(tmp_path, "2") as hidden:
-        (hidden / "c.json").write_text("2")
-    assert state(tmp_path).keys() == {"b.json", "c.json", MANIFEST}
-
-
 @pytest.mark.parametrize("how", ["exchange", "another system"])
 def test_there_is_always_a_whole_folder(how, tmp_path, monkeypatch) -> None:
     folder = tmp_path / "out"
@@ -148,15 +140,6 @@ def test_there_is_always_a_whole_folder(how, tmp_path, monkeypatch) -> None:
         refuse_mixed(folder)
     assert (folder / "mine.txt").read_text() == "mine"
     assert os.listdir(tmp_path) == ["out"]
-
-
-def test_the_folder_that_one_works_in_stays_the_same(tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    node = tmp_path.stat().st_ino
-    for text in ("1", "2"):
-        write(Path("."), text)
-    assert tmp_path.stat().st_ino == node
-    refuse_mixed(tmp_path)
 
 
 def test_a_failure_leaves_the_folder_as_it_was(folder) -> None:

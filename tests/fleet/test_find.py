@@ -52,15 +52,6 @@ def test_each_device_gets_the_effects_it_lacks(fleet, tmp_path) -> None:
     assert str(bc.load_fleet(tmp_path / "out")) == str(found)
 
 
-@pytest.mark.slow
-def test_a_time_limit_leaves_devices_that_the_next_call_fits(fleet, tmp_path) -> None:
-    how = {"out": tmp_path / "out", "partition_rows": 600}
-    first = bc.fit_batch(MODEL, fleet, time_limit=1e-6, **how)
-    assert 0 < first.fitted < DEVICES and first.missing
-    again = bc.fit_batch(MODEL, fleet, **how)
-    assert again.fitted == DEVICES and not again.missing
-
-
 def test_a_device_beside_a_population_is_named(tmp_path) -> None:
     rng, rows = np.random.default_rng(3), []
     for d in range(40):

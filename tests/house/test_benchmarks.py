@@ -47,11 +47,6 @@ def test_code_for_other_processes_names_what_is_there() -> None:
     assert all(name in functions_of(module) for module, name in found), found
 
 
-def test_folders_say_what_they_claim() -> None:
-    for folder in {file.parent for file in FILES}:
-        assert ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8"))), folder
-
-
 @pytest.mark.parametrize("file", FILES, ids=lambda f: f.stem)
 def test_what_a_benchmark_imports_is_there(file: Path) -> None:
     """Of this repository's own packages: a name that moves away is noticed before a benchmark is run."""

@@ -195,18 +195,5 @@ def test_double_precision_and_a_cache_in_the_users_folder(tmp_path: Path) -> Non
     assert any(folder.iterdir()), "a small program was not kept"
 
 
-def test_a_start_drops_the_programs_not_used_for_longest(tmp_path: Path) -> None:
-    folder = tmp_path / "jax"
-    folder.mkdir()
-    for name, age in (("old-cache", 9), ("older-cache", 99), ("other", 999)):
-        with (folder / name).open("wb") as file:
-            file.truncate(400 * 1024**2)  # a hole: it takes no room on the disk
-        os.utime(folder / name, (1e9 - age, 1e9 - age))
-    settings({"BAYESCAL_CACHE": str(tmp_path)})
-    left = {path.name for path in folder.iterdir()}
-    assert {"old-cache", "other"} < left, "what fits into 512 MiB stays, and what is no program"
-    assert "older-cache" not in left
-
-
 def test_an_empty_cache_variable_turns_the_cache_off() -> None:
     assert settings({"BAYESCAL_CACHE": ""})["cache"] is None

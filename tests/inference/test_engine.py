@@ -131,10 +131,7 @@ CASES: dict[str, tuple[Any, Any]] = {
         differential_pair.INSTRUMENT.baseline(),
         lambda: differential_pair.simulate({}, seed=1),
     ),
-    "inclinometer": (
-        inclinometer.INSTRUMENT.baseline(),
-        lambda: inclinometer.simulate({}, seed=1),
-    ),
+    "inclinometer": (inclinometer.INSTRUMENT.baseline(), lambda: inclinometer.simulate({}, seed=1)),
     "still": (still, lambda: still_sensor.simulate({}, seed=1)),
     "still, wandering": (
         lambda readings: still(readings).with_noise(over_record(bc.HalfCauchy(10), 10.0, 3000.0)),
@@ -254,10 +251,7 @@ def test_densities_are_those_of_the_dense_covariance(case: str) -> None:
 def test_flat_coefficients_are_integrated_over_the_whole_line() -> None:
     flat = bc.Model(
         GYRO,
-        (
-            effects.constant("bias", None, "deg/s", source="none"),
-            GYRO.effect("bias.temperature"),
-        ),
+        (effects.constant("bias", None, "deg/s", source="none"), GYRO.effect("bias.temperature")),
         bc.White(),
     )
     problem = bound(flat, two_runs())

@@ -72,10 +72,8 @@ def estimates(fit: bc.Calibration) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def gum(shared_data):
-    folder = shared_data / "gum" / "gum_h3"
-    if not folder.is_dir():
-        pytest.skip("needs GUM H.3 in ../shared/data/gum, beside this checkout")
+def gum(certified_data):
+    folder = certified_data / "gum" / "gum_h3"
     table = np.loadtxt(folder / "gum_h3.csv", delimiter=",", skiprows=1)
     said = json.loads((folder / "certified.json").read_text("utf-8"))["published"]
     readings = bc.Measurements.from_arrays(THERMOMETER, x=table[:, 0], output=table[:, 1])
@@ -138,10 +136,8 @@ def test_noise_as_stated_is_weighted_least_squares_and_its_chi_squared() -> None
 
 
 @pytest.fixture(scope="module")
-def iso(shared_data):
-    path = shared_data / "gum" / "iso28037" / "examples.json"
-    if not path.is_file():
-        pytest.skip("needs the ISO/TS 28037 lines in ../shared/data/gum, beside this checkout")
+def iso(certified_data):
+    path = certified_data / "gum" / "iso28037" / "examples.json"
     return json.loads(path.read_text("utf-8"))
 
 

@@ -222,17 +222,6 @@ def test_heading_and_its_uncertainty_in_any_attitude() -> None:
     assert sd[0] == pytest.approx(drawn.std(), rel=0.03)
 
 
-def test_a_level_body_has_one_heading_by_both() -> None:
-    """z is up, y to the left of x; errors of the level itself are in the second alone."""
-    field = np.array([[12.0, 15.0, -45.0]])
-    of_field = CorrectedVector(field, 0.04 * np.eye(3)[None], "uT", np.zeros(1, bool))
-    up = CorrectedVector(np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3, 3)), "g", np.zeros(1, bool))
-    own, over = of_field.heading, of_field.heading_over(up)
-    assert own[0][0] == pytest.approx(np.arctan2(15.0, 12.0))
-    assert over[0][0] == pytest.approx(own[0][0])
-    assert over[1][0] == pytest.approx(own[1][0], rel=1e-6)
-
-
 @pytest.mark.slow
 def test_a_heading_counts_the_errors_that_field_and_force_share() -> None:
     """Another calibration of the accelerometers, by one standard deviation of a random combination of its terms, turns

@@ -188,11 +188,7 @@ def test_what_poses_do_not_tell_keeps_the_width_of_its_prior(
 @pytest.mark.parametrize(
     ("kind", "count", "poses"),
     [
-        (
-            "six",
-            6,
-            ["at 45° between x and y", "at 45° between x and z", "at 45° between y and z"],
-        ),
+        ("six", 6, ["at 45° between x and y", "at 45° between x and z", "at 45° between y and z"]),
         ("twelve", 12, []),
         ("planar", 24, ["along y", "along −y", "at 45° between x and y", "at 45° between y and z"]),
         ("level", 24, ["along x", "along y", "along −z"]),

@@ -13,11 +13,7 @@ from bayescal_models.differential_pair.environment import (
     order_sizes,
 )
 from bayescal_models.differential_pair.pairing.selection import judge
-from bayescal_models.differential_pair.pairing.wafer import (
-    Wafer,
-    best_pairs,
-    expected_residual,
-)
+from bayescal_models.differential_pair.pairing.wafer import Wafer, best_pairs, expected_residual
 from tests.support.made_up.pairs import made_up
 
 DRAWS = 100

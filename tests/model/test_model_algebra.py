@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal import effects
 from bayescal_models.mems_gyro import INSTRUMENT
 from tests.support.made_up.humid_gyro import BASELINE, HUMIDITY, readings
 
@@ -44,31 +43,6 @@ def test_models_of_equal_parts_are_equal_and_share_a_hash() -> None:
     assert one.fix({"bias.drift": 0.1}) != one.fix({"bias.drift": 0.2})
 
 
-def test_adding_twice_is_refused_and_says_how_to_replace() -> None:
-    with pytest.raises(bc.ModelError):
-        _ = BASELINE + "bias.temperature"
-
-
-def test_taking_away_what_is_not_there_is_refused() -> None:
-    with pytest.raises(bc.ModelError):
-        _ = BASELINE - "bias.drift"
-    with pytest.raises(bc.ModelError):
-        BASELINE.effect("bias.drift")
-
-
-def test_an_unknown_effect_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(bc.ModelError):
-        _ = BASELINE + "bias.moon"
-
-
-def test_an_unknown_slot_is_refused_with_the_known_ones() -> None:
-    lost = effects.constant("tilt", 1.0, "rad", source="none")
-    with pytest.raises(bc.ModelError):
-        _ = BASELINE + lost
-    with pytest.raises(bc.ModelError):
-        _ = BASELINE + effects.constant("output", 1.0, "deg/s", source="none")
-
-
 # Effects themselves.
 
 
@@ -91,17 +65,6 @@ def test_an_effect_that_cannot_work_is_refused_where_it_is_made(change) -> None:
     }
     with pytest.raises(bc.ModelError):
         bc.Effect("bias.mine", "bias", **given)
-
-
-def test_a_basis_of_the_wrong_shape_is_refused_with_both_shapes() -> None:
-    two = bc.Effect(
-        "bias.two",
-        "bias",
-        basis=lambda r: r["temperature"],
-        coefficients=(bc.Coefficient("deg/s", part="a"), bc.Coefficient("deg/s", part="b")),
-    )
-    with pytest.raises(bc.ModelError):
-        bc.fit(BASELINE + two, readings())
 
 
 def test_priors_and_shapes_out_of_range_are_refused() -> None:

@@ -23,9 +23,7 @@ def test_a_group_effect_without_members_is_refused() -> None:
         basis=lambda r: 1.0,
         coefficients=(bc.Coefficient("deg/s", per="cell"),),
     )
-    with pytest.raises(
-        bc.ModelError,
-    ):
+    with pytest.raises(bc.ModelError):
         bc.fit(BASELINE + cell, readings())
     with pytest.raises(bc.ModelError):
         bc.fit(BASELINE + "bias.run", readings())
@@ -102,9 +100,7 @@ def station_readings(stations: list[str]) -> bc.Measurements:
 
 
 def test_an_effect_of_an_unknown_group_is_refused_when_the_model_is_made() -> None:
-    with pytest.raises(
-        bc.ModelError,
-    ):
+    with pytest.raises(bc.ModelError):
         _ = mems_gyro.INSTRUMENT.baseline() + STATION
 
 

@@ -11,14 +11,7 @@ import scipy.io
 import bayescal as bc
 from bayescal_models import mems_gyro
 from tests.support.command_line import run
-from tests.support.hostile_files import (
-    HEADER,
-    REFUSED,
-    row,
-    sheet,
-    table_rows,
-    write_book,
-)
+from tests.support.hostile_files import HEADER, REFUSED, row, sheet, table_rows, write_book
 
 GYRO = mems_gyro.INSTRUMENT
 

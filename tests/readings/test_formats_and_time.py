@@ -142,10 +142,3 @@ def test_runs_by_date_share_one_clock(put):
 def test_dropped_rows_are_gaps_that_are_said(put):
     m = bc.read(put(with_cell(4, 2, "", with_cell(6, 1, ""))), GYRO, missing="drop")
     assert m["time"].tolist()[1:4] == [10.0, 30.0, 50.0] and m.sources[0].rows == 12
-
-
-def test_an_option_that_is_none_is_refused(put):
-    with pytest.raises(bc.InputError):
-        bc.read(put(text()), GYRO, missing="skip")
-    with pytest.raises(bc.InputError):
-        bc.read(put(text()), GYRO, decimal=";")

@@ -11,7 +11,6 @@ import pytest
 import bayescal as bc
 from bayescal_models import mems_gyro
 from tests.support.command_line import options_of
-from tests.support.inside import frame_of
 from tests.support.lab_files import (
     RATE,
     TEMPERATURE,
@@ -20,7 +19,6 @@ from tests.support.lab_files import (
     spaced,
     text,
     when,
-    with_cell,
 )
 
 EXPORTS = lab_exports()
@@ -63,12 +61,3 @@ def test_a_calibration_does_not_depend_on_how_its_file_is_written(put):
         found.append([float(line.samples(name).mean()) for name in names])
     np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
     np.testing.assert_allclose(found[2], found[0], rtol=1e-6)
-
-
-def test_a_dropped_row_is_a_gap_to_rates(put):
-    spoilt = with_cell(5, 2, "", with_cell(6, 2, "NaN"))
-    m = bc.read(put(spoilt), mems_gyro.INSTRUMENT, missing="drop")
-    assert len(m) == len(TIME) - 2
-    frame = frame_of(m)
-    assert frame.step.tolist().count(30.0) == 1  # s, over the gap
-    np.testing.assert_allclose(np.asarray(frame.rates["temperature"])[1:], 0.125, rtol=1e-9)

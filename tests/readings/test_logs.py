@@ -54,11 +54,6 @@ def test_an_accelerometer_comes_in_local_g(log) -> None:
     np.testing.assert_allclose(readings["output"], UNITS[0]["acc_z"] / 9.81e-6, rtol=3e-7)
 
 
-def test_a_second_sensor_has_a_number(log) -> None:
-    readings = bc.read(log, INSTRUMENT, columns={"output": "gyro_x_1"})
-    np.testing.assert_allclose(readings["output"], DEGREES * UNITS[1]["gyro_x"], rtol=3e-7)
-
-
 def test_the_temperature_is_the_sensor_s_or_interpolated_and_said_so(log) -> None:
     readings = bc.read(log, INSTRUMENT, columns={"output": "gyro_x"})
     ros = log.suffix not in (".ulg", ".bin")
@@ -70,15 +65,6 @@ def test_the_temperature_is_the_sensor_s_or_interpolated_and_said_so(log) -> Non
     known = [*range(0, ROWS, 5), ROWS - 1]
     wanted = np.interp(TIME, TIME[known], TEMPERATURE[known])
     np.testing.assert_allclose(readings["temperature"], wanted, rtol=1e-6)
-
-
-def test_no_channel_is_guessed(log) -> None:
-    with pytest.raises(bc.InputError) as refused:
-        bc.read(log, INSTRUMENT)
-    (problem,) = refused.value.problems
-    assert problem.column == "output" and "output=gyro_x" in problem.option
-    with pytest.raises(bc.InputError):
-        bc.read(log, INSTRUMENT, columns={"output": "gyro_w"})
 
 
 def test_a_log_cut_short_or_another_file_is_refused(log, put) -> None:

@@ -118,9 +118,7 @@ def test_parquet_of_others_is_read(tmp_path):
     ]
     when = pa.table({"output": pa.array([0, 1], pa.timestamp("s")), "flag": [True, False]})
     pq.write_table(when, path)
-    with pytest.raises(
-        bc.InputError,
-    ):
+    with pytest.raises(bc.InputError):
         bc.read(path, SCALE, units={"output": "ug"})
     pq.write_table(when.drop_columns(["output"]), path)
     with pytest.raises(bc.InputError):

@@ -66,17 +66,7 @@ CONTENTS = [
     GOOD.replace("degC", "°C").encode() + b"caf\xe9,0,30,1\n",
     '"run,output [V]\n1,2\n',
 ]
-NAMES = [
-    "t.log",
-    "t.xls",
-    "t.xlsx",
-    "t.mat",
-    "t",
-    "t.pkl",
-    "t.npy",
-    "t.parquet",
-    "t.nc",
-]
+NAMES = ["t.log", "t.xls", "t.xlsx", "t.mat", "t", "t.pkl", "t.npy", "t.parquet", "t.nc"]
 ANGLES = "position_angle [rad],temperature [degC],output [V]\n"
 DEVICES = "device,axis,time [s],temperature [degC],output [V]\n"
 AXES = DEVICES + "1,x,0,20,1\n1,x,9,21,1\n1,y,0,22,1\n2,x,5,23,1\n1,x,9,24,1\n"

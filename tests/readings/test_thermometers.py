@@ -103,9 +103,7 @@ def wrapped(warm: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "change",
-    [wrapped, lambda t: t - 3.0 * (np.arange(len(t)) > 55)],
-    ids=["wrapped", "re-seated"],
+    "change", [wrapped, lambda t: t - 3.0 * (np.arange(len(t)) > 55)], ids=["wrapped", "re-seated"]
 )
 def test_a_thermometer_that_goes_on_from_another_level(ramps: Columns, change) -> None:
     """A body does not; set-points that are written down as they were set do, and say nothing of a body."""

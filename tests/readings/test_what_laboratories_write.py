@@ -5,10 +5,7 @@ Nothing of it may be read silently wrong: it is read right, or asked about with 
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,9 +19,8 @@ from bayescal_models import (
     still_sensor,
 )
 from tests.support.command_line import options_of
-from tests.support.lab_headers import RATE, ROWS, RUN, TEMPERATURE, TIME, LabFile, lab_file
 
-SMALL_FAILS = Path(__file__).parents[3] / "shared" / "data" / "small_fails"
+RECORDED = Path(__file__).parents[1] / "data" / "logs"
 STILL, GYRO = still_sensor.INSTRUMENT, mems_gyro.INSTRUMENT
 TRIAD, LEVEL = accelerometer_triad.INSTRUMENT, inclinometer.INSTRUMENT
 HEAD = accelerometer_dividing_head.INSTRUMENT
@@ -244,68 +240,12 @@ def test_windows_1252_is_read(put) -> None:
 # --- headers made up at random ----------------------------------------------------------------------------------
 
 
-def is_right(found: bc.Measurements, file: LabFile) -> bool:
-    right = len(found) == ROWS and found.has("time")
-    right = right and np.allclose(found["time"] - found["time"][0], TIME, atol=1e-4)
-    right = right and np.allclose(found["temperature"], TEMPERATURE, atol=2e-5)
-    right = right and np.allclose(found["output"], RATE, atol=2e-6)
-    runs = found["run"].tolist() if found.has("run") else []
-    return bool(right and ("run" not in file.headers or runs == [str(r) for r in RUN]))
-
-
-def completed(asked: str, headers: Mapping[str, str], units: Mapping[str, str]) -> dict[str, Any]:
-    """Suggested options as a person completes them who knows the file, and corrects what is not meant."""
-    words, gone = list[str](), set[str]()
-    given = shlex.split(asked)
-    for option, value in zip(given[::2], given[1::2], strict=True):
-        ours, _, said = value.partition("=")
-        theirs = headers.get(ours, "")
-        if option == "--columns" and theirs and said != theirs:
-            gone |= {said}
-            words += [option, f"{ours}={theirs}"]
-            words += ["--unit", f"{theirs}={units[theirs]}"] if theirs in units else []
-        elif option == "--unit" and value.rpartition("=")[0] not in ("HEADER", *gone):
-            head = value.rpartition("=")[0]
-            words += [option, f"{head}={units.get(head, '1')}"]
-        elif option in ("--columns", "--ignore"):
-            words += [option, value]
-    return options_of(shlex.join(words))
-
-
-@pytest.mark.parametrize("seeds", [range(40), pytest.param(range(40, 200), marks=pytest.mark.slow)])
-def test_generated_headers_are_read_right_or_asked_about_once(put, seeds) -> None:
-    again = []
-    for seed in seeds:
-        file = lab_file(np.random.default_rng(seed))
-        path = put(file.content)
-        try:
-            assert is_right(bc.read(path, GYRO), file), f"{seed}: silently wrong"
-            continue
-        except bc.InputError as error:
-            said = [p.option for p in error.problems]
-        asked = " ".join(dict.fromkeys(said))
-        assert all(said), f"{seed}: {asked}"
-        try:
-            found = bc.read(path, GYRO, **completed(asked, file.headers, file.units))
-        except bc.InputError as error:
-            again.append(f"{seed}: {asked}: {error}")
-            continue
-        assert is_right(found, file), f"{seed}: wrong after {asked}"
-    assert len(again) <= 0.05 * len(seeds), "\n".join(again)
-
-
 # --- the small inputs of others ---------------------------------------------------------------------------------
-
-
-def small_input(name: str) -> Path:
-    if not (SMALL_FAILS / name).is_file():
-        pytest.skip("needs the small inputs in ../shared/data/small_fails, beside this checkout")
-    return SMALL_FAILS / name
 
 
 @pytest.mark.parametrize("name", ["drop400", "ms400", "pairs400"])
 def test_stamps_of_drivers_have_the_noise_of_the_sensor(name) -> None:
-    path = small_input(f"noise_stamps/{name}_short.csv")
+    path = RECORDED / f"{name}_short.csv"
     found = bc.noise(bc.read(path, STILL, columns={"output": "gyro_x"}))
     density = next(f for f in found.figures if f.symbol == "N")
     assert density.unit == "deg/h^0.5" and density.low < 0.24 < density.high
@@ -314,7 +254,7 @@ def test_stamps_of_drivers_have_the_noise_of_the_sensor(name) -> None:
 
 def test_poses_that_are_held_briefly_are_all_found() -> None:
     columns = {f"output_{a}": f"a{a}" for a in "xyz"}
-    path = small_input("short_holds_triad/shortposes.csv")
+    path = RECORDED / "shortposes.csv"
     log = bc.read(path, TRIAD, columns=columns)
     poses = bc.poses(log, TRIAD)
     assert len(poses) == 30

@@ -231,13 +231,6 @@ def test_lost_readings_leave_averages_of_the_others() -> None:
     assert np.mean(ratios, axis=0)[:6] == pytest.approx(1.0, abs=0.03)
 
 
-def test_readings_without_a_fit_are_drawn_too() -> None:
-    (ax,) = bc.plot.allan(bc.allan_deviation(record(NOISE, 1.0))).axes
-    assert ax.get_ylabel() == "Allan deviation [°/s]"
-    assert ax.get_xlabel() == "averaging time τ [s]"
-    assert ax.get_title(loc="left").startswith("N = ")
-
-
 @pytest.mark.parametrize("kind", ["cut to milliseconds", "two readings on one stamp"])
 def test_stamps_that_stay_near_an_even_grid_are_that_grid(kind: str) -> None:
     """At 400 Hz: stamps in whole milliseconds, or of pairs that arrived together."""

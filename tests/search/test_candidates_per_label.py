@@ -44,10 +44,7 @@ def test_a_candidate_per_station_is_found(effect: bc.Effect) -> None:
 
 def test_a_calibration_adds_a_candidate_per_station() -> None:
     path = bc.calibrate(
-        AT_STATIONS.baseline(),
-        at_stations(),
-        method=bc.LeastSquares(draws=100),
-        max_effects=1,
+        AT_STATIONS.baseline(), at_stations(), method=bc.LeastSquares(draws=100), max_effects=1
     )
     assert [step.added for step in path.steps] == [None, "bias.station"]
 

@@ -163,12 +163,6 @@ def test_a_scale_larger_than_the_outputs_range(line, monkeypatch) -> None:
     assert told_of(line, monkeypatch, name="bias.cause.length", mean=1.1 * reach) == []
 
 
-def test_a_time_beyond_ten_records(runs, monkeypatch) -> None:
-    record = float(np.ptp(runs.readings["time"]))
-    (reason,) = told_of(runs, monkeypatch, unit="s", mean=11 * record)
-    assert (reason.code, reason.of) == ("time.beyond_record", ("x",))
-
-
 def groups_left_out(rmse: float, log_score: float) -> SimpleNamespace:
     """Three runs, each predicted from the others with this error and density."""
     return SimpleNamespace(
@@ -205,11 +199,6 @@ def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> 
     return [
         SimpleNamespace(calibration=line, check=check, **{**plain, **one}) for one in (first, last)
     ]
-
-
-def test_another_noise_law_may_raise_the_plain_error(line) -> None:
-    """Readings then weigh differently, and a fit does not make the plain error least; an effect may not raise it."""
-    assert gate(steps(line, {}, {"rmse_fitted": 1.5, "added": None})).ok
 
 
 def test_outliers_on_one_side_shut_the_gate(line) -> None:
@@ -298,16 +287,6 @@ def test_a_model_that_claims_too_much_of_readings_kept_apart_shuts_the_gate(line
     )
     found.p = 0.02
     assert gate([step]).ok
-
-
-def test_nothing_is_said_that_so_few_readings_cannot_show(line: bc.Calibration) -> None:
-    few = fitted(line.readings.select(np.arange(8)))
-    (only, _) = steps(few, {}, {})
-    told = "converged; too few readings to see whether neighbours are correlated"
-    assert gate([only]).reason == told
-    fewer = fitted(line.readings.select(np.arange(3)))
-    (only, _) = steps(fewer, {}, {})
-    assert "3 readings are too few for 2 unknowns" in gate([only]).reason
 
 
 @pytest.mark.parametrize("between", [True, False])

@@ -56,18 +56,6 @@ def test_a_lag_goes_on_in_hold_out_data_cut_from_the_record(cut: str) -> None:
     assert bc.predict(calibration, moved).rmse > 10 * NOISE
 
 
-def test_another_test_on_a_clock_of_its_own_does_not_go_on() -> None:
-    calibration = fitted(readings(WHOLE, EARLY))
-    again = readings(lagging(seed=2), np.arange(900))  # the very same times
-    shifted = again.with_column("time", again["time"] + 0.4 * STEP)  # among the record's
-    for alone in (again, shifted):  # its body begins at its own first temperature
-        assert bc.predict(calibration, alone).rmse < 1.2 * NOISE
-    named = bc.Measurements.from_arrays(
-        SENSOR, units={"output": "ug"}, run="2", **{n: v[LATE] for n, v in WHOLE.items()}
-    )
-    assert bc.predict(calibration, named).rmse > 10 * NOISE
-
-
 def test_a_clock_of_dates_goes_on_in_a_second_file(tmp_path: Path) -> None:
     start = np.datetime64("2026-03-01T10:00:00")
     for name, rows in (("early.csv", EARLY), ("late.csv", LATE)):

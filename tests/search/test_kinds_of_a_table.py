@@ -14,26 +14,12 @@ from benchmarks.spoilt_records.subjects import SUBJECTS
 TABLE = Path(of_file.__file__).with_name("covariates.toml")
 KINDS = kinds_of(TABLE)
 SENSOR = SUBJECTS["still_sensor"]
-# Of this record: runs that are one profile, and a hold-out that is spoilt by being what it is.
-AS_IT_WAS = ("thermometer displaced by a run", "a hold-out that is the training data")
 
 
 def written(folder: Path, text: str) -> Path:
     path = folder / "mine.toml"
     path.write_text(text, "utf-8")
     return path
-
-
-@pytest.mark.parametrize("name", KINDS)
-def test_a_kind_changes_something_and_says_what_is_true(name: str) -> None:
-    kind = KINDS[name]
-    assert f"{name}. True: " in (kind.spoil.__doc__ or "")
-    subject = SENSOR if kind.fits(SENSOR) else SUBJECTS["mems_gyro"]
-    record = subject.campaign(2).record
-    spoilt = kind.spoil(record, subject, np.random.default_rng(1))
-    assert set(spoilt) == set(record)
-    same = all(np.array_equal(spoilt[n], record[n]) for n in record)
-    assert same == (name in AS_IT_WAS)
 
 
 def test_steps_of_the_last_run_leave_the_others() -> None:

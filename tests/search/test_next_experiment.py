@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ast
-
 import numpy as np
 import pytest
 
@@ -49,15 +47,6 @@ def test_the_divergence_is_that_of_two_normals() -> None:
     assert next_experiment.divergence(one, one) == pytest.approx(0, abs=1e-9)
 
 
-@pytest.mark.slow
-def test_every_listed_experiment_is_ranked(ranked: bc.NextExperiment) -> None:
-    assert ranked.members == RIVALS
-    assert {e.name for e in ranked.experiments} == {name for name, _ in INSTRUMENT.experiments}
-    worst = [e.worst for e in ranked.experiments]
-    assert worst == sorted(worst, reverse=True)
-    assert min(worst) >= 0
-
-
 def test_more_runs_tell_more_than_the_same_again(line: bc.Calibration) -> None:
     plans = {
         name: bc.Measurements.from_arrays(INSTRUMENT, **dict(INSTRUMENT.experiments)[name]())
@@ -97,20 +86,3 @@ def test_the_first_experiment_separates_what_the_last_does_not(
         assert abs(np.mean(gain) - expected) < 5 * np.std(gain) / np.sqrt(len(gain))
     first, last = ranked.experiments[0].name, ranked.experiments[-1].name
     assert reached[first] > 2 * reached[last]
-
-
-def test_an_unknown_dependence_becomes_a_draft_that_can_be_run() -> None:
-    readings = mems_gyro.simulate({"unlisted.humidity": 0.02}, seed=31)
-    model = INSTRUMENT.baseline() + "unknown(humidity)"
-    found = bc.fit(model, readings)
-    shape = bc.shape_of(found, "unknown(humidity)")
-    true = 2.0 * readings["humidity"]  # 0.02 per percent
-    assert shape.size == pytest.approx(np.std(true), rel=0.25)
-    slope = np.polyfit(shape.at, shape.mean, 1)[0]
-    assert slope == pytest.approx(2.0, rel=0.25)
-    draft = bc.draft_effect(found, "unknown(humidity)")
-    ast.parse(draft)
-    names: dict = {}
-    exec(draft, names)
-    again = bc.fit(INSTRUMENT.baseline() + names["effect"], readings, bc.LeastSquares())
-    assert again.mode.log_evidence > found.mode.log_evidence - 3

@@ -18,10 +18,7 @@ def line_of(*temperatures: float) -> bc.Measurements:
 
 
 def test_a_record_is_judged_by_them_inside_and_no_further() -> None:
-    with (
-        bc.use_settings(bc.Settings(temperature_span=0.5)),
-        pytest.raises(bc.InputError),
-    ):
+    with bc.use_settings(bc.Settings(temperature_span=0.5)), pytest.raises(bc.InputError):
         line_of(20.0, 20.3)
     assert len(line_of(20.0, 20.3)) == 2
 

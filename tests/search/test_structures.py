@@ -17,7 +17,6 @@ from bayescal._search.discover import structures_over
 from bayescal._search.library import Library
 from bayescal._search.noise_laws import on_residuals
 from bayescal._search.posterior import Posterior
-from bayescal._search.scores import View, gain_of
 from bayescal._search.structures import SIZE_FACTORS, Structure, Structures
 from bayescal._search.walk import explore
 from bayescal_models import mems_gyro, quartz_beam_accelerometer
@@ -97,16 +96,6 @@ def test_evidence_is_averaged_over_the_plausible_sizes() -> None:
     assert found == pytest.approx(np.logaddexp.reduce(each), abs=0.02)
 
 
-def test_a_score_at_the_mode_expects_what_a_refit_gives_where_little_changes() -> None:
-    made = structures(hidden(3), ("bias.temperature_quadratic", "bias.drift", "bias.warm_up"))
-    base = made.weigh(Structure())
-    library = Library(made)
-    points = View(library, base).without().scores(list(made.candidates))
-    for name, own in points.items():
-        refit = made.weigh(Structure(frozenset([name])), base)
-        assert gain_of(own) == pytest.approx(refit.log_evidence - base.log_evidence, abs=0.1)
-
-
 def test_what_cannot_be_told_apart_is_one_finding() -> None:
     readings = hidden(5, thermal_lag=0.03)
     twin = dataclasses.replace(INSTRUMENT.effect("bias.thermal_lag"), name="bias.twin")
@@ -129,17 +118,6 @@ def test_nothing_is_found_where_nothing_is_hidden() -> None:
         assert not posterior.findings
         assert not posterior.chosen.effects
         assert posterior.complete(made) > 0.4
-
-
-@pytest.mark.slow
-def test_one_effect_may_stand_in_the_place_of_two() -> None:
-    """A drift with run offsets, or a curve in time: the drift is found as one of these, the offsets are not."""
-    readings = hidden(35, temperature_quadratic=5e-4, drift=0.25)
-    made = structures(readings)
-    explore(Library(made), max_effects=5)
-    sets = [set(f.effects) for f in Posterior.of(made).findings]
-    assert {"bias.temperature_quadratic"} in sets
-    assert any("bias.drift" in s for s in sets)
 
 
 @pytest.mark.slow

@@ -67,8 +67,7 @@ def test_what_has_no_name_and_repeats_as_the_profile_does_is_confounded_with_it_
 
 
 @pytest.mark.parametrize(
-    ("hidden", "size"),
-    [("bias.warm_up", 200.0), ("bias.drift", 200.0), ("bias.run", 150.0)],
+    ("hidden", "size"), [("bias.warm_up", 200.0), ("bias.drift", 200.0), ("bias.run", 150.0)]
 )
 def test_a_cause_that_corrects_a_term_takes_nothing_over(hidden: str, size: float) -> None:
     readings = still_sensor.simulate({hidden: size}, seed=5)

@@ -41,8 +41,7 @@ def test_the_column_of_an_effect_outside_the_catalogue_is_named_and_added(
 @pytest.mark.parametrize(
     "name",
     slow_but(
-        ["bias.rate"],
-        ["unknown(humidity)", "unknown(time)", "bias.temperature_cubic", "bias.rate"],
+        ["bias.rate"], ["unknown(humidity)", "unknown(time)", "bias.temperature_cubic", "bias.rate"]
     ),
 )
 def test_what_the_model_given_has_beside_the_baseline_is_weighed_anew(
@@ -70,14 +69,6 @@ def test_what_a_user_states_of_a_model_stays(stated: str) -> None:
     how: dict[str, Any] = {"method": bc.LeastSquares(), "max_effects": most, "widen_noise": False}
     found = bc.calibrate(model, readings, **how)
     assert "bias.temperature_cubic" in found.steps[0].calibration.model.names
-
-
-@pytest.mark.slow
-def test_where_nothing_is_sought_what_has_no_name_stays_too() -> None:
-    readings, model = mems_gyro.simulate(seed=33), INSTRUMENT.baseline() + "unknown(time)"
-    found = bc.calibrate(model, readings, method=bc.LeastSquares(), max_effects=0)
-    assert [s.calibration.model.names for s in found.steps] == [model.names]
-    assert found.final.discovery is None  # no probability that the model is complete
 
 
 def test_its_amplitude_is_the_size_that_is_reported(trail: bc.SearchPath) -> None:

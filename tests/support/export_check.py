@@ -78,23 +78,6 @@ def inputs_of(compensator: bc.Compensator, rows: np.ndarray) -> dict[str, Any]:
     return {i.name: rows[:, 1 + k] for k, i in enumerate(compensator.inputs)}
 
 
-VECTOR_DRIVER = """
-#include "sensor.h"
-#include <stdio.h>
-int main(void)
-{{
-    double row[6], f[3], c[3][3], outside;
-    while (fread(row, sizeof(double), 6, stdin) == 6) {{
-        outside = sensor_correct({given});
-        fwrite(f, sizeof(double), 3, stdout);
-        fwrite(c, sizeof(double), 9, stdout);
-        fwrite(&outside, sizeof(double), 1, stdout);
-    }}
-    return 0;
-}}
-"""
-
-
 def run_c(source: str, rows: np.ndarray, folder: Path, real: str = "double") -> np.ndarray:
     """Compile a program beside the headers that it includes, warnings being errors, and feed it numbers.
 
