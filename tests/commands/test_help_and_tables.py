@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -23,25 +20,6 @@ COMMANDS = (
 
 def test_every_command_is_tested_here() -> None:
     assert tuple(commands()) == COMMANDS
-
-
-def test_help_loads_nothing_heavy() -> None:
-    code = (
-        "import sys; sys.argv = ['bayescal', 'calibrate', '--help']\n"
-        "from bayescal._cli.main import command\n"
-        "assert command() == 0\n"
-        "print([n for n in ('jax', 'numpy', 'pandas', 'pint', 'matplotlib') if n in sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        encoding="utf-8",
-        timeout=120,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_a_narrow_terminal_breaks_no_table(monkeypatch: pytest.MonkeyPatch) -> None:

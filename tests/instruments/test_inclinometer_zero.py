@@ -45,10 +45,9 @@ def test_a_reference_temperature_is_stated_where_something_depends_on_it(
     lines: bc.Calibration,
 ) -> None:
     """Lines alone hold at no temperature; a thermometer that read 40 °C too high for a while moved their T0."""
-    assert lines.hold_at == {} and "constants hold at" not in str(lines)
+    assert lines.hold_at == {}
     warm = bc.fit(lines.model + "zero.temperature", lines.readings, bc.LeastSquares(draws=100))
     assert warm.hold_at == {"T0": warm.reference["T0"]}
-    assert f"constants hold at T0 = {warm.hold_at['T0']:g} °C" in str(warm)
 
 
 def test_a_new_mounting_is_predicted_for_each_axis(lines: bc.Calibration) -> None:
@@ -79,7 +78,6 @@ def test_what_the_zero_test_cannot_see_is_said(lines: bc.Calibration) -> None:
     assert said["dividing.face"].kind == "not visible"
     for name in reference_problem.ON_TILT:
         assert said[name].kind == "not testable"
-        assert "true_angle" in said[name].reason
 
 
 def _columns(name: str, readings: bc.Measurements) -> np.ndarray:

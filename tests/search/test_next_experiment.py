@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal._search import next_experiment
 from bayescal_models import mems_gyro
+from tests.support.inside import Outlook, divergence, outlook
 
 INSTRUMENT = mems_gyro.INSTRUMENT
 RIVALS = ("bias.thermal_lag", "bias.reference_voltage")
@@ -25,8 +25,8 @@ def ranked(line) -> bc.NextExperiment:
     return bc.next_experiment(line, RIVALS)
 
 
-def normal(mean, covariance) -> next_experiment.Outlook:
-    return next_experiment.Outlook(np.asarray(mean, float), np.asarray(covariance, float))
+def normal(mean, covariance) -> Outlook:
+    return Outlook(np.asarray(mean, float), np.asarray(covariance, float))
 
 
 def test_the_divergence_is_that_of_two_normals() -> None:
@@ -43,8 +43,8 @@ def test_the_divergence_is_that_of_two_normals() -> None:
 
     ratio = log_density(one) - log_density(other)
     error = ratio.std() / np.sqrt(ratio.size)
-    assert abs(next_experiment.divergence(one, other) - ratio.mean()) < 5 * error
-    assert next_experiment.divergence(one, one) == pytest.approx(0, abs=1e-9)
+    assert abs(divergence(one, other) - ratio.mean()) < 5 * error
+    assert divergence(one, one) == pytest.approx(0, abs=1e-9)
 
 
 def test_more_runs_tell_more_than_the_same_again(line: bc.Calibration) -> None:
@@ -68,7 +68,7 @@ def test_the_first_experiment_separates_what_the_last_does_not(
     truth, rival = RIVALS
     reached = {}
     for best in (ranked.experiments[0], ranked.experiments[-1]):
-        a, b = (next_experiment.outlook(fits[name], best.readings) for name in (truth, rival))
+        a, b = (outlook(fits[name], best.readings) for name in (truth, rival))
         # Campaigns that the possibility which is the truth expects, as it expects them.
         draws = np.random.default_rng(2).multivariate_normal(a.mean, a.covariance, 400)
         gain = []

@@ -23,6 +23,7 @@ def test_a_record_is_judged_by_them_inside_and_no_further() -> None:
     assert len(line_of(20.0, 20.3)) == 2
 
 
+@pytest.mark.slow
 def test_draws_are_judged_by_them() -> None:
     readings = line_of(*range(20, 40))
     model, few = mems_gyro.INSTRUMENT.baseline(), bc.Marginal(draws=100, proposals=100)

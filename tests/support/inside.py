@@ -18,8 +18,13 @@ from bayescal._annexes.metrology.certificate import d_si as d_si
 from bayescal._annexes.workbench.kept import Origin as Origin
 from bayescal._annexes.workbench.session import Session as Session
 from bayescal._calibration.check import autocorrelation as autocorrelation
+from bayescal._calibration.noise_in_time import allan_check as allan_check
 from bayescal._core.formatting import interval as interval
 from bayescal._core.importance_weights import smoothed as smoothed
+from bayescal._data.allan_deviation import EvenRuns as EvenRuns
+from bayescal._data.allan_deviation import degrees_of_freedom as degrees_of_freedom
+from bayescal._data.allan_deviation import overlapping as overlapping
+from bayescal._data.allan_deviation import term as term
 from bayescal._data.column import overloads
 from bayescal._data.set_aside import not_new, said_of
 from bayescal._data.still_stretches import still_stretches as still_stretches
@@ -36,6 +41,9 @@ from bayescal._model.vector import excess as excess
 from bayescal._model.vector import inverted as inverted
 from bayescal._report.result_json import result
 from bayescal._report.whole_folder import channel_folders as channel_folders
+from bayescal._search.next_experiment import Outlook as Outlook
+from bayescal._search.next_experiment import divergence as divergence
+from bayescal._search.next_experiment import outlook as outlook
 from bayescal._search.noise_laws import on_residuals as on_residuals
 from bayescal._search.taken_over import taken_over as taken_over
 from bayescal._tables.mapping_file import load_mapping, save_mapping
