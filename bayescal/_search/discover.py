@@ -251,7 +251,8 @@ def structures_over(
     layout = bind(model, readings, open_.values(), reference)[0]
     found = Structures(model, layout, record, open_, laws)
     if latent:
-        found = with_spans(found, plausible[0] * math.sqrt(record.size))
+        with deadline.finishing():  # a search without time still weighs its first structure
+            found = with_spans(found, plausible[0] * math.sqrt(record.size))
     return found, list(shut.values())
 
 

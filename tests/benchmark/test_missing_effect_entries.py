@@ -115,12 +115,6 @@ def test_equivalent_sets_are_the_truth_together() -> None:
     assert found.brier == pytest.approx(0.3**2 + 0.2**2) and found.top == (0.7, True)
 
 
-def test_outside_is_no_name_but_an_alarm() -> None:
-    found = scored_as([[["outside"], 0.96], [[], 0.02]], track="empty", set=[], equivalent=[])
-    assert found.log == pytest.approx(math.log(0.98)) and found.alarm and found.likely_alarm
-    assert scored_as([[["outside", "a", "b"], 1.0]]).log == 0.0
-
-
 def test_a_probability_of_zero_costs_the_floor() -> None:
     assert scored_as([[["c"], 1.0]]).log == math.log(FLOOR)
     assert scored_as(None).log is None
@@ -204,15 +198,6 @@ def test_the_evidence_of_a_set_is_that_of_the_whole_covariance() -> None:
         assert value == pytest.approx(whole, rel=1e-6)
 
 
-def test_what_stands_outside_is_told_from_candidates(tmp_path: Path) -> None:
-    """Of three tasks with something that no candidate describes, none is taken for a candidate."""
-    for number in range(3):
-        write(make("task", Case("outside", number), edition=77), tmp_path)
-        said = exhaustive.solve(Task.read(tmp_path))
-        assert sum(p for s, p in said["sets"].items() if set(s) <= {"outside"}) > 0.5
-        assert np.all(said["sd"] > 0) and sum(said["sets"].values()) == pytest.approx(1.0)
-
-
 def test_sets_have_the_data_sheets_shares() -> None:
     """Of white, coloured and outside together they are those of the tracks, whatever the number of candidates."""
     for count in (7, 10):
@@ -239,25 +224,6 @@ def test_a_searchs_evidence_is_weighed_by_the_data_sheet(tmp_path: Path, monkeyp
     assert sum(said.values()) == pytest.approx(1.0)
     assert said[()] > said[(a,)] > said[tuple(sorted((a, b)))] > said[tuple(sorted((a, "outside")))]
     assert said[tuple(sorted((a, b, c)))] == 0.0 < said[("outside",)] < said[(a,)]
-
-
-def test_sizes_below_the_data_sheets_count_against_a_set(tmp_path: Path) -> None:
-    """What the readings have at plausible size is in the range, what they do not have is not."""
-    from missing_effect.entries import bayescal
-
-    for number in range(12):
-        made = make("task", Case("linear", number), edition=77)
-        sizes = made.truth["sizes"].values()
-        if len(sizes) == 1 and 0.6 < abs(next(iter(sizes))) < 2 and made.truth["decided"] > 30:
-            break
-    write(made, tmp_path)
-    problem = Regression(Task.read(tmp_path))
-    true = made.truth["set"]
-    alone = bayescal._of_range(problem, true)
-    others = [c.name for c in problem.candidates if c.name not in true and c.train.shape[1] == 1]
-    beside = [bayescal._of_range(problem, [*true, name]) for name in others]
-    assert 1.2 < alone < 1.4 and bayescal._of_range(problem, []) == 1.0
-    assert min(beside) < 0.1 * alone and np.median(beside) < 0.7 * alone
 
 
 @pytest.mark.slow

@@ -5,7 +5,6 @@ A kill meets a process just before it does something to a file of its output, so
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -14,10 +13,8 @@ from pathlib import Path
 
 import pytest
 
-import bayescal as bc
-from tests.support.command_line import GYRO, needs_installation, run
+from tests.support.command_line import needs_installation
 from tests.support.inside import MANIFEST, files_of, refuse_mixed
-from tests.support.made_up.gyro_lot import table
 
 pytestmark = [
     pytest.mark.nightly,
@@ -25,15 +22,6 @@ pytestmark = [
     pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX"),
 ]
 ROOT = Path(__file__).resolve().parents[2]
-FILES = {
-    "batch": (("batch", "{lot}", *GYRO, "-o", "{out}/lot.parquet"), "lot.parquet"),
-    "report": (("report", "{saved}", "-o", "{out}/report.html"), "report.html"),
-    "decide": (
-        ("decide", "{saved}", "--limit", "bias: ±500 °/s", "-o", "{out}/decisions.json"),
-        "decisions.json",
-    ),
-    "export": (("export", "{saved}", "-o", "{out}/gyro.json"), "gyro.json"),
-}
 WRITES = """
 import sys
 from pathlib import Path
@@ -90,35 +78,3 @@ def test_a_folder_is_old_or_new_at_every_moment(tmp_path: Path) -> None:
     assert count > 10
     assert seen == {"1", "2"}, "kills met both the old folder and the new"
     assert os.listdir(folder.parent) == ["out"]
-
-
-def spoilt(out: Path, count: int, command: list[str]) -> bool:
-    return killed("-m", "tests.support.spoilt_runs", "killed", str(out), str(count), *command)
-
-
-def readable(path: Path) -> bool:
-    if path.suffix == ".parquet":
-        return len(bc.load_batch(path)) == 3
-    text = path.read_text("utf-8")
-    return text.rstrip().endswith("</html>") if path.suffix == ".html" else bool(json.loads(text))
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_files_of_commands_killed_at_each_moment_are_whole(
-    name: str, saved: Path, tmp_path: Path
-) -> None:
-    lot, out, met = tmp_path / "lot.csv", tmp_path / "out", 0
-    table(count=3).to_csv(lot, index=False)
-    out.mkdir()
-    words, file = FILES[name]
-    command = [str(word).format(out=out, lot=lot, saved=saved) for word in words]
-    old = b""
-    for count in (1, 2, 3, 1, 2, 3, 4):
-        met += spoilt(out, count, command)
-        now = (out / file).read_bytes() if (out / file).exists() else b""
-        assert now == old or readable(out / file)
-        old = now
-    assert run(*command).status == 0
-    assert readable(out / file)
-    assert os.listdir(out) == [file], "what killed runs left is cleared away"
-    assert met >= 3, "so many kills met it"

@@ -130,25 +130,6 @@ def test_all_headers_in_one_program(real: str, tmp_path: Path) -> None:
 
 
 @needs_compiler
-def test_two_sensors_of_one_name_do_not_compile(tmp_path: Path) -> None:
-    """Whichever came second would be corrected by the first, without a word."""
-    assert COMPILER is not None
-    line = scalar("line")
-    line.export(tmp_path / "a.h", name="sensor")
-    scalar("bent").export(tmp_path / "b.h", name="sensor")
-    bc.export_vector(triad("gyro_triad"), tmp_path / "c.h", name="Sensor")
-    bc.export_vector(triad("accelerometer_triad"), tmp_path / "d.h", name="sensor")
-    line.export(tmp_path / "e.h", name="sensor", uncertainty=False)
-    for other in "bcde":
-        text = f'#include "a.h"\n#include "{other}.h"\n'
-        command = [COMPILER, *FLAGS, f"-I{tmp_path}", "-fsyntax-only", "-x", "c", "-"]
-        done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
-        assert done.returncode != 0
-    twice = '#include "a.h"\n#include "a.h"\nint main(void) { return 0; }\n'
-    assert run_c(twice, np.zeros(0), tmp_path).size == 0
-
-
-@needs_compiler
 def test_a_plain_matrix_without_covariance_is_twelve_numbers(tmp_path: Path) -> None:
     assert COMPILER is not None
     sizes = {}

@@ -16,7 +16,7 @@ from bayescal import effects
 from bayescal_models.mems_gyro import INSTRUMENT, TABLE, Campaign, simulate
 from bayescal_models.mems_gyro.model import THERMOMETER
 from tests.support.inside import identity_of
-from tests.support.resealed import netcdf_bytes, resealed, write_sealed
+from tests.support.resealed import resealed
 
 SQUARE = bc.Effect(
     "bias.square",
@@ -144,23 +144,6 @@ def test_an_effect_of_the_same_name_but_another_prior_is_refused(tmp_path) -> No
     with pytest.raises(bc.InputError):
         bc.load(path)
     same(found, bc.load(path, effects=[narrow]))
-
-
-def test_what_is_no_calibration_is_refused(tmp_path) -> None:
-    with pytest.raises(bc.InputError):
-        bc.load(tmp_path / "missing.nc")
-    text = tmp_path / "text.nc"
-    text.write_text("temperature,output\n1,2\n")
-    with pytest.raises(bc.InputError):
-        bc.load(text)
-    foreign = tmp_path / "foreign.nc"
-    data = xr.Dataset({"a": ("x", [1.0, 2.0])})
-    data.to_netcdf(foreign, engine="h5netcdf")
-    with pytest.raises(bc.InputError):
-        bc.load(foreign)
-    write_sealed(netcdf_bytes(data), foreign)
-    with pytest.raises(bc.InputError):
-        bc.load(foreign)
 
 
 # A write that is broken off.

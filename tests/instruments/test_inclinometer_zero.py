@@ -97,19 +97,6 @@ def test_aliases_of_the_zero_test_are_exact() -> None:
     np.testing.assert_allclose(np.asarray(leaked), projection[:, 1], rtol=1e-12)
 
 
-@pytest.mark.slow
-def test_aliases_are_named() -> None:
-    one = inclinometer.simulate(seed=0, campaign=Campaign(axes=PROJECTED[:1]))
-    added = ("zero.projection", "zero.cross_axis", "dividing.face")
-    said = str(bc.fit(INSTRUMENT.baseline() - "zero.run" + added, one)).split("not measured: ")[1:]
-    named = [sentence.split(":")[0] for sentence in said]
-    for pair in (("zero.projection[door]", "zero.cross_axis"), ("zero.constant", "dividing.face")):
-        assert any(all(part in name for part in pair) for name in named), (pair, named)
-    found = bc.discover(bc.fit(INSTRUMENT.baseline(), one))
-    alike = {c.effect: c.indistinguishable_from for c in found.candidates}
-    assert "dividing.wobble" in alike["zero.projection"]
-
-
 @pytest.mark.parametrize("name", CANDIDATES)
 def test_simulated_laws_are_the_catalogues_but_for_their_physics(name: str) -> None:
     """Dividing errors, a lagging hinge, a settling base, a gradual reversal: near the basis, never the same."""

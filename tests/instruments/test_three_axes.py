@@ -185,33 +185,6 @@ def test_what_poses_do_not_tell_keeps_the_width_of_its_prior(
         pass
 
 
-@pytest.mark.parametrize(
-    ("kind", "count", "poses"),
-    [
-        ("six", 6, ["at 45° between x and y", "at 45° between x and z", "at 45° between y and z"]),
-        ("twelve", 12, []),
-        ("planar", 24, ["along y", "along −y", "at 45° between x and y", "at 45° between y and z"]),
-        ("level", 24, ["along x", "along y", "along −z"]),
-    ],
-)
-def test_poses_to_add_are_said_before_a_fit(kind: str, count: int, poses: list[str]) -> None:
-    readings = accelerometer_triad.simulate(seed=1, campaign=Campaign(kind=kind, poses=count))
-    found = bc.undetermined(MODEL, readings)
-    assert found.left == 0
-    assert found.readings == count
-    if kind == "six":
-        pass
-    if not poses:
-        pass
-    # With them all is determined.
-    y = outputs(readings)
-    more = np.array([pose.direction for pose in found.add]).reshape(-1, 3)
-    y = np.concatenate([y, more / np.linalg.norm(more, axis=1)[:, None]])
-    columns: dict[str, Any] = {f"output_{a}": y[:, i] for i, a in enumerate("xyz")}
-    again = bc.Measurements.from_arrays(accelerometer_triad.INSTRUMENT, **columns)
-    assert not bc.undetermined(MODEL, again).combinations
-
-
 @pytest.mark.slow
 def test_a_family_is_found_as_one_effect() -> None:
     readings = accelerometer_triad.simulate({"bias.temperature": 0.3}, seed=7, campaign=THERMAL)

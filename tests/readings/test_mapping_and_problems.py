@@ -13,7 +13,7 @@ import bayescal as bc
 from bayescal_models import mems_gyro
 from tests.support.command_line import GYRO, QUICK, needs_installation, run
 from tests.support.inside import mapping_of, write_mapping
-from tests.support.lab_files import HEAD, RATE, TEMPERATURE, TIME, text, with_cell
+from tests.support.lab_files import RATE, TEMPERATURE, TIME, text, with_cell
 
 pytestmark = needs_installation
 NOISY = RATE + 0.01 * np.sin(7 * TIME)
@@ -55,16 +55,6 @@ def test_a_mapping_is_read_as_it_was_written(tmp_path_factory, columns, units, g
     made = {"columns": columns, "units": units, "local_gravity": gravity, "missing": "drop"}
     write_mapping(path, made)
     assert mapping_of(path) == {name: value for name, value in made.items() if value}
-
-
-def test_a_still_sensor_needs_no_temperature(tmp_path: Path) -> None:
-    path = tmp_path / "still.csv"
-    path.write_text(text((HEAD[0], HEAD[2]), (TIME, NOISY)))
-    done = run("fit", path, "--instrument", "still_sensor", *QUICK)
-    assert done.status == 0, done.err
-    path.write_text(text(columns=(TIME, 0 * TEMPERATURE + 25, NOISY)))
-    constant = run("fit", path, "--instrument", "still_sensor", *QUICK)
-    assert constant.out.splitlines()[2] == done.out.splitlines()[2]
 
 
 def test_files_that_call_a_column_differently_are_read_together(tmp_path: Path) -> None:

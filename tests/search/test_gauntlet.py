@@ -6,8 +6,6 @@ One record of each kind, of the gyroscope, with nothing hidden in it. The kinds 
 
 from __future__ import annotations
 
-import re
-
 import pytest
 
 from benchmarks.spoilt_records.judge import judged
@@ -47,10 +45,3 @@ def test_what_is_not_spoilt_is_answered_rightly_and_without_a_word() -> None:
     assert row["verdict"] == "right"
     assert row["ok"]
     assert row["added"] == []
-
-
-def test_there_are_forty_kinds_and_each_says_what_is_true() -> None:
-    assert len(KINDS) > 40  # one of them is not spoilt
-    for kind in KINDS.values():
-        assert kind.spoil.__doc__ or kind.name.startswith("constant"), kind.name
-        assert re.compile(kind.says)

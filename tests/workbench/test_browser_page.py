@@ -39,13 +39,6 @@ def seen(begun: Bench) -> Iterator[Seen]:
         yield page.looked()
 
 
-def test_one_screen_without_scrolling_at_1280(seen: Seen) -> None:
-    sizes = seen.page.evaluate(
-        "() => [document.documentElement.scrollHeight, document.documentElement.scrollWidth]"
-    )
-    assert sizes[0] <= 800 and sizes[1] <= 1280
-
-
 def test_the_keyboard_reaches_everything(seen: Seen) -> None:
     page, reached = seen.page, []
     page.evaluate("() => document.activeElement && document.activeElement.blur()")
