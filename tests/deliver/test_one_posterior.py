@@ -172,27 +172,6 @@ def test_a_compensated_value_has_one_uncertainty(name: str, tmp_path: Path) -> N
     assert f"U = {number(shown.expanded, 2)} {unit_label(shown.unit)}" in text
 
 
-def test_what_needs_a_further_input_counts_at_one_place_and_the_rest_is_said() -> None:
-    """A drift of three draws in ten asks nobody for the time: it counts as at the last reading."""
-    average = trail("mems_gyro").calibration
-    chosen, time = bc.compensator(average), average.readings["time"]
-    assert [i.name for i in chosen.inputs] == ["temperature"]
-    (said,) = (n for n in chosen.notes if "would need further inputs" in n)
-    drift = average.samples("bias.drift")
-    progress = (time - time.mean()) / np.ptp(time)
-    left = np.sqrt(np.mean(drift**2) * np.mean((progress - progress.max()) ** 2))
-    told = re.search(r"left out: ([\d.e-]+) °/s rms", said)
-    assert told is not None and float(told[1]) == pytest.approx(left, rel=0.1)
-    names = [u.name for u in chosen.program.unknowns]
-    assert names == ["bias.constant", "bias.temperature", "bias: bias.drift"]
-    # At the last reading it is as a decision about the bias has it.
-    at = {"temperature": 60.0}
-    value = chosen(output=0.0, noise=False, method="first order", warn=False, **at)
-    (decided,) = bc.decide(average, "bias: ±1 °/s at temperature = 60 °C").decisions
-    assert -value.value[0] == pytest.approx(decided.estimate[0], rel=1e-6)
-    assert value.uncertainty[0] == pytest.approx(decided.uncertainty, rel=2e-3)
-
-
 def searched(module: Any, hidden: dict[str, Any] | None = None) -> bc.SearchPath:
     readings = module.simulate(hidden, seed=3)
     model = module.INSTRUMENT.for_readings(readings).baseline()

@@ -13,7 +13,6 @@ import pytest
 
 import bayescal as bc
 from tests.support.browser import Opened, chromium
-from tests.support.command_line import needs_installation, run
 from tests.support.reported import HIDDEN, Page, trail
 from tests.support.tiers import slow_but
 
@@ -119,15 +118,6 @@ def test_names_from_files_are_text(pages) -> None:
     assert page.text.count(NASTY) >= 3  # device, run, flag
     assert "<script" not in page.source
     assert "<img" not in page.source
-
-
-@pytest.mark.slow
-@needs_installation
-def test_the_command_writes_it_or_nothing(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "report.html"
-    ran = run("report", folder, "-o", out)
-    assert (ran.status, ran.out) == (0, f"written: {out}\n")
-    assert f"Finding: {HIDDEN}" in " ".join(Page(out).text.split())
 
 
 @pytest.mark.nightly

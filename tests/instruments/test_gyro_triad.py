@@ -12,7 +12,6 @@ from bayescal_models import gyro_triad
 from bayescal_models.gyro_triad import Campaign
 from bayescal_models.gyro_triad.simulator import BASELINE
 from bayescal_models.triad.simulator import SHARES
-from tests.support.coverage import assert_intervals_cover
 from tests.support.triad_truth import TRUE, matrix_of
 
 INSTRUMENT = gyro_triad.INSTRUMENT
@@ -93,12 +92,3 @@ def test_at_rest_the_bias_alone_is_measured() -> None:
     calibration = bc.fit(MODEL, bc.Measurements.from_arrays(INSTRUMENT, **given))
     mean, sd = stated(calibration, [f"bias.constant[{a}]" for a in "xyz"])
     assert np.all(np.abs(mean - [0.1, 0.2, 0.3]) < 4 * sd)
-
-
-@pytest.mark.slow
-def test_intervals_cover() -> None:
-    def fitted(seed: int) -> bc.Calibration:
-        readings = gyro_triad.simulate(seed=1000 + seed)
-        return bc.fit(MODEL, readings, bc.Marginal(proposals=2048), seed=seed)
-
-    assert_intervals_cover(map(fitted, range(60)), TRUE)

@@ -21,7 +21,6 @@ from bayescal_models.gyro_triad.log_simulator import MOUNTED
 from bayescal_models.gyro_triad.simulator import BASELINE
 from bayescal_models.magnetometer_triad.simulator import BASELINE as MAGNETOMETERS
 from tests.support.command_line import needs_installation, run
-from tests.support.coverage import assert_intervals_cover
 from tests.support.inside import CorrectedVector
 from tests.support.triad_truth import TRUE, matrix_of
 
@@ -279,13 +278,3 @@ def test_poses_that_err_each_by_itself_make_the_gyroscopes_as_much_less_sure() -
         # In axes of the accelerometers, which are off by as much as they are known: scale factors are not.
         chi.append((off[:3] / draws.std(axis=1)[:3]) ** 2)
     assert np.mean(chi) < 2.1  # 12 of mean one: 99.5 %
-
-
-@pytest.mark.slow
-def test_intervals_cover() -> None:
-    def fitted(seed: int) -> bc.Calibration:
-        forces, log = both(simulate_log(seed=1000 + seed))
-        correct = bc.vector_correction(bc.fit(FORCE.baseline(), bc.poses(forces, FORCE), seed=seed))
-        return bc.fit(gyro_triad.moved(), bc.moves(log, TURNS, forces, correct), seed=seed)
-
-    assert_intervals_cover(map(fitted, range(60)), TRUE)

@@ -66,17 +66,6 @@ def test_a_pair_measures_acceleration_within_its_uncertainty(calibration, batch)
     assert found.sd.mean() < 0.1 * alone and rms < 0.1 * alone
 
 
-def test_every_candidate_can_be_hidden_under_the_same_noise() -> None:
-    plain = dp.simulate(seed=2)["output"]
-    np.testing.assert_array_equal(plain, dp.simulate(seed=2)["output"])
-    for effect in dp.INSTRUMENT.candidates:
-        size = effect.coefficients[0].size
-        hidden = dp.simulate({effect.name: size}, seed=2)["output"] - plain
-        assert np.sqrt(np.mean(hidden**2)) > 20, effect.name  # µg
-        double = dp.simulate({effect.name: 2 * size}, seed=2)["output"] - plain
-        assert np.std(double - 2 * hidden) < 0.05 * np.std(double), effect.name
-
-
 @pytest.mark.slow
 @needs_installation
 def test_a_second_order_is_told_from_the_scale_though_the_arm_changes_its_speed() -> None:

@@ -159,18 +159,6 @@ def test_order_of_the_structures_on_held_out_ramps() -> None:
     assert 2 * error["two thermometers"] < error["frequency sum"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["bias.gradient", "scale.rate_head", "bias.hysteresis", "second_order"]
-)
-def test_a_hidden_effect_is_found(name: str) -> None:
-    effect = quartz.INSTRUMENT.effect(name)
-    hidden = quartz.simulate({name: effect.coefficients[0].size}, seed=4)
-    found = bc.discover(bc.fit(quartz.INSTRUMENT.baseline(), hidden))
-    assert found.nothing_missing is not None and found.nothing_missing < 0.05
-    assert any(name in s.effects for s in found.sets)
-
-
 def test_hertz_become_micro_g_and_g_is_taken_at_the_door() -> None:
     made = bc.Measurements.from_arrays(
         quartz.INSTRUMENT,

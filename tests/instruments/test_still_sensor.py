@@ -12,7 +12,6 @@ import bayescal as bc
 from bayescal import effects
 from bayescal_models import still_sensor
 from bayescal_models.still_sensor.campaign import LAG_TIME, SLOW_TIME, WARM_UP_TIME
-from bayescal_models.still_sensor.simulator import NOISE_LAWS
 from tests.support.command_line import QUICK, needs_installation, run
 from tests.support.inside import constants_of, frame_of, why_not_testable
 from tests.support.made_up.supply import AT_SUPPLY
@@ -151,35 +150,3 @@ def test_a_saved_calibration_keeps_the_sizes_it_was_made_with(tmp_path: Path) ->
     assert loaded.unit == "V"
     assert loaded.model.instrument.settings == own.settings
     assert loaded.model.effect("bias.constant").coefficients[0].size == 9e3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("noise_law", NOISE_LAWS)
-@pytest.mark.parametrize(
-    ("name", "size"),
-    [("bias.temperature_quadratic", 0.2), ("bias.thermal_lag", 5.0), ("bias.hysteresis", 80.0)],
-)
-def test_a_hidden_effect_is_found(name: str, size: float, noise_law: str) -> None:
-    readings = still_sensor.simulate({name: size}, seed=5, interval=30, noise_law=noise_law)
-    instrument = still_sensor.INSTRUMENT.for_readings(readings)
-    trail = bc.calibrate(instrument.baseline(), readings)
-    assert name in trail.final.calibration.model.names
-    assert trail.ok
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_wave_in_time_is_named_with_its_period(seed: int) -> None:
-    """No effect of the catalogue is a wave, and wandering noise can look like one."""
-    readings = still_sensor.simulate({}, seed=seed, interval=30)
-    phase, cycles = np.random.default_rng(seed).uniform([0, 3], [2 * np.pi, 8])
-    part = readings["time"] / readings["time"].max()
-    wave = 60.0 * np.sin(2 * np.pi * cycles * part + phase)
-    instrument = still_sensor.INSTRUMENT.for_readings(readings)
-    spoilt = readings.with_column("output", readings["output"] + wave)
-    trail = bc.calibrate(instrument.baseline(), spoilt, method=bc.LeastSquares())
-    final = trail.final.calibration
-    assert "unknown(time, cycle)" in final.model.names
-    found = final.samples("unknown(time, cycle).cycles").mean()
-    span = np.ptp(readings["time"]) / readings["time"].max()
-    assert found == pytest.approx(cycles * span, abs=0.1)

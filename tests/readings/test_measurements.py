@@ -82,24 +82,6 @@ def test_what_was_written_is_read_again(tmp_path, suffix, made):
     assert [p.name for p in tmp_path.iterdir()] == [f"t{suffix}"]  # nothing is left beside it
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_units_stand_where_others_find_them(tmp_path, suffix):
-    path = bc.Measurements.from_arrays(SCALE, output=[1.0, 2.0], run=["a", "b"]).write(
-        tmp_path / f"t{suffix}"
-    )
-    if suffix == ".csv":
-        pass
-    elif suffix == ".parquet":
-        field = pq.read_schema(path).field("output [ug]")
-        assert field.metadata[b"units"] == b"ug"
-    else:
-        with xr.open_dataset(path, engine="h5netcdf") as data:
-            assert data["output"].attrs["units"] == "ug" and data["run"].values.tolist() == [
-                "a",
-                "b",
-            ]
-
-
 def test_parquet_of_others_is_read(tmp_path):
     path = tmp_path / "t.parquet"
     run = pa.array([1.0, 2.0, 2.0]).cast(pa.float32())

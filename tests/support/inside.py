@@ -40,7 +40,6 @@ from bayescal._model.summed_noise import over_record as over_record
 from bayescal._model.vector import excess as excess
 from bayescal._model.vector import inverted as inverted
 from bayescal._report.result_json import result
-from bayescal._report.whole_folder import channel_folders as channel_folders
 from bayescal._search.next_experiment import Outlook as Outlook
 from bayescal._search.next_experiment import divergence as divergence
 from bayescal._search.next_experiment import outlook as outlook
