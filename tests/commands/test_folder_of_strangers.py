@@ -122,28 +122,6 @@ def test_every_command_is_tested_here() -> None:
     assert sorted(GIVEN) == sorted(COMMANDS)
 
 
-LOADED = """
-import sys
-import runpy
-sys.argv[1:] = ["instruments", "--readings", "none.csv"]  # refused at once
-try:
-    runpy.run_module("bayescal", run_name="__main__")
-except SystemExit:
-    pass
-import arviz_base, matplotlib
-print(matplotlib.rcParams["text.usetex"], arviz_base.rcParams["stats.ci_prob"])
-"""
-
-
-def test_libraries_obey_no_file_of_the_current_folder(tmp_path: Path) -> None:
-    folder = strangers_folder(tmp_path)
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", LOADED], cwd=folder, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.split() == ["False", "0.89"]
-    assert not any(name in done.stderr for name in SETTINGS)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_no_command_runs_or_obeys_the_current_folder(

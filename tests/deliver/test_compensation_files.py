@@ -118,31 +118,3 @@ def test_the_commands_compensate_export_and_budget(saved, tmp_path) -> None:
     assert ran.status == 0, ran.err
     assert ran.data["k"] == 3 and ran.data["at"] == {"rate_input": 50.0, "temperature": 60.0}
     json.dumps(ran.data)
-
-
-def german(path: Path, header: str = "Messgröße (°/s)") -> Path:
-    """A file in windows-1252 whose columns are only known by what the user says."""
-    heat = np.linspace(-20.0, 60.0, 40)
-    rate = 0.3 + 0.01 * heat + 0.01 * np.random.default_rng(2).standard_normal(40)
-    rows = (f"{t:.2f};{r:.4f}".replace(".", ",") for t, r in zip(heat, rate, strict=True))
-    path.write_text("\n".join([f"Prüfkammer (°C);{header}", *rows, ""]), "cp1252")
-    return path
-
-
-def test_a_calibration_remembers_what_its_columns_are_called(tmp_path) -> None:
-    said = ("--columns", "temperature=Prüfkammer (°C)", "--columns", "output=Messgröße (°/s)")
-    path, out = german(tmp_path / "lab.csv"), tmp_path / "out"
-    fit = run("fit", path, *OWN, "--method", "least-squares", *said, "--out", out)
-    assert fit.status == 0, fit.err
-    assert run("predict", out, path).status == 0
-    done = run("compensate", out, path, "--out", tmp_path / "done.csv")
-    assert done.status == 0, done.err
-    text = (tmp_path / "done.csv").read_text("cp1252")  # in the encoding of the file, all of it
-    assert "Messgröße (°/s);Messgröße_compensated [deg/s];" in text
-    numbers = [row.split(";")[2].replace(",", ".") for row in text.splitlines()[1:]]
-    assert min(map(float, numbers)) < 0 < max(map(float, numbers))  # numbers all, with a comma too
-    again = run("compensate", out, path, *said, "--out", tmp_path / "again.csv")
-    assert again.status == 0 and (tmp_path / "again.csv").read_text("cp1252") == text
-    calibration = bc.load(out / "calibration.nc")
-    found = bc.read(path, mems_gyro.INSTRUMENT, like=calibration.readings)
-    assert np.allclose(found["output"], calibration.readings["output"])

@@ -11,7 +11,6 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.command_line import run
 
 GYRO, QUICK = mems_gyro.INSTRUMENT, bc.LeastSquares(draws=200)
 BEGAN = datetime(2026, 5, 4, 10, 14, 20, tzinfo=UTC)
@@ -150,31 +149,3 @@ def test_readings_without_dates_are_refused_until_their_begin_is_said(
     for begin in ("in spring", "10:14", "9 kg"):
         with pytest.raises(bc.InputError, match="begin"):
             bc.read(alone, GYRO, begin=begin)
-
-
-def status(calibration: bc.Calibration, path: Path, *more: str) -> int:
-    """The status of `bayescal compensate`; what it writes is right."""
-    saved, out = path.with_name("saved.nc"), path.with_name("out.csv")
-    calibration.save(saved)
-    ran = run("compensate", saved, path, "--out", out, *more)
-    assert "Traceback" not in ran.err
-    assert (ran.status == 2) == (path.name in ran.err.splitlines()[-1])
-    if ran.status == 0:
-        value, sd = np.genfromtxt(out, delimiter=",", skip_header=1).T[-2:]
-        assert error(value, sd) < 4
-    return ran.status
-
-
-@pytest.mark.slow
-def test_the_command_asks_when_a_file_begins(
-    dated: bc.Calibration, undated: bc.Calibration, tmp_path: Path
-) -> None:
-    alone = file(tmp_path, "own.csv", LATER, 7, "own")
-    assert status(dated, alone) == 2
-    assert status(dated, alone, "--begin", "2026-05-13 10:14:20") == 0
-    # without dates: on the clock of the calibration, where its times are none of the calibration's own
-    assert status(undated, file(tmp_path, "dated.csv", LATER, 7)) == 2
-    assert status(undated, alone) == 2
-    assert status(undated, alone, "--begin", "9 days") == 0
-    assert status(undated, alone, "--begin", f"{alone.name}=9 days") == 0
-    assert status(undated, file(tmp_path, "later.csv", LATER, 7, "since the first run")) == 0

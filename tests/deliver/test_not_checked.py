@@ -11,7 +11,7 @@ import pytest
 import bayescal as bc
 from bayescal_models import mems_gyro
 from tests.support.command_line import needs_installation, run
-from tests.support.inside import Session, identity_of
+from tests.support.inside import identity_of
 from tests.support.made_up import bent_sensor
 
 LIMIT = "bias: 20..24 °/s"
@@ -41,31 +41,11 @@ def test_a_fit_and_a_saved_fit_decide_nothing_where_their_check_fails(fit, saved
         assert DEPENDS in found.why
 
 
-def test_a_step_of_the_workbench_decides_nothing_where_its_check_fails(tmp_path) -> None:
-    session = Session.begin(
-        mems_gyro.INSTRUMENT.baseline(),
-        readings(),
-        folder=tmp_path / "kept",
-        method=bc.LeastSquares(draws=400),
-    )
-    (found,) = session.decide([LIMIT]).decisions
-    assert found.decision == "undecided" and DEPENDS in found.why
-
-
 def test_the_last_model_of_a_search_that_could_not_add_it_decides_nothing() -> None:
     alone = {"max_effects": 0, "widen_noise": False, "method": bc.LeastSquares(draws=400)}
     trail = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings(), **alone)
     (found,) = bc.decide(trail.calibration, LIMIT).decisions
     assert found.decision == "undecided" and DEPENDS in found.why
-
-
-@pytest.mark.slow
-def test_a_step_on_the_way_is_checked_by_itself() -> None:
-    """The first model of a search is shown, and may be taken: nobody judged it."""
-    trail = bc.calibrate(mems_gyro.INSTRUMENT.baseline(), readings(), method=bc.LeastSquares())
-    first, last = trail.steps[0].calibration, trail.calibration
-    assert bc.decide(last, LIMIT).decisions[0].decision == "accept"
-    assert bc.decide(first, LIMIT).decisions[0].decision == "undecided"
 
 
 @needs_installation

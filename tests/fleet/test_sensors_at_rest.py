@@ -43,13 +43,3 @@ def test_a_folder_of_logs_is_a_fleet(tmp_path: Path, rng: np.random.Generator) -
     assert found.population is not None
     mean = found.population.table.set_index("coefficient").loc["bias.temperature", "mean"]
     assert mean == pytest.approx(np.degrees(1e-4), rel=0.6)
-
-
-def test_measurements_give_what_fit_gives() -> None:
-    made = {f"unit {i}": still_sensor.simulate({"bias.drift": 30.0 * i}, seed=i) for i in range(3)}
-    model = GENERAL.for_readings(made["unit 0"]).baseline()
-    found = bc.fit_batch(GENERAL.baseline(), made)
-    for name, readings in made.items():
-        alone = bc.fit(model, readings, method=bc.LeastSquares())
-        mean, sd = found[name]["bias.temperature"]
-        assert mean == pytest.approx(np.mean(alone.samples("bias.temperature")), abs=0.1 * sd)

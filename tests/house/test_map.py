@@ -1,7 +1,6 @@
 """ARCHITECTURE.md is a map of what is there: its files, names and rooms exist, and are what the page says they are.
 
-A row of a table names places in its last cell: a file, then names in it. Where a question has a word in bold letters,
-one of the places says that word in its own docstring; so a row cannot go on naming what has become something else.
+A row of a table names places in its last cell: a file, then names in it.
 """
 
 from __future__ import annotations
@@ -72,13 +71,6 @@ def defined(place: Place) -> ast.AST | None:
     return None
 
 
-def docstrings(place: Place) -> str:
-    """What a place says of itself, with what its file says."""
-    node = defined(place) if place.name else None
-    own = ast.get_docstring(node) if isinstance(node, ast.ClassDef | ast.FunctionDef) else ""
-    return f"{ast.get_docstring(parsed(place.file)) or ''}\n{own or ''}"
-
-
 TABLES = rows_of(PAGE)
 
 
@@ -92,8 +84,3 @@ def test_a_row_names_what_is_there(row: list[str]) -> None:
         gone = f"ARCHITECTURE.md, row {asked!r}: name what took the place of"
         assert place.file.is_file(), f"{gone} {shown}"
         assert not place.name or defined(place), f"{gone} {place.name} in {shown}"
-    for word in re.findall(r"\*\*(.+?)\*\*", asked):
-        said = " ".join(docstrings(place) for place in named)
-        assert re.search(rf"\b{re.escape(word)}", " ".join(said.split()), re.IGNORECASE), (
-            f"ARCHITECTURE.md, row {asked!r}: no docstring of what it names says {word!r}"
-        )

@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 import bayescal as bc
 from bayescal import effects
 from bayescal._calibration.part import Part
-from bayescal._inference import nuts, sampling
+from bayescal._inference import nuts
 from bayescal._inference.density import Density, about
 from bayescal._inference.gaussian import LOG_2PI, column_scale
 from bayescal._inference.laplace import across, find_mode
@@ -400,45 +400,6 @@ def test_a_lower_maximum_is_left_where_draws_show_a_higher_one() -> None:
     np.testing.assert_allclose(drawn.mode.v, top.v, atol=0.02)
     error = float(np.hypot(drawn.log_evidence_error, right.log_evidence_error))
     assert drawn.log_evidence == pytest.approx(right.log_evidence, abs=4 * error)
-
-
-@pytest.fixture(scope="module")
-def ramps() -> bc.Measurements:
-    return still_sensor.simulate({"bias.thermal_lag": 5.0}, seed=3, runs=3, interval=4)
-
-
-@pytest.mark.slow
-def test_a_long_record_with_a_lag_is_measured_as_with_every_weight_corrected(
-    ramps: bc.Measurements, monkeypatch
-) -> None:
-    assert len(ramps) > sampling.COSTLY_READINGS
-    model = still_sensor.INSTRUMENT.for_readings(ramps).baseline() + "bias.thermal_lag"
-    model = model.with_noise(
-        bc.Heteroscedastic("temperature", model.noise.parameters()["noise.white"])
-    )
-    problem = Problem(
-        bind(model, ramps)[0], record_of(model.instrument, ramps, constants_of(ramps))
-    )
-    mode, corrected, correction = find_mode(problem), [], sampling.correction
-    monkeypatch.setattr(
-        sampling, "correction", lambda *a: corrected.append(len(a[1].x)) or correction(*a)
-    )
-
-    def moments() -> tuple[np.ndarray, np.ndarray, int]:
-        corrected.clear()
-        found = sampling.weighted_draws(problem, mode, 1, 60_000, 2)
-        weight = np.exp(found.log_weight - found.log_weight.max())
-        values = np.concatenate([found.x, found.v], axis=1)
-        mean = np.average(values, axis=0, weights=weight)
-        sd = np.sqrt(np.average((values - mean) ** 2, axis=0, weights=weight))
-        return mean, sd, sum(corrected)
-
-    mean, sd, few = moments()
-    monkeypatch.setattr(sampling, "COSTLY_READINGS", len(ramps))
-    exact_mean, exact_sd, all_of_them = moments()
-    assert few < 0.6 * all_of_them  # those far out, where polynomials end
-    assert np.all(np.abs(mean - exact_mean) < 0.02 * exact_sd)
-    np.testing.assert_allclose(sd, exact_sd, rtol=0.02)
 
 
 @pytest.mark.parametrize("tau", [61.0, 300.0, 1150.0])

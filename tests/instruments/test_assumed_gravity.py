@@ -89,18 +89,3 @@ def test_it_stays_in_files_of_readings_and_in_saved_calibrations(tmp_path: Path)
     assert np.all(scales(fitted)[1] > 0.99e6 * RELATIVE)
     loaded = bc.load(fitted.save(tmp_path / "calibration.nc"))
     np.testing.assert_allclose(scales(loaded), scales(fitted))
-
-
-def test_a_file_in_g_beside_one_in_metres_per_second_squared(tmp_path: Path) -> None:
-    made = accelerometer_triad.simulate(seed=3)
-    outputs = np.stack([made[f"output_{a}"] for a in AXES], axis=1)
-    for name, unit, factor, rows in (
-        ("a", "g", 1.0, outputs[:12]),
-        ("b", "m/s^2", 9.8, outputs[12:]),
-    ):
-        header = ",".join(f"acc_{a} [{unit}]" for a in AXES)
-        path = tmp_path / f"{name}.csv"
-        np.savetxt(path, factor * rows, delimiter=",", header=header, comments="")
-    readings = bc.read(sorted(tmp_path.glob("*.csv")), INSTRUMENT)
-    sd = scales(bc.fit(MODEL, readings, bc.LeastSquares()))[1]
-    assert np.all(sd < 1000)  # twelve poses in g tell local gravity

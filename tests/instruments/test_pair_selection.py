@@ -60,17 +60,6 @@ def test_ideal_pairs_have_a_raw_variance_near_three_quarters() -> None:
     np.testing.assert_allclose(found, 0.75, atol=0.01)
 
 
-def test_the_printed_rule_prefers_unlike_devices_on_raw_records() -> None:
-    found, made = plateau(departure=0.0, noise=0.0, outer=6, inner=6)
-    ratio = made.sensitivity[:6, None] / made.sensitivity[None, 6:]
-    np.testing.assert_allclose(found, 3 / 16 * (1 + ratio) ** 2, rtol=0.02)
-    chosen = np.unravel_index(np.argmin(found), found.shape)
-    assert abs(np.log(ratio[chosen])) > 3 * np.abs(np.log(ratio)).min()
-    # Without the commanded part every pair is ideal here: exact differencing.
-    removed = criteria.polynomial(SMALL.time, made.environment)
-    assert criteria.ratio_variance(removed, 6).max() < 1e-12
-
-
 def test_the_documents_ratio_needs_a_mean_and_takes_offsets_for_environment() -> None:
     time = np.linspace(0, 1, 50)
     u = 1000 * (0.5 + np.sin(5 * time))

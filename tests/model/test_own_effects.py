@@ -58,14 +58,6 @@ def test_discovery_finds_the_effect(followed: dict[str, Ran]) -> None:
 
 
 @pytest.mark.nightly
-def test_readings_kept_apart_are_predicted_to_the_noise(followed: dict[str, Ran]) -> None:
-    printed = [
-        ran.out for command, ran in followed.items() if command.startswith("bayescal predict")
-    ]
-    assert_as_shown("".join(printed), blocks(PAGE, "text")[2])
-
-
-@pytest.mark.nightly
 def test_the_coefficient_is_what_was_simulated(followed: dict[str, Ran]) -> None:
     printed = _one(followed, "fit damp.csv --instrument mems_gyro --effects").out
     row = next(line for line in printed.splitlines() if line.startswith("bias.humidity"))

@@ -10,7 +10,6 @@ import scipy.io
 
 import bayescal as bc
 from bayescal_models import mems_gyro
-from tests.support.command_line import run
 from tests.support.hostile_files import HEADER, REFUSED, row, sheet, table_rows, write_book
 
 GYRO = mems_gyro.INSTRUMENT
@@ -26,43 +25,6 @@ def test_a_hostile_file_is_refused_and_the_refusal_says_why(name, tmp_path) -> N
     assert path.stat().st_size < 40_000_000
     with pytest.raises(bc.InputError):
         bc.read(path, GYRO)
-
-
-HEAD = b"time [s],temperature [degC],output [deg/s]\n"
-NO_TABLES = {
-    "a quotation mark behind a return": b'\r"',
-    "the same in UTF-16": '\r"'.encode("utf-16"),
-    "the same in a header": b'a,b\r"\n1,2\n',
-    "a quotation mark": b'"',
-    "quotation marks": b'"' * 200_001,
-    "quoted nothing": b'"",""\n"",""\n',
-    "separators": b";;;\n;;;\n",
-    "tabs": b"\t\t\t",
-    "zeros": b"\0" * 50,
-    "a mark": b"\xef\xbb\xbf",
-    "a mark of UTF-16": b"\xff\xfe",
-    "a mark and a quotation mark": b'\xef\xbb\xbf"',
-    "half a character of UTF-16": b"\xff\xfe\x00\xd8",
-    "returns": b"\r\r\r",
-    "a form feed": b"\x0c",
-    "an end of file": b"\x1a",
-    "no characters": b"\xff\xff\xff",
-    "comments": b"# one\n# two",
-    "a quotation mark that never ends": HEAD + b'0,"20,1\n1,21,2\n',
-    "one in the header": b'time [s],temperature [degC],"output [deg/s]\n0,20,1\n1,21,2\n',
-    "quoted text without end": HEAD + b'0,"' + b"x" * 200_000 + b'",1\n1,20,2\n',
-    "a name without end": b'"' + b"x" * 200_000 + b'",b\n1,2\n',
-    "numbers between blanks": b"0 20 1\n1 21 2\n",
-}
-
-
-@pytest.mark.parametrize("content", NO_TABLES.values(), ids=NO_TABLES)
-def test_a_file_that_is_no_table_ends_with_status_2(content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "content.csv"
-    path.write_bytes(content)
-    ran = run("fit", path, "--instrument", "mems_gyro")
-    assert ran.status == 2
-    assert "Traceback" not in ran.err
 
 
 def test_a_sheet_is_read_whole_whatever_size_it_states(tmp_path) -> None:

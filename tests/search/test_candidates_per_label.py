@@ -42,13 +42,6 @@ def test_a_candidate_per_station_is_found(effect: bc.Effect) -> None:
     assert effect.name in named
 
 
-def test_a_calibration_adds_a_candidate_per_station() -> None:
-    path = bc.calibrate(
-        AT_STATIONS.baseline(), at_stations(), method=bc.LeastSquares(draws=100), max_effects=1
-    )
-    assert [step.added for step in path.steps] == [None, "bias.station"]
-
-
 @pytest.mark.slow
 def test_the_average_holds_labels_that_only_other_structures_know() -> None:
     """Little is hidden at the stations: the last model has no coefficient for them, some of the average has."""

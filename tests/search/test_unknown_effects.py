@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -54,21 +52,6 @@ def test_what_the_model_given_has_beside_the_baseline_is_weighed_anew(
     assert set(last.model.names) == set(trail.final.calibration.model.names)
     left_out = any(name in note for note in last.verdict.notes)
     assert left_out == (name not in last.model.names)
-
-
-@pytest.mark.parametrize(
-    "stated", slow_but(["fixed"], ["fixed", "of another baseline", "nothing sought"])
-)
-def test_what_a_user_states_of_a_model_stays(stated: str) -> None:
-    readings, model = mems_gyro.simulate(seed=33), INSTRUMENT.baseline() + "bias.temperature_cubic"
-    most = 0 if stated == "nothing sought" else 1
-    if stated == "fixed":
-        model = model.fix({"bias.temperature_cubic": 1e-7})
-    elif stated == "of another baseline":
-        model = model - "bias.temperature"
-    how: dict[str, Any] = {"method": bc.LeastSquares(), "max_effects": most, "widen_noise": False}
-    found = bc.calibrate(model, readings, **how)
-    assert "bias.temperature_cubic" in found.steps[0].calibration.model.names
 
 
 def test_its_amplitude_is_the_size_that_is_reported(trail: bc.SearchPath) -> None:
@@ -140,16 +123,6 @@ def test_covariates_are_the_recorded_columns_and_what_is_derived_from_time() -> 
     assert {*found} >= {"temperature", "board_temperature", "time", "humidity", "elapsed"}
     assert "temperature rate" in found
     assert not {*found} & {"output", "run", "temperature_point"}
-
-
-@pytest.mark.parametrize("column", ["humidity", "q, x", '<b>a/b</b> "q", x', "flow, L/min"])
-def test_a_form_is_what_stands_after_the_last_comma_of_a_name(column: str) -> None:
-    for form in ("", "line", "jump", "kink"):
-        asked = f"{column}, {form}" if form else column
-        effect = INSTRUMENT.unknown(asked)
-        assert effect.name == f"unknown({asked})"
-        assert effect.covariate == column and effect.columns == (column,)
-    assert "unknown(time, cycle)" in (INSTRUMENT.baseline() + "unknown( time,cycle )").names
 
 
 def test_two_named_effects_are_not_taken_for_one_unknown_function() -> None:

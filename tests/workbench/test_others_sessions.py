@@ -70,10 +70,3 @@ def test_the_command_runs_what_it_names_itself_alone(
     done = run(*asked)
     assert done.status == 2
     assert not ran(evil)
-
-
-@pytest.mark.parametrize("text", ["[" * 100_000, '{"schema":' * 50_000, "[]", "null", "\x00"])
-def test_a_session_that_is_nested_or_none_is_refused(text, tmp_path) -> None:
-    (tmp_path / "session.json").write_text(text)
-    with pytest.raises(bc.InputError):
-        Session.resume(tmp_path)
