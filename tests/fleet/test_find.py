@@ -40,10 +40,8 @@ def test_each_device_gets_the_effects_it_lacks(fleet, tmp_path) -> None:
     delay = rows[rows.coefficient.str.match(r"bias\.thermal_lag.*\.tau$")]
     assert sorted(delay.device) == [f"unit-{i}" for i in WITH]
     assert found.population is not None and found.population.devices == DEVICES
-    assert "missing from the devices' models" in str(found)
     back = bc.load_batch(found.save(tmp_path / "out"))
     pd.testing.assert_frame_equal(back.effects, found.effects)
-    assert str(back) == str(found)
 
 
 @pytest.mark.slow
@@ -63,4 +61,3 @@ def test_a_device_beside_a_population_is_named(tmp_path) -> None:
     pd.concat(rows).to_parquet(tmp_path / "lot.parquet")
     found = bc.fit_batch(MODEL, tmp_path / "lot.parquet", population=["bias.constant"])
     assert list(found.odd) == ["D17"] and "bias.constant" in found.odd["D17"][0]
-    assert "1 of 40 devices are not like the others" in str(found)

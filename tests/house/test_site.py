@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 import bayescal as bc
-from bayescal_models import INSTRUMENTS, mems_gyro
+from bayescal_models import mems_gyro
 from benchmarks.shown import LAST_DIGITS, followed
 from tests.support.command_line import needs_installation, run
 from tests.support.shown_output import load_module
@@ -63,28 +63,7 @@ def _anchors(page: Path) -> set[str]:
     return {re.sub(r"[-\s]+", "-", p.strip().lower()) for p in plain}
 
 
-def test_nothing_is_fetched_from_elsewhere() -> None:
-    """The theme's own fonts, and the services that it offers, stay off."""
-    settings = (ROOT / "mkdocs.yml").read_text("utf-8")
-    assert "\n  font: false\n" in settings
-    assert not re.search(r"https?://|analytics|social|repo_url", settings)
-
-
 # What the code writes.
-
-
-@pytest.mark.parametrize("name", INSTRUMENTS)
-def test_a_data_sheet_is_rendered_whole(name: str) -> None:
-    assert f"<!-- data sheet: {name} -->" in PAGES[f"instruments/{name}.md"]
-    sheet, page = HOOKS.docstring(name), HOOKS.data_sheet(name)
-    words = _words(sheet)
-    assert _words(page)[: len(words)] == words
-
-
-def _words(text: str) -> list[str]:
-    """Without what makes links, a table or bold letters of them."""
-    plain = re.sub(r"\[([^]]*)\]\(\.\./sources\.md\)", r"\1", text)
-    return [word for word in re.sub(r"[|*\\]", " ", plain).split() if word.strip("-")]
 
 
 def test_a_data_sheet_ends_with_the_effects_their_sizes_and_sources() -> None:

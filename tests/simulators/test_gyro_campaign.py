@@ -127,21 +127,3 @@ def test_resonance_of_the_table_s_slope_is_nearly_straight() -> None:
 
 
 # Refusals.
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"average": 45.0}, {"lag_time": 0}, {"rate_input": ()}, {"runs": 1.5}, {"law": "none"}],
-)
-def test_a_plan_that_cannot_be_carried_out_is_refused(wrong: dict) -> None:
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        Campaign(**wrong)
-
-
-def test_what_a_campaign_cannot_hide_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"bias\.temperature"):
-        simulated(DEFAULT, {"bias.temperature": 0.1}, seed=1)
-    with pytest.raises(ValueError, match="pink"):
-        simulated(DEFAULT, seed=1, noise_law="pink")
-    with pytest.raises(ValueError, match="phase"):
-        Resonance(held="phase")
