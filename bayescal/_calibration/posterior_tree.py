@@ -79,7 +79,8 @@ def _log_prior(c: Fitted) -> xr.Dataset:
         learned = hyper.get(b.group_sd_name) if u.x is None else flat(sd[..., u.x])
         spread = np.maximum(b.coefficient.size if learned is None else learned, TINY)
         z = (flat(values[..., i]) - b.coefficient.mean) / spread
-        own = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
+        with np.errstate(over="ignore"):  # a draw that its prior rules out has the density zero
+            own = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
         density[..., i] = own.reshape(v.shape[:-1])
     keys = {u.key: u for u in c.unknowns if u.block is None}
     keys |= {u.key: u for u in c.unknowns if u.block and not (u.held or u.block.coefficient.flat)}

@@ -482,7 +482,7 @@ class SavedProgram:
     about: Provenance
     inputs: tuple[Input, ...]
     stimulus_range: tuple[float, float] | None
-    unknowns: tuple[Unknown, ...]
+    unknowns: tuple[ProgramUnknown, ...]
     covariance: list[list[float]]
     affine: bool
     equation: SavedEquation
