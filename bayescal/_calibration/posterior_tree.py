@@ -16,7 +16,7 @@ from bayescal._model.prior import HalfCauchy, HalfNormal
 
 PRIOR_DRAWS = 1000  # for the groups of ArviZ's tree, as many as a picture of a prior needs
 STEP = 1e-3  # of a coordinate, for the slope of a prior's value
-TINY = float(np.finfo(float).tiny)
+TINY, FAR_SD = float(np.finfo(float).tiny), 1e150  # that a square of it is a number still
 
 
 def build_tree(calibration: Fitted) -> xr.DataTree:
@@ -78,9 +78,8 @@ def _log_prior(c: Fitted) -> xr.Dataset:
             continue
         learned = hyper.get(b.group_sd_name) if u.x is None else flat(sd[..., u.x])
         spread = np.maximum(b.coefficient.size if learned is None else learned, TINY)
-        z = (flat(values[..., i]) - b.coefficient.mean) / spread
-        with np.errstate(over="ignore"):  # a draw that its prior rules out has the density zero
-            own = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
+        z = np.clip((flat(values[..., i]) - b.coefficient.mean) / spread, -FAR_SD, FAR_SD)
+        own = -0.5 * z**2 - np.log(spread) - 0.5 * np.log(2 * np.pi)
         density[..., i] = own.reshape(v.shape[:-1])
     keys = {u.key: u for u in c.unknowns if u.block is None}
     keys |= {u.key: u for u in c.unknowns if u.block and not (u.held or u.block.coefficient.flat)}
