@@ -1,7 +1,7 @@
-"""Build the documentation site: `python docs/build_site.py` fills in docs/ to build/docs, and Zensical makes site/ of it.
+"""Build the documentation site: `python docs/build_site.py` writes build/docs and site/.
 
-No site is built while a stated figure differs from its rows, a page is missing or a link leads nowhere. A page holds a
-comment where the code writes a part, so that nothing is written twice:
+No site is built while a stated figure differs from its rows, a page is missing or a link leads nowhere; Zensical builds
+it. A page holds a comment where the code writes a part, so that nothing is written twice:
 
     <!-- data sheet: mems_gyro -->      the docstring of that instrument's model.py, and the table of its effects
     <!-- in NumPyro: mems_gyro -->      that instrument's as_numpyro.py
@@ -43,14 +43,13 @@ def main() -> None:
     pages = filled_in()
     if problems := [*broken(pages)]:
         sys.exit("\n".join(problems))
-    for folder in (ROOT / "site", FILLED_IN):
-        shutil.rmtree(folder, ignore_errors=True)
+    shutil.rmtree(FILLED_IN, ignore_errors=True)
     shutil.copytree(HERE, FILLED_IN, ignore=shutil.ignore_patterns("*.py", "__pycache__"))
     for name, text in pages.items():
         (FILLED_IN / name).write_text(text, "utf-8")
-    build = ["zensical", "build", "--strict", "--clean"]  # its cache does not follow docstrings
-    for arguments in (["benchmarks", "stated"], build):
-        if status := subprocess.run([sys.executable, "-m", *arguments], cwd=ROOT).returncode:
+    build = "zensical build --strict --clean"  # its cache does not follow docstrings
+    for command in ("benchmarks stated", build):
+        if status := subprocess.run([sys.executable, "-m", *command.split()], cwd=ROOT).returncode:
             sys.exit(status)
 
 
@@ -214,7 +213,7 @@ def _default(option: Any) -> str:
 
 
 def names(listed: str) -> str:
-    """Names of bayescal, each documented from its docstring by mkdocstrings."""
+    """Return what mkdocstrings replaces by the documentation of each name."""
     return "\n\n".join(f"::: bayescal.{name}" for name in listed.split())
 
 
