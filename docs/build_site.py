@@ -1,6 +1,7 @@
-"""Pages of the site that the code writes: data sheets, commands, public names. Used by MkDocs (`hooks:`).
+"""Build the documentation site: `python docs/build_site.py` writes build/docs and site/.
 
-A page holds a comment where such a part belongs, so that nothing is written twice:
+No site is built while a stated figure differs from its rows, a page is missing or a link leads nowhere; Zensical builds
+it. A page holds a comment where the code writes a part, so that nothing is written twice:
 
     <!-- data sheet: mems_gyro -->      the docstring of that instrument's model.py, and the table of its effects
     <!-- in NumPyro: mems_gyro -->      that instrument's as_numpyro.py
@@ -15,32 +16,77 @@ from __future__ import annotations
 
 import ast
 import re
+import shutil
+import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).parent
-MODELS = HERE.parent / "models" / "bayescal_models"
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+FILLED_IN = ROOT / "build" / "docs"
+MODELS = ROOT / "models" / "bayescal_models"
 PART = re.compile(
     r"^<!-- (data sheet|in NumPyro|tour|commands|names)(?:: (.*?))? -->$", re.MULTILINE
 )
 
 
-def on_startup(command: str, **_: Any) -> None:
-    """Build no site while a page says another figure than the rows that it comes from."""
-    if command != "build":
-        return
-    sys.path.insert(0, str(HERE.parent))
-    from benchmarks.stated import main  # starts JAX
+def main() -> None:
+    """Write the pages to build/docs and build them to site/.
 
-    main()
+    Raises:
+        SystemExit: a page is missing, a link broken, a stated figure wrong, or a docstring cannot be read.
+    """
+    pages = filled_in()
+    if problems := [*broken(pages)]:
+        sys.exit("\n".join(problems))
+    shutil.rmtree(FILLED_IN, ignore_errors=True)
+    shutil.copytree(HERE, FILLED_IN, ignore=shutil.ignore_patterns("*.py", "__pycache__"))
+    for name, text in pages.items():
+        (FILLED_IN / name).write_text(text, "utf-8")
+    build = "zensical build --strict --clean"  # its cache does not follow docstrings
+    for command in ("benchmarks stated", build):
+        if status := subprocess.run([sys.executable, "-m", *command.split()], cwd=ROOT).returncode:
+            sys.exit(status)
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    return PART.sub(lambda found: PARTS[found[1]](found[2] or ""), markdown)
+def filled_in() -> dict[str, str]:
+    """Return the Markdown of every page by its path in docs/, with the parts that the code writes."""
+    pages = sorted(HERE.rglob("*.md"))
+    return {p.relative_to(HERE).as_posix(): fill_in(p.read_text("utf-8")) for p in pages}
+
+
+def fill_in(markdown: str) -> str:
+    return PART.sub(lambda part: PARTS[part[1]](part[2] or ""), markdown)
+
+
+def broken(pages: dict[str, str]) -> Iterator[str]:
+    """Describe each page that is not in the navigation once, and each link to no file or heading of docs/."""
+    listed = re.findall(r'"([\w/]+\.md)"', (ROOT / "zensical.toml").read_text("utf-8"))
+    for name in sorted({*listed, *pages}):
+        if listed.count(name) != 1 or name not in pages:
+            yield f"{name}: expected once in docs/ and once in the navigation of zensical.toml"
+    for name, text in pages.items():
+        prose = re.sub(r"^```.*?^```|`[^`\n]*`", "", text, flags=re.DOTALL | re.MULTILINE)
+        for link in re.findall(r"\]\(([^)\s]+)\)", prose):
+            path, _, anchor = link.partition("#")
+            target = ((HERE / name).parent / path).resolve() if path else HERE / name
+            if link.startswith("https://"):
+                continue
+            if not target.is_file() or HERE not in target.parents:
+                yield f"{name}: {link} leads to no file of docs/"
+            elif anchor and anchor not in anchors(pages[target.relative_to(HERE).as_posix()]):
+                yield f"{name}: {link} leads to no heading of its page"
+
+
+def anchors(markdown: str) -> set[str]:
+    """Return the anchors of a page's headings, as Python-Markdown names them."""
+    heads = re.findall(r"^#+ (.+)$", markdown, re.MULTILINE)
+    plain = (re.sub(r"[^\w\s-]", "", h.encode("ascii", "ignore").decode()) for h in heads)
+    return {re.sub(r"[-\s]+", "-", p.strip().lower()) for p in plain}
 
 
 # Data sheets.
@@ -167,7 +213,7 @@ def _default(option: Any) -> str:
 
 
 def names(listed: str) -> str:
-    """Names of bayescal, each documented from its docstring by mkdocstrings."""
+    """Return what mkdocstrings replaces by the documentation of each name."""
     return "\n\n".join(f"::: bayescal.{name}" for name in listed.split())
 
 
@@ -178,3 +224,6 @@ PARTS: dict[str, Callable[[str], str]] = {
     "commands": commands,
     "names": names,
 }
+
+if __name__ == "__main__":
+    main()
