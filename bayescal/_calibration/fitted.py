@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-import pandas as pd
-import xarray as xr
 from jaxtyping import Float
 
 from bayescal._calibration.confounding import Confounder, confounders, unexplained, widened
@@ -30,6 +28,9 @@ from bayescal._model.frame import Frame, Reference, build_frame, reference_name
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout
 from bayescal._model.unknowns import Unknowns
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 COARSEST_DEGREES = 1.0  # °C, of a thermometer's steps; larger ones are set points
 PREDICTIVE_CELLS = 2_000_000  # draws × readings kept in posterior_predictive and log_likelihood
@@ -259,6 +260,8 @@ class Fitted:
 
         Under correlated noise it is that of each reading given those before it in its run.
         """
+        import xarray as xr  # with pandas half a second, which a command does without
+
         vectors, chains = self.thinned(limit)
         shaped = pointwise(self.problem, vectors).reshape(chains, -1, len(self.readings))
         return xr.Dataset({"output": (("chain", "draw", "reading"), shaped)})
@@ -266,6 +269,9 @@ class Fitted:
 
 def named(unknowns: Unknowns, values: Float[np.ndarray, "chains draws unknowns"]) -> xr.Dataset:
     """Return draws as one variable for each key, in its reported unit."""
+    import pandas as pd
+    import xarray as xr
+
     found: dict[str, tuple] = {}
     coordinates: dict[str, pd.Index] = {}
     for key, own in unknowns.by_key.items():

@@ -10,7 +10,7 @@ import xarray as xr
 
 from bayescal._calibration.fitted import PREDICTIVE_CELLS, Fitted, flat, named
 from bayescal._calibration.on_readings import replicate
-from bayescal._calibration.storage import draws_dataset
+from bayescal._calibration.storage import draws_group
 from bayescal._core.atomic_file import renamed, storable
 from bayescal._model.prior import HalfCauchy, HalfNormal
 
@@ -34,7 +34,7 @@ def build_tree(calibration: Fitted) -> xr.DataTree:
         "sample_stats": xr.Dataset(),
         "observed_data": xr.Dataset({"output": ("reading", readings["output"], units)}),
         "constant_data": readings.to_xarray().drop_vars("output"),
-        "draws": draws_dataset(draws),
+        "draws": xr.Dataset(draws_group(draws)),
     }
     groups = {name: _numbered(group, draws.x.shape[1]) for name, group in groups.items()}
     if (prior := _prior_draws(c)) is not None:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import xarray as xr
 from jaxtyping import Float
 
 from bayescal._calibration.calibration import Calibration
@@ -279,6 +278,7 @@ def prior_sensitivity(calibration: Calibration) -> Any:
     Raises:
         InputError: no unknown has a proper prior.
     """
+    import xarray as xr
     from arviz_stats.psense import psense_summary  # a second that only this needs
 
     priors, posterior = (calibration.tree[n].to_dataset() for n in ("log_prior", "posterior"))

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from bayescal._calibration.confounding import Confounder
 from bayescal._calibration.description import (
@@ -28,7 +27,6 @@ from bayescal._calibration.description import (
 from bayescal._calibration.fitted import Fitted
 from bayescal._core.atomic_file import (
     named_back,
-    renamed,
     replacing_for_user,
     storable,
     verified,
@@ -37,7 +35,7 @@ from bayescal._core.atomic_file import (
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.flag import Flag
 from bayescal._core.json_shape import parsed_json
-from bayescal._core.netcdf_bytes import netcdf_bytes
+from bayescal._core.netcdf import Group, Variable, netcdf_bytes, netcdf_groups
 from bayescal._data.column import NominalScale, Source
 from bayescal._data.measurements import Measurements
 from bayescal._inference.laplace import Mode
@@ -47,13 +45,14 @@ from bayescal._model.frame import constants_of, held_name, origins, reference_of
 from bayescal._model.instrument import Instrument
 from bayescal._model.model import Model
 from bayescal._model.parameters import Layout, bind
+from bayescal._tables.raw_table import ROW
 from bayescal._tables.unpacked import refuse_hdf5
 
 AGAIN = "Take a copy, or fit the readings again"
 IDENTITY = "bayescal_identity"
 SCHEMA = "bayescal.calibration/2"
 SCHEMA_0_2 = "bayescal.calibration/1"  # with all groups of ArviZ's tree, which are computed now
-Groups = Mapping[str, xr.Dataset]
+Groups = Mapping[str, Group]
 GROUPS = ("observed_data", "constant_data", "draws", "mode")
 
 
@@ -66,12 +65,12 @@ def save(calibration: Fitted, path: Path) -> Path:
     path = Path(path)
     if path.suffix != ".nc":
         raise InputError(f"A calibration is saved as NetCDF: name the file …nc, not {path.name!r}")
-    readings = renamed(calibration.readings.to_xarray(), storable)
+    readings = {storable(n): v for n, v in calibration.readings.variables().items()}
     groups = {
-        "observed_data": readings[["output"]],
-        "constant_data": readings.drop_vars("output"),
-        "draws": draws_dataset(calibration.joint),
-        "mode": _mode_dataset(calibration.mode),
+        "observed_data": {"output": readings.pop("output")},
+        "constant_data": readings,
+        "draws": draws_group(calibration.joint),
+        "mode": _mode_group(calibration.mode),
     }
     described = json.dumps({**description(calibration), "schema": SCHEMA})
     content = netcdf_bytes(groups, bayescal=described, bayescal_identity=identity(calibration))
@@ -80,15 +79,14 @@ def save(calibration: Fitted, path: Path) -> Path:
     return path
 
 
-def draws_dataset(draws: Draws) -> xr.Dataset:
+def draws_group(draws: Draws) -> Group:
     """Return joint draws as plain vectors, from which everything else is computed."""
-    vectors = {name: (("chain", "draw", f"{name}_entry"), vars(draws)[name]) for name in "xv"}
-    return xr.Dataset(vectors)
+    return {n: Variable(("chain", "draw", f"{n}_entry"), vars(draws)[n]) for n in "xv"}
 
 
-def _mode_dataset(mode: Mode) -> xr.Dataset:
+def _mode_group(mode: Mode) -> Group:
     parts = {name: np.asarray(value, float) for name, value in mode._asdict().items()}
-    return xr.Dataset({n: ([f"{n}_{i}" for i in range(a.ndim)], a) for n, a in parts.items()})
+    return {n: Variable(tuple(f"{n}_{i}" for i in range(a.ndim)), a) for n, a in parts.items()}
 
 
 def _saved_in(folder: Path) -> str:
@@ -111,22 +109,18 @@ def load_calibration(
 
         with h5py.File(content) as hdf5:
             refuse_hdf5(hdf5, path.name, content.getbuffer().nbytes)
-        with xr.open_datatree(content, engine="h5netcdf", decode_times=False) as opened:
-            written = _parsed(opened.attrs.get("bayescal"))
-            if (schema := written.get("schema")) not in (SCHEMA, SCHEMA_0_2):
-                raise InputError(
-                    f"{path.name} is no calibration of this version: its schema is {schema!r}, "
-                    f"expected {SCHEMA!r}"
-                )
-            if missing := [name for name in GROUPS if name not in opened.children]:
-                raise ValueError(f"it has no group {', '.join(missing)}")
-            groups = {name: opened[name].to_dataset().load() for name in GROUPS}
-            stated = opened.attrs.get(IDENTITY)
+            written = _parsed(hdf5.attrs.get("bayescal"))
+        if (schema := written.get("schema")) not in (SCHEMA, SCHEMA_0_2):
+            raise InputError(
+                f"{path.name} is no calibration of this version: its schema is {schema!r}, "
+                f"expected {SCHEMA!r}"
+            )
+        groups, attributes = netcdf_groups(content, GROUPS)
         described = of_today(written) if schema == SCHEMA_0_2 else written
         readings = _readings_from(groups, described)
         model = model_from(path, described, readings, effects, instruments)
         found = _fields(groups, described, model, readings)
-        if schema == SCHEMA and stated != identity(Fitted(**found)):
+        if schema == SCHEMA and attributes.get(IDENTITY) != identity(Fitted(**found)):
             raise ValueError("its identity is not that of what it holds")
     return found
 
@@ -197,7 +191,7 @@ def _arrays(
     """Variables of a group, if they are numbers of these shapes (None: any length)."""
     data, found = groups[group], {}
     for name, shape in shapes.items():
-        if name not in data.data_vars:
+        if name not in data:
             raise ValueError(f"its group {group} has no variable {name}")
         values = found[name] = data[name].values
         what = f"its {group}/{name}"
@@ -241,9 +235,12 @@ def _mode_from(groups: Groups, layout: Layout, finite: bool) -> Mode:
 
 def _readings_from(groups: Groups, described: dict[str, Any]) -> Measurements:
     _arrays(groups, "observed_data", {"output": (None,)})
-    data = renamed(groups["constant_data"].merge(groups["observed_data"]), named_back)
+    both = {**groups["constant_data"], **groups["observed_data"]}
+    held = {named_back(n): v for n, v in both.items() if v.dims == (ROW,) and n != ROW}
+    if len({len(v.values) for v in held.values()}) > 1:
+        raise ValueError("its columns differ in length")
     sources = tuple(Source(**s) for s in described["sources"])
     given, codes = described.get("nominal_scale"), described.get("flag_codes", {})
     flags = tuple(Flag(f, *codes[f]) if f in codes else f for f in described["flags"])
     scale = given and NominalScale(**given)
-    return Measurements.from_xarray(data, sources=sources, flags=flags, scale=scale)
+    return Measurements.of_variables(held, sources=sources, flags=flags, scale=scale)

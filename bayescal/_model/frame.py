@@ -13,7 +13,6 @@ from typing import Any
 import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.linalg.lapack import dtbtrs
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jax_setup import configure_jax
@@ -23,6 +22,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS
 from bayescal._data.time_in_runs import (
     causal_slope,
+    recursion,
     run_codes,
     run_starts,
     sequence,
@@ -222,10 +222,9 @@ def followed(share: Float[Any, "*s n"], push: Float[Any, "*s n"]) -> Float[Any, 
         # One small loop rather than an associative scan, which takes ten times as long to compile.
         return xp.scan(advance, xp.zeros_like(share[0]), (share, push))
     share, push = np.broadcast_arrays(share, push)
-    found, band = np.empty(push.shape), np.ones((2, push.shape[-1]), order="F")
-    for i in np.ndindex(push.shape[:-1]):  # a unit bidiagonal matrix: LAPACK's banded solver
-        band[1, :-1] = -share[i][1:]
-        found[i] = dtbtrs(band, push[i][:, None], uplo="L", diag="U")[0][:, 0]
+    found = np.empty(push.shape)
+    for i in np.ndindex(push.shape[:-1]):
+        found[i] = recursion(share[i], push[i][:, None])[:, 0]
     return found
 
 

@@ -12,10 +12,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import RLock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from jaxtyping import Float
 from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -40,6 +39,9 @@ from bayescal._model.frame import GROUPS
 from bayescal._report.plot_colours import BLUE, CYCLE, GREEN, GREY, ORANGE, PALE, RED
 from bayescal._search.discover import Discovery, is_quiet
 from bayescal._search.search_path import SearchPath
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 LABEL_LETTERS = 32  # letters of a label; what is longer leaves no room for the picture
 DRAWING = RLock()  # held while something is drawn
@@ -452,6 +454,7 @@ def predictive(calibration: Calibration) -> Figure:
     The share of readings below each predictive probability, minus that probability: a model that is right stays
     within the band.
     """
+    import xarray as xr
     from arviz_plots import plot_ppc_pit  # a second that only a picture needs
     from matplotlib import pyplot
 
