@@ -1,7 +1,7 @@
 """Noise of a sensor at rest: Q, N, B and K of IEEE 952 with intervals, by the likelihood of sums of noise terms.
 
-Every sum is fitted to the spectrum of the readings, levels of runs and a cubic over temperature integrated out beside it
-(restricted likelihood); the sums are weighed by their evidence, and the parameters of the probable ones drawn by
+Every sum is fitted to the spectrum of the readings, levels of runs and a cubic over temperature integrated out beside
+it (restricted likelihood); the sums are weighed by their evidence, and the parameters of the probable ones drawn by
 importance sampling. Lost readings are drawn from the noise law, given the others, and the sums fitted anew (data
 augmentation).
 
@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
@@ -25,7 +26,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.polynomial.legendre import legvander
 from scipy.fft import dct, idct
-from scipy.sparse.linalg import LinearOperator, cg
 from scipy.special import ndtri, softmax
 
 from bayescal._calibration.claim import Claim
@@ -80,6 +80,7 @@ WINDOW = 64  # readings of the shortest spectra in which a line is looked for; o
 WINDOWS = 8  # of the longest, at least
 # Places of a spectrum from a line to what it stands above: a window's own width is 2.
 BESIDE = np.array([3, 4, 5, 6])
+COHERENT_SHARE = 0.25  # of the longest run, for which a line keeps its phase
 SMOOTH = 0.02  # relative, of a spectrum without lines over as many places: it bends where one noise takes over another
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
 DRAWS = 2048  # of each sum
@@ -245,7 +246,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
                 fits[terms] = _fit(channel, terms, fits)
                 end.ask()
             # What is correlated over a few readings looks like these terms too.
-            best = max(fits, key=lambda t: _total(fits, t))
+            best = next(iter(_totals(fits)))
             for terms in {tuple(t for t in best if t != term) for term in kept} - {*fits}:
                 fits[terms] = _fit(channel, terms, fits)
         except deadline.TimeIsUp:
@@ -302,11 +303,10 @@ def _drawn_sums(
         return evidence
 
     while True:
-        order = sorted(fits, key=lambda t: -_total(fits, t))
-        totals = np.array([_total(fits, t) for t in order])
-        probabilities = dict(zip(order, softmax(totals).tolist(), strict=True))
-        least = DRAWN_SHARE * probabilities[order[0]]
-        probable = [t for t in order if probabilities[t] > least]
+        totals = _totals(fits)
+        shares = softmax(list(totals.values()))
+        probabilities = dict(zip(totals, shares.tolist(), strict=True))
+        probable = [t for t, share in probabilities.items() if share > DRAWN_SHARE * shares[0]]
         if not (fresh := [t for t in probable if t not in sampled]):
             break
         # By the weights of draws a sum whose posterior is bent has less evidence than by its curvature at the mode.
@@ -320,7 +320,7 @@ def _drawn_sums(
             fits[further] = _fit(channel, further, fits)
         if further not in sampled:
             sample(further)
-        walk = _drawn(channel, further, *sampled[further], seed, 0.25)
+        walk = _drawn(channel, further, *sampled[further], seed, 1.0)
     return drawn, walk, probabilities
 
 
@@ -443,11 +443,18 @@ def _line(output: Float[np.ndarray, "n"], runs: EvenRuns) -> tuple[float, dict[s
     return best, found
 
 
-def _total(fits: Mapping[Terms, GaussianFit], terms: tuple[str, ...]) -> float:
-    """Log evidence and log prior: level noise, the first, has one half of it; other sums share the rest."""
-    others, level = max(1, len(fits) - 1), settings().prior_complete
-    share = level if terms == next(iter(fits)) else (1 - level) / others
-    return fits[terms].log_evidence + math.log(share)
+def _totals(fits: Mapping[Terms, GaussianFit]) -> dict[Terms, float]:
+    """Return log evidence and log prior of sums, the most probable first.
+
+    The least sum, the first, has one half of the prior; of the others those of one term more have half as much,
+    together.
+    """
+    (base, *others), level = fits, settings().prior_complete
+    counts = Counter(map(len, others))
+    share = {terms: 2.0 ** -len(terms) / counts[len(terms)] for terms in others}
+    prior = {base: level} | {t: (1 - level) * s / sum(share.values()) for t, s in share.items()}
+    totals = {terms: fit.log_evidence + math.log(prior[terms]) for terms, fit in fits.items()}
+    return dict(sorted(totals.items(), key=lambda item: -item[1]))
 
 
 def _columns(
@@ -509,11 +516,13 @@ def _conditional_draw(
     """Return stationary noise with its lost values drawn given the others, by conjugate gradients.
 
     With the precision Q = CᵀD⁻¹C, C the cosine transform and D the density in frequency (but for a run's ends), and m
-    the lost places, Q_mm·x_m = (CᵀD^(−½)·ε)_m − (Q·x)_m, where x is zero at m and ε standard normal, has the mean and the
-    covariance Q_mm⁻¹ that they have. The level is free: 1/D is zero at no frequency.
+    the lost places, Q_mm·x_m = (CᵀD^(−½)·ε)_m − (Q·x)_m, where x is zero at m and ε standard normal, has their mean
+    and their covariance Q_mm⁻¹. The level is free: 1/D is taken as zero at frequency zero.
 
     Source: G. Papandreou and A. Yuille, Advances in Neural Information Processing Systems 23 (2010) 1858.
     """
+    from scipy.sparse.linalg import LinearOperator, cg  # a third of a second that most do without
+
     weight = np.append(0.0, 1 / density[1:])
     places = np.flatnonzero(lost)
 
@@ -622,4 +631,30 @@ def _drawn(
     chosen, law = v[resample(weights, max(1, round(share * KEPT)), seed)], channel.law(terms)
     priors = law.parameters()
     own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
+    if "tone" in terms:
+        own[TONE[0]] = _line_size(channel, terms, own, np.random.default_rng(seed))
     return RestNoise(terms, own, law)
+
+
+def _line_size(
+    channel: _AtRest, terms: Terms, draws: Mapping[str, np.ndarray], random: np.random.Generator
+) -> Float[np.ndarray, "d"]:
+    """Return the size of a tone at each draw, output unit.
+
+    Where its phase lasts as long as the record it is one amplitude, of which the law knows the order of magnitude and
+    the readings all: the root mean square of the tone over them, with the standard deviation √(R/n) that the density R
+    of the other terms gives it at its frequency.
+    """
+    size, law, spectrum = draws[TONE[0]].copy(), channel.law(terms), channel.spectrum
+    coherent = draws[TONE[2]] > COHERENT_SHARE * channel.longest
+    own = {name: value[coherent] for name, value in draws.items()}
+    place = terms.index("tone") - len(terms)  # terms that stand after it are one each
+    square = spectrum.mean_square(law, own, place)
+    wide = {name: value[:, None] for name, value in own.items()}
+    lam = 4 * np.sin(math.pi * own[TONE[1]] * spectrum.step)[:, None] ** 2
+    others = law.spectrum(wide, spectrum.step, lam)
+    del others[place]
+    density = (wide[WHITE] ** 2 + sum((term.symbol for term in others), 0.0))[:, 0]
+    error = np.sqrt(density / spectrum.size) * random.standard_normal(len(square))
+    size[coherent] = np.abs(np.sqrt(square) + error)
+    return size

@@ -14,8 +14,8 @@ frequency and a few columns U, one for each end function and sign, and
 
 All functions of λ are smooth in log λ. Parameters are arrays (s, 1): s settings at once.
 
-Source: derived here; the precision of an autoregression of first order is in M. Kac, W. Murdock and G. Szegő, J. Rational
-Mech. Anal. 2 (1953) 767.
+Source: derived here; the precision of an autoregression of first order is in M. Kac, W. Murdock and G. Szegő, J.
+Rational Mech. Anal. 2 (1953) 767.
 """
 
 from __future__ import annotations
