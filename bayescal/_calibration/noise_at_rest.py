@@ -70,7 +70,7 @@ STIRRED_DEGREES = 0.2
 
 Terms = tuple[str, ...]  # names of those of a sum, beside white noise
 DEGREE = 3  # of the polynomial over temperature: a sensor's own law is rarely of more in one soak
-IMPUTATIONS = 4  # of lost readings; the first begins far from them and does not count
+IMPUTATIONS = 6  # of lost readings; the first begins far from them and does not count
 SLOW = ("walk", "flicker", "correlated")  # terms of which a sum has two at most
 TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
 ROUNDED, AVERAGED = "quantisation", "averaging"  # of neighbouring readings alone
@@ -267,7 +267,9 @@ def _pooled(parts: Sequence[WeighedNoise]) -> WeighedNoise:
     probabilities = dict(sorted(mean.items(), key=lambda item: -item[1]))
     drawn = [noise for one in parts for noise in one.drawn]
     drawn.sort(key=lambda noise: -probabilities[noise.terms])
-    return last._replace(drawn=tuple(drawn), probabilities=probabilities)
+    bound = {"noise.walk": np.concatenate([one.walk.draws["noise.walk"] for one in parts])}
+    walk = last.walk._replace(draws=bound)
+    return last._replace(drawn=tuple(drawn), walk=walk, probabilities=probabilities)
 
 
 def _sums(base: Terms, further: Terms, kept: Terms) -> list[Terms]:
@@ -502,8 +504,8 @@ def _filled(
     mean = design @ there
     own = {name: np.array([[value]]) for name, value in values.items()}
     terms = law.spectrum(own, step, eigenvalues(len(lost)))
-    density = np.ravel(own[WHITE] ** 2 + sum(term.symbol for term in terms))
-    noise = _conditional_draw(columns[:, -1] - mean, lost, density, random)
+    density = own[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, len(lost))))
+    noise = _conditional_draw(columns[:, -1] - mean, lost, density[0], random)
     return np.column_stack([*curve, mean + noise])
 
 
