@@ -71,7 +71,8 @@ STIRRED_DEGREES = 0.2
 Terms = tuple[str, ...]  # names of those of a sum, beside white noise
 DEGREE = 3  # of the polynomial over temperature: a sensor's own law is rarely of more in one soak
 IMPUTATIONS = 6  # of lost readings; the first begins far from them and does not count
-SLOW = ("walk", "flicker", "correlated")  # terms of which a sum has two at most
+SLOW = ("walk", "flicker", "correlated")  # terms of which a sum has two at most,
+NOT_TWICE = (("walk", "walk"), ("flicker", "flicker"))  # but none of these
 TONE: Terms = ("noise.tone", "noise.tone.frequency", "noise.tone.time")
 ROUNDED, AVERAGED = "quantisation", "averaging"  # of neighbouring readings alone
 # Of five values at 2 to 6: what the straight line through them has at 1.
@@ -143,7 +144,8 @@ class _AtRest(NamedTuple):
     """A channel at rest.
 
     Attributes:
-        spectrum: of its runs.
+        columns: of its runs (n, r), the last the output, the others taken out.
+        spectrum: of these.
         size: standard deviation of neighbours, output unit.
         longest: run, a power of two of steps, s.
         tau: averaging times, s,
@@ -151,6 +153,7 @@ class _AtRest(NamedTuple):
         line: a tone to begin with; none if empty.
     """
 
+    columns: Sequence[Float[np.ndarray, "n r"]]
     spectrum: EvenSpectrum
     size: float
     longest: float
@@ -239,15 +242,11 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
     for k in range(IMPUTATIONS if runs.lost else 1):
         filled = [_filled(own, law, values, runs.step, random) for own in columns]
         lines = [line[TONE[1]]] if "tone" in further else []
-        channel = _AtRest(EvenSpectrum(filled, runs.step, lines), *made)
-        fits = dict[Terms, GaussianFit]()
+        channel = _AtRest(filled, EvenSpectrum(filled, runs.step, lines), *made)
+        fits = {base: _fit(channel, base, {})}
         try:
-            for terms in _sums(base, further, kept):
-                fits[terms] = _fit(channel, terms, fits)
+            for terms in _sums(fits, base, further, kept):
                 end.ask()
-            # What is correlated over a few readings looks like these terms too.
-            best = next(iter(_totals(fits)))
-            for terms in {tuple(t for t in best if t != term) for term in kept} - {*fits}:
                 fits[terms] = _fit(channel, terms, fits)
         except deadline.TimeIsUp:
             claims.append(Claim("noise.ended", why=end.why))
@@ -272,23 +271,29 @@ def _pooled(parts: Sequence[WeighedNoise]) -> WeighedNoise:
     return last._replace(drawn=tuple(drawn), walk=walk, probabilities=probabilities)
 
 
-def _sums(base: Terms, further: Terms, kept: Terms) -> list[Terms]:
-    """Return the sums that are weighed, the least first: with two slow terms at most, and any of `further`.
+def _sums(
+    fits: Mapping[Terms, GaussianFit], base: Terms, further: Terms, kept: Terms
+) -> Iterator[Terms]:
+    """Yield the sums that are weighed beside the least one: of two slow terms at most, and any of `further`.
 
     Args:
+        fits: of those before.
         base: terms of the least sum, which every sum has;
         further: terms of neighbouring readings, or a tone, that may be there;
-        kept: and those of them that every other sum has.
+        kept: and those of them that every other sum has; the best one is weighed without each of them at the end.
     """
-    pairs = set(itertools.combinations_with_replacement(SLOW, 2)) - {(t, t) for t in SLOW[:2]}
-    slow = [(), *((term,) for term in SLOW), *pairs]
+    pairs = [p for p in itertools.combinations_with_replacement(SLOW, 2) if p not in NOT_TWICE]
     brief = [
-        tuple(t for t in further if t in kept or t in some)
+        {*some, *kept}
         for k in range(len(further) + 1)
         for some in itertools.combinations(further, k)
     ]
-    sums = {_sorted((*base, *a, *b)) for a in slow for b in brief}
-    return [base, *sorted(sums - {base}, key=lambda terms: (len(terms), terms))]
+    slow = [(), *((term,) for term in SLOW), *pairs]
+    sums = {_sorted((*base, *one, *b)) for one in slow for b in brief} - {base}
+    yield from sorted(sums, key=lambda terms: (len(terms), terms))
+    # What is correlated over a few readings looks like these terms too.
+    best = next(iter(_totals(fits)))
+    yield from {tuple(t for t in best if t != term) for term in kept} - {*fits}
 
 
 def _drawn_sums(
@@ -560,7 +565,6 @@ def _fit(channel: _AtRest, terms: Terms, fits: Mapping[Terms, GaussianFit]) -> G
         terms: of the sum.
         fits: of other sums: a search begins at the modes of those that have one term less, too.
     """
-    deadline.current().ask()
     priors, values = channel.law(terms).parameters(), channel.log_density(terms)
     starts = list(_starts(channel, terms, priors))
     least = starts[-1]  # further terms as small as any start has them
@@ -617,6 +621,26 @@ def _starts(
             yield np.array([float(p.coordinate(scaled[n])) for n, p in priors.items()])
 
 
+def _line_size(columns: Sequence[Float[np.ndarray, "n r"]], turn: float) -> float:
+    """Return the root mean square of a line over the runs, less what other noise has at its frequency, output unit.
+
+    Where its phase lasts as long as the record a line is one amplitude, of which a law knows the order of magnitude and
+    the readings all. With c the coefficient of a run's periodogram, |c|²/2 is its mean square; neighbouring frequencies
+    tell what the other noise adds.
+
+    Args:
+        columns: of the runs, the last the output.
+        turn: per reading, in cycles.
+    """
+    excess = 0.0
+    for own in columns:
+        y, places = own[:, -1] - own[:, -1].mean(), np.arange(len(own))
+        turns = turn + np.array([0, *BESIDE, *-BESIDE]) / len(own)
+        line, *around = (abs(y @ np.exp(-2j * math.pi * one * places)) ** 2 for one in turns)
+        excess += 2 * (line - float(np.mean(around))) / len(own)
+    return math.sqrt(max(excess, 0.0) / sum(map(len, columns)))
+
+
 def _drawn(
     channel: _AtRest,
     terms: Terms,
@@ -634,29 +658,11 @@ def _drawn(
     priors = law.parameters()
     own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}
     if "tone" in terms:
-        own[TONE[0]] = _line_size(channel, terms, own, np.random.default_rng(seed))
+        coherent = own[TONE[2]] > COHERENT_SHARE * channel.longest
+        if coherent.any():
+            turn = float(np.median(own[TONE[1]][coherent])) * channel.spectrum.step
+            error = own[WHITE] / math.sqrt(sum(map(len, channel.columns)))
+            error = error * np.random.default_rng(seed).standard_normal(len(error))
+            size = np.abs(_line_size(channel.columns, turn) + error)
+            own[TONE[0]] = np.where(coherent, size, own[TONE[0]])
     return RestNoise(terms, own, law)
-
-
-def _line_size(
-    channel: _AtRest, terms: Terms, draws: Mapping[str, np.ndarray], random: np.random.Generator
-) -> Float[np.ndarray, "d"]:
-    """Return the size of a tone at each draw, output unit.
-
-    Where its phase lasts as long as the record it is one amplitude, of which the law knows the order of magnitude and
-    the readings all: the root mean square of the tone over them, with the standard deviation √(R/n) that the density R
-    of the other terms gives it at its frequency.
-    """
-    size, law, spectrum = draws[TONE[0]].copy(), channel.law(terms), channel.spectrum
-    coherent = draws[TONE[2]] > COHERENT_SHARE * channel.longest
-    own = {name: value[coherent] for name, value in draws.items()}
-    place = terms.index("tone") - len(terms)  # terms that stand after it are one each
-    square = spectrum.mean_square(law, own, place)
-    wide = {name: value[:, None] for name, value in own.items()}
-    lam = 4 * np.sin(math.pi * own[TONE[1]] * spectrum.step)[:, None] ** 2
-    others = law.spectrum(wide, spectrum.step, lam)
-    del others[place]
-    density = (wide[WHITE] ** 2 + sum((term.symbol for term in others), 0.0))[:, 0]
-    error = np.sqrt(density / spectrum.size) * random.standard_normal(len(square))
-    size[coherent] = np.abs(np.sqrt(square) + error)
-    return size

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from scipy.fft import dct
 
 from bayescal._model.noise_law import WHITE, Noise
-from bayescal._model.noise_spectrum import SpectralTerm, end_transform
+from bayescal._model.noise_spectrum import end_transform
 
 SINGLE_FREQUENCIES = 16  # on either side of a singular point, each a node of its own
 SEGMENT_RATIO = (
@@ -51,54 +51,12 @@ class EqualRuns(NamedTuple):
     ends: Float[np.ndarray, "2 u i r"]
 
 
-class EndsOfRuns(NamedTuple):
-    """One combination of the ends of runs of one length, at s settings of a law.
-
-    Attributes:
-        group, place: the runs; which of `SIGNS`.
-        m: M (s, q, q).
-        functions, white: U, and U over D, at the nodes (s, q, i).
-        inner: (I − M·Z)⁻¹·M (s, q, q).
-        at_ends: UᵀD⁻¹ times the columns of each run (s, u, q, r).
-    """
-
-    group: EqualRuns
-    place: int
-    m: Float[np.ndarray, "s q q"]
-    functions: Float[np.ndarray, "s q i"]
-    white: Float[np.ndarray, "s q i"]
-    inner: Float[np.ndarray, "s q q"]
-    at_ends: Float[np.ndarray, "s u q r"]
-
-
-class Setting(NamedTuple):
-    """Columns of runs under a law at s settings.
-
-    Attributes:
-        terms: of the law, but white noise.
-        diagonal: D at the nodes (s, j).
-        ends: of the runs.
-        log_det: log|Σ|, with that of the Gram matrix of the columns that are taken out (s,).
-        rss: whitened residual sum of squares (s,).
-        take: what of each column makes the residuals (s, r).
-    """
-
-    terms: Sequence[SpectralTerm]
-    diagonal: Float[np.ndarray, "s j"]
-    ends: Sequence[EndsOfRuns]
-    log_det: Float[np.ndarray, "s"]
-    rss: Float[np.ndarray, "s"]
-    take: Float[np.ndarray, "s r"]
-
-
 class EvenSpectrum:
     """Columns of runs of even steps, as products at nodes of frequency.
 
     Attributes:
         step: between readings, s.
         lam: λ of each node (j,).
-        rows: Σ_k ℓ_c there (j,).
-        products: Σ_k ℓ_c·t_k·t_kᵀ there (j, r, r).
     """
 
     def __init__(
@@ -113,7 +71,7 @@ class EvenSpectrum:
         """
         self.step, self.groups = step, list[EqualRuns]()
         lam, rows, products = [], [], []
-        self.width, self.size = runs[0].shape[1], sum(map(len, runs))
+        self.width = runs[0].shape[1]
         for n in sorted({len(run) for run in runs}):
             own = np.stack([dct(run, axis=0, norm="ortho") for run in runs if len(run) == n])
             e = np.stack([end_transform(n, sign) for sign in SIGNS])
@@ -122,15 +80,15 @@ class EvenSpectrum:
                 t = own[:, part]
                 lam.append(4 * np.sin(0.5 * np.pi * places / n) ** 2)
                 rows.append(len(own) * share.sum(axis=0))
-                pairs = np.einsum("ukr,uks->krs", t, t)
-                products.append(np.tensordot(share.T, pairs, 1))
+                pairs = np.einsum("ukr,uks->krs", t, t).reshape(t.shape[1], -1)
+                products.append(share.T @ pairs)
                 squares.append(e[:, part] ** 2 @ share)
                 ends.append(np.einsum("kc,ek,ukr->eucr", share, e[:, part], t, optimize=True))
             here = slice(first, sum(map(len, lam)))
             made = np.concatenate(squares, axis=1), np.concatenate(ends, axis=2)
             self.groups.append(EqualRuns(n, len(own), here, *made))
         self.lam, self.rows = np.concatenate(lam), np.concatenate(rows)
-        self.products = np.concatenate(products)
+        self._products = np.concatenate(products)
 
     def log_likelihood(self, law: Noise, values: Mapping[str, Any]) -> Float[np.ndarray, "s"]:
         """Return the restricted log likelihood of a law at s settings, but for a constant.
@@ -139,79 +97,40 @@ class EvenSpectrum:
             law: stationary.
             values: its parameters by name (s,).
         """
-        found = [-0.5 * (one.log_det + one.rss) for one in self._settings(law, values)]
+        own = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
+        count = len(own[WHITE])
+        each = max(1, CHUNK_NUMBERS // (12 * len(self.lam)))
+        chunks = [slice(at, at + each) for at in range(0, count, each)]
+        with np.errstate(all="ignore"):
+            found = [self._of_chunk(law, {n: v[c] for n, v in own.items()}) for c in chunks]
         return np.concatenate(found)
 
-    def mean_square(
-        self, law: Noise, values: Mapping[str, Any], place: int
-    ) -> Float[np.ndarray, "s"]:
-        """Return the expected mean square of a term over the readings, given them, output unit squared.
-
-        Of the covariance K = S − U·M·Uᵀ it is |K·Σ⁻¹y|² + tr(K − K·Σ⁻¹·K), over their number.
-
-        Args:
-            law: stationary.
-            values: its parameters by name (s,).
-            place: of the term in `law.spectrum`, counted from the end: −1 is the last.
-        """
-        return np.concatenate([self._power(one, place) for one in self._settings(law, values)])
-
-    def _settings(self, law: Noise, values: Mapping[str, Any]) -> Iterator[Setting]:
-        """Yield the readings under a law, some of its settings at a time."""
-        own = {name: np.reshape(np.asarray(v, float), (-1, 1)) for name, v in values.items()}
-        each = max(1, CHUNK_NUMBERS // (12 * len(self.lam)))
-        for start in range(0, len(own[WHITE]), each):
-            with np.errstate(all="ignore"):
-                yield self._setting(law, {n: v[start : start + each] for n, v in own.items()})
-
-    def _setting(self, law: Noise, values: Mapping[str, np.ndarray]) -> Setting:
+    def _of_chunk(self, law: Noise, values: Mapping[str, np.ndarray]) -> Float[np.ndarray, "s"]:
         terms = law.spectrum(values, self.step, self.lam)
         diagonal = values[WHITE] ** 2 + sum((t.symbol for t in terms), np.zeros_like(self.lam))
-        count, log_det = len(diagonal), np.log(diagonal) @ self.rows
-        gram = np.einsum("sj,jab->sab", 1 / diagonal, self.products, optimize=True)
-        u = [np.broadcast_to(u, diagonal.shape) for t in terms for u in t.ends]
-        functions, ends = np.stack(u or [diagonal[:, :0]], axis=1), list[EndsOfRuns]()
+        inverse, count = 1 / diagonal, len(diagonal)
+        log_det = np.log(diagonal) @ self.rows
+        gram = (inverse @ self._products).reshape(count, self.width, self.width)
+        functions = [np.broadcast_to(u, diagonal.shape) for t in terms for u in t.ends]
+        u = np.stack(functions, axis=1) if functions else np.zeros((count, 0, len(self.lam)))
+        whitened = u * inverse[:, None]
         for group, (k, sign) in itertools.product(self.groups, enumerate(SIGNS) if terms else ()):
             m = _block_diagonal([t.correction(group.length, sign) for t in terms], count)
-            own = functions[:, :, group.nodes]
-            white = own / diagonal[:, None, group.nodes]
-            core = np.eye(len(u)) - m @ (white * group.end_squares[k]) @ own.swapaxes(1, 2)
+            here = whitened[:, :, group.nodes]
+            z = (here * group.end_squares[k]) @ u[:, :, group.nodes].transpose(0, 2, 1)
+            core = np.eye(u.shape[1]) - m @ z
             positive, log_core = np.linalg.slogdet(core)
             log_det = log_det + group.count * np.where(positive > 0, log_core, np.inf)
-            inner = np.linalg.solve(np.where(np.isfinite(core), core, np.eye(len(u))), m)
-            at_ends = white[:, None] @ group.ends[k]  # (s, runs, q, r)
+            inner = np.linalg.solve(np.where(np.isfinite(core), core, np.eye(len(core[0]))), m)
+            at_ends = here[:, None] @ group.ends[k]  # (s, runs, q, r)
             gram = gram + np.sum(at_ends.swapaxes(2, 3) @ (inner[:, None] @ at_ends), axis=1)
-            ends.append(EndsOfRuns(group, k, m, own, white, inner, at_ends))
-        rss, take = gram[:, -1, -1], np.ones((count, 1))
+        rss = gram[:, -1, -1]
         if self.width > 1:
             known, cross = gram[:, :-1, :-1], gram[:, :-1, -1:]
             known = np.where(np.isfinite(known), known, np.eye(self.width - 1))
             log_det = log_det + np.linalg.slogdet(known)[1]
-            explained = np.linalg.solve(known, cross)
-            rss = rss - np.sum(cross * explained, axis=(1, 2))
-            take = np.append(-explained[:, :, 0], take, axis=1)
-        return Setting(terms, diagonal, ends, log_det, rss, take)
-
-    def _power(self, at: Setting, place: int) -> Float[np.ndarray, "s"]:
-        term, first = at.terms[place], sum(len(t.ends) for t in at.terms[:place])
-        gain, own = term.symbol / at.diagonal, slice(first, first + len(term.ends))
-        squares = np.einsum("sa,jab,sb->sj", at.take, self.products, at.take, optimize=True)
-        total = np.sum(gain**2 * squares + term.symbol * (1 - gain) * self.rows, axis=1)
-        for group, k, m, functions, white, inner, at_ends in at.ends:
-            e, g = group.end_squares[k], gain[:, None, group.nodes]
-            u, w, m = functions[:, own], white[:, own], m[:, own, own]
-            um = m @ u
-            moved = g * functions - (white * e) @ u.swapaxes(1, 2) @ um  # rows of K·Σ⁻¹ of an end
-            # K·Σ⁻¹y = gain·t + e·b at each frequency, t of the readings and e of the end
-            t = np.einsum("uia,sa->sui", group.ends[k], at.take)
-            ends = np.einsum("suqa,sa->suq", at_ends, at.take)
-            b = ends @ (inner.swapaxes(1, 2) @ moved) - ends[:, :, own] @ um
-            total += np.sum(2 * g * b * t + e * b**2, axis=(1, 2))
-            within = np.sum(um * u * e * (1 - 2 * g), axis=(1, 2))
-            within += np.sum(um * (((u * e) @ u.swapaxes(1, 2)) @ m @ w) * e, axis=(1, 2))
-            within += np.sum(moved * (inner @ moved) * e, axis=(1, 2))
-            total -= group.count * within
-        return total / self.size
+            rss = rss - (cross.swapaxes(1, 2) @ np.linalg.solve(known, cross))[:, 0, 0]
+        return -0.5 * (log_det + rss)
 
 
 def _block_diagonal(parts: Sequence[Any], count: int) -> Float[np.ndarray, "s q q"]:
