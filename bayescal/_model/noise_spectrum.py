@@ -129,7 +129,9 @@ def _end_of_exponential(x: Any, n: int, sign: int) -> tuple[Any, Any]:
 def difference_of_errors(size: Any, lam: Lambda) -> SpectralTerm:
     """Return differences of neighbouring independent errors: size²·(L + e₊e₊ᵀ + e₋e₋ᵀ)."""
     square = np.asarray(size) ** 2
-    return SpectralTerm(square * lam, (np.ones_like(lam),), lambda n, sign: -square.reshape(1, 1, -1))
+    return SpectralTerm(
+        square * lam, (np.ones_like(lam),), lambda n, sign: -square.reshape(1, 1, -1)
+    )
 
 
 def mean_of_errors(size: Any, lam: Lambda) -> SpectralTerm:
