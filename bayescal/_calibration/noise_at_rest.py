@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy.polynomial.legendre import legvander
 from scipy.fft import dct, idct
 from scipy.special import ndtri, softmax
@@ -260,15 +260,13 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
 
 def _pooled(parts: Sequence[WeighedNoise]) -> WeighedNoise:
     """Return the mixture of what several imputations of lost readings say."""
-    last = parts[-1]
-    names = {terms: None for one in parts for terms in one.probabilities}
-    mean = {t: float(np.mean([one.probabilities.get(t, 0.0) for one in parts])) for t in names}
-    probabilities = dict(sorted(mean.items(), key=lambda item: -item[1]))
-    drawn = [noise for one in parts for noise in one.drawn]
-    drawn.sort(key=lambda noise: -probabilities[noise.terms])
+    mean = Counter[Terms]()
+    for one in parts:
+        mean.update({terms: p / len(parts) for terms, p in one.probabilities.items()})
+    drawn = sorted((n for one in parts for n in one.drawn), key=lambda n: -mean[n.terms])
     bound = {"noise.walk": np.concatenate([one.walk.draws["noise.walk"] for one in parts])}
-    walk = last.walk._replace(draws=bound)
-    return last._replace(drawn=tuple(drawn), walk=walk, probabilities=probabilities)
+    last, walk = parts[-1], parts[-1].walk._replace(draws=bound)
+    return last._replace(drawn=tuple(drawn), walk=walk, probabilities=dict(mean.most_common()))
 
 
 def _sums(
@@ -300,13 +298,11 @@ def _drawn_sums(
     channel: _AtRest, fits: dict[Terms, GaussianFit], seed: int
 ) -> tuple[list[RestNoise], RestNoise, dict[Terms, float]]:
     """Draws of the probable sums, of the most probable one with a random walk, and the probability of each."""
-    sampled = dict[Terms, tuple[np.ndarray, np.ndarray]]()
+    sampled = dict[Terms, list[np.ndarray]]()  # and their weights
 
     def sample(terms: Terms) -> float:
-        v, weights, evidence = importance_draws(
-            channel.log_density(terms), fits[terms], seed, DRAWS
-        )
-        sampled[terms] = v, weights
+        values = channel.log_density(terms)
+        *sampled[terms], evidence = importance_draws(values, fits[terms], seed, DRAWS)
         return evidence
 
     while True:
@@ -498,29 +494,7 @@ def _filled(
     step: float,
     random: np.random.Generator,
 ) -> Float[np.ndarray, "n r"]:
-    """Return a run whose lost readings are drawn from a noise law, given the others; its curve is interpolated."""
-    lost = np.isnan(columns[:, -1])
-    if not lost.any():
-        return columns
-    places = np.arange(len(lost))
-    curve = [np.interp(places, places[~lost], one[~lost]) for one in columns.T[:-1]]
-    design = np.column_stack([np.ones(len(lost)), *curve])
-    there = np.linalg.lstsq(design[~lost], columns[~lost, -1], rcond=None)[0]
-    mean = design @ there
-    own = {name: np.array([[value]]) for name, value in values.items()}
-    terms = law.spectrum(own, step, eigenvalues(len(lost)))
-    density = own[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, len(lost))))
-    noise = _conditional_draw(columns[:, -1] - mean, lost, density[0], random)
-    return np.column_stack([*curve, mean + noise])
-
-
-def _conditional_draw(
-    noise: Float[np.ndarray, "n"],
-    lost: Bool[np.ndarray, "n"],
-    density: Float[np.ndarray, "n"],
-    random: np.random.Generator,
-) -> Float[np.ndarray, "n"]:
-    """Return stationary noise with its lost values drawn given the others, by conjugate gradients.
+    """Return a run whose lost readings are drawn from a noise law, given the others; its curve is interpolated.
 
     With the precision Q = CᵀD⁻¹C, C the cosine transform and D the density in frequency (but for a run's ends), and m
     the lost places, Q_mm·x_m = (CᵀD^(−½)·ε)_m − (Q·x)_m, where x is zero at m and ε standard normal, has their mean
@@ -528,24 +502,28 @@ def _conditional_draw(
 
     Source: G. Papandreou and A. Yuille, Advances in Neural Information Processing Systems 23 (2010) 1858.
     """
+    lost, n = np.isnan(columns[:, -1]), len(columns)
+    if not lost.any():
+        return columns
     from scipy.sparse.linalg import LinearOperator, cg  # a third of a second that most do without
 
-    weight = np.append(0.0, 1 / density[1:])
-    places = np.flatnonzero(lost)
+    places, (m,) = np.arange(n), np.nonzero(lost)
+    curve = [np.interp(places, places[~lost], one[~lost]) for one in columns.T[:-1]]
+    design = np.column_stack([np.ones(n), *curve])
+    mean = design @ np.linalg.lstsq(design[~lost], columns[~lost, -1], rcond=None)[0]
+    own = {name: np.array([[value]]) for name, value in values.items()}
+    terms = law.spectrum(own, step, eigenvalues(n))
+    density = own[WHITE] ** 2 + sum((term.symbol for term in terms), np.zeros((1, n)))
+    weight = np.append(0.0, 1 / density[0, 1:])
 
     def precise(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "m"]:
-        return idct(weight * dct(x, norm="ortho"), norm="ortho")[places]
+        return idct(weight * dct(x, norm="ortho"), norm="ortho")[m]
 
-    def at_lost(x: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
-        full = np.zeros(len(lost))
-        full[places] = x
-        return precise(full)
-
-    known = np.where(lost, 0.0, noise)
-    right = idct(np.sqrt(weight) * random.standard_normal(len(lost)), norm="ortho")[places]
-    size = len(places)
-    known[places], _ = cg(LinearOperator((size, size), at_lost), right - precise(known), rtol=1e-6)
-    return known
+    q = LinearOperator((len(m), len(m)), lambda x: precise(np.bincount(m, x.ravel(), n)))
+    noise = np.where(lost, 0.0, columns[:, -1] - mean)
+    right = idct(np.sqrt(weight) * random.standard_normal(n), norm="ortho")[m] - precise(noise)
+    noise[m], _ = cg(q, right, rtol=1e-6)
+    return np.column_stack([*curve, mean + noise])
 
 
 def _means(values: Float[np.ndarray, "n"], part: Int[np.ndarray, "k c"]) -> np.ndarray:
@@ -568,57 +546,43 @@ def _fit(channel: _AtRest, terms: Terms, fits: Mapping[Terms, GaussianFit]) -> G
     priors, values = channel.law(terms).parameters(), channel.log_density(terms)
     starts = list(_starts(channel, terms, priors))
     least = starts[-1]  # further terms as small as any start has them
-    for i in range(len(terms)):
-        if (part := terms[:i] + terms[i + 1 :]) in fits:
-            known = dict(zip(channel.law(part).parameters(), fits[part].v, strict=True))
-            starts.append(np.array([known.get(n, v) for n, v in zip(priors, least, strict=True)]))
+    for part in {terms[:i] + terms[i + 1 :] for i in range(len(terms))} & {*fits}:
+        known = dict(zip(channel.law(part).parameters(), fits[part].v, strict=True))
+        starts.append(np.array([known.get(n, v) for n, v in zip(priors, least, strict=True)]))
     scale = np.ones(len(priors))
     if "tone" in terms:  # a line is known to a part of its width
-        prior, frequency, width = (
-            priors[TONE[1]],
-            channel.line[TONE[1]],
-            0.1 / channel.line[TONE[2]],
-        )
-        near = prior.coordinate(np.array([frequency - width, frequency]))
-        scale[list(priors).index(TONE[1])] = near[1] - near[0]
+        near = channel.line[TONE[1]] - np.array([0.1 / channel.line[TONE[2]], 0.0])
+        scale[list(priors).index(TONE[1])] = np.diff(priors[TONE[1]].coordinate(near))[0]
     order = np.argsort(-values(np.array(starts)))[:STARTS]
     return max((climb(values, starts[i], scale) for i in order), key=lambda fit: fit.log_density)
 
 
-def _starts(
-    channel: _AtRest, terms: tuple[str, ...], priors: dict[str, Any]
-) -> Iterator[np.ndarray]:
+def _starts(channel: _AtRest, terms: Terms, priors: dict[str, Any]) -> Iterator[np.ndarray]:
     """Coordinates, from the Allan curve: each term as large as the curve lets it be, times in several places."""
     tau, allan, step, line = channel.tau, channel.allan, channel.spectrum.step, channel.line
-    walk = math.sqrt(3 * allan[-1] / tau[-1])
     sizes = {
-        "noise.walk": walk,
+        WHITE: math.sqrt(allan[0]),
+        "noise.walk": math.sqrt(3 * allan[-1] / tau[-1]),
         "noise.flicker": math.sqrt(float(np.min(allan)) / FLAT),
         "noise.quantisation": tau[0] * math.sqrt(allan[0] / 3),
         "noise.averaging": math.sqrt(allan[0]),
+        **line,
     }
-    if line:
-        sizes |= line
-    places = [0.2, 0.5, 0.8]
-    alike, memories = terms.count("correlated"), (0.25, 2.0, 100.0) if "tone" in terms else (1.0,)
-    several = itertools.combinations(places, alike) if alike else [()]
-    for shares, memory in itertools.product(several, memories):
-        times = [step * (channel.longest / step) ** share for share in shares]
-        values = {WHITE: math.sqrt(allan[0]), **sizes}
-        values |= {TONE[2]: min(memory * line[TONE[2]], 0.7 * channel.longest)} if line else {}
-        before = step
-        for k, time in enumerate(times, 1):
+    several = itertools.combinations([0.2, 0.5, 0.8], terms.count("correlated"))
+    memories = (0.25, 2.0, 100.0) if "tone" in terms else (1.0,)
+    for shares, memory, factor in itertools.product(several, memories, (1.0, 0.3)):
+        values, before = {n: v if n == WHITE else factor * v for n, v in sizes.items()}, step
+        if line:
+            values[TONE[1]] = line[TONE[1]]
+            values[TONE[2]] = min(memory * line[TONE[2]], 0.7 * channel.longest)
+        for k, share in enumerate(shares, 1):
+            time = step * (channel.longest / step) ** share
             variance = 1.6 * float(np.interp(math.log(2 * time), np.log(tau), allan))
-            values[f"noise.correlated{k}.diffusion"] = math.sqrt(2 * variance / time)
+            values[f"noise.correlated{k}.diffusion"] = factor * math.sqrt(2 * variance / time)
             values[f"noise.correlated{k}.time"] = time
             part = math.log(time / before) / math.log(channel.longest / before)
-            values[f"noise.correlated{k}.place"] = float(ndtri(np.clip(part, 5e-4, 1 - 5e-4)))
-            before = time
-        for factor in (1.0, 0.3):
-            held = (".time", ".place", ".frequency")
-            kept = {n for n in values if n == WHITE or n.endswith(held)}
-            scaled = {n: v * (1 if n in kept else factor) for n, v in values.items()}
-            yield np.array([float(p.coordinate(scaled[n])) for n, p in priors.items()])
+            values[f"noise.correlated{k}.place"], before = float(ndtri(part)), time
+        yield np.array([float(p.coordinate(values[n])) for n, p in priors.items()])
 
 
 def _line_size(columns: Sequence[Float[np.ndarray, "n r"]], turn: float) -> float:
@@ -642,18 +606,9 @@ def _line_size(columns: Sequence[Float[np.ndarray, "n r"]], turn: float) -> floa
 
 
 def _drawn(
-    channel: _AtRest,
-    terms: Terms,
-    v: Float[np.ndarray, "s d"],
-    weights: Float[np.ndarray, "s"],
-    seed: int,
-    share: float,
+    channel: _AtRest, terms: Terms, v: np.ndarray, weights: np.ndarray, seed: int, share: float
 ) -> RestNoise:
-    """Parameters of equal probability, drawn anew by their weights.
-
-    Args:
-        share: of all draws that are kept.
-    """
+    """Return parameters of equal probability, drawn anew by the weights of v; `share` of all draws that are kept."""
     chosen, law = v[resample(weights, max(1, round(share * KEPT)), seed)], channel.law(terms)
     priors = law.parameters()
     own = {n: np.asarray(p.value(chosen[:, i])) for i, (n, p) in enumerate(priors.items())}

@@ -25,7 +25,7 @@ DIFFERENCE = 0.1  # and of one that is about standard normal
 LEAST_CURVATURE = 0.05  # in scaled coordinates, that counts as one
 LONGEST_STEP = 1.5  # of a scaled coordinate
 STEP_SHARES = np.array([1.0, 2.0, 0.5, 0.2, 0.05])  # of a Newton step that are tried
-ITERATIONS = 40
+ITERATIONS = 40  # at most; five are usual
 CONVERGED_NATS = 1e-4  # that a Newton step would gain, below which the mode is found
 ROUNDS = 4  # of proposals that are adapted, at most
 

@@ -102,15 +102,15 @@ class NoiseTerm(abc.ABC):
     def variance(self, values: Values, bounds: Bounds) -> Any:
         """Of a reading, output unit squared."""
 
-    @abc.abstractmethod
     def spectrum(
         self, values: Values, bounds: Bounds, step: float, lam: Float[np.ndarray, "j"]
     ) -> list[SpectralTerm]:
         """Return its covariance in frequency on readings a step apart; values are arrays (s, 1).
 
         Raises:
-            NotImplementedError: it is not stationary.
+            NotImplementedError: it is not stationary, or nobody needs it yet.
         """
+        raise NotImplementedError(f"{self.words} noise has no spectrum here")
 
     def fresh(self, values: Values, bounds: Bounds, step: float) -> Any:
         """About the variance of what is new in it a usual step after the reading before; in no harm if it is rough."""
@@ -330,10 +330,6 @@ class SmoothTerm(NoiseTerm):
         # The slope's own part is a quarter of what is new in it where z is small: never near zero.
         last = jnp.where(moves, jnp.sqrt(rest), 0.0)
         return Block(carry, size * pairs(first, 0 * x, share, last), size * jnp.eye(2))
-
-    def spectrum(self, values, bounds, step, lam):
-        own = self.variance(values, bounds), values["noise.smooth.time"]
-        return [noise_spectrum.matern(*own, step, lam)]
 
     def allan(self, values, bounds, m, step):
         """With c(a) that of exp(−a·k), (1 + a·k)·exp(−a·k) has c − a·∂c/∂a, the slope by a complex step; over short
