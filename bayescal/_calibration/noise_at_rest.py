@@ -81,6 +81,7 @@ WINDOW = 64  # readings of the shortest spectra in which a line is looked for; o
 WINDOWS = 8  # of the longest, at least
 # Places of a spectrum from a line to what it stands above: a window's own width is 2.
 BESIDE = np.array([3, 4, 5, 6])
+LINE_BLOCKS = 256  # of a run, along which the phase of a line is followed
 COHERENT_SHARE = 0.25  # of the longest run, for which a line keeps its phase
 SMOOTH = 0.02  # relative, of a spectrum without lines over as many places: it bends where one noise takes over another
 STARTS = 2  # of the starts tried, those from which a maximum is looked for
@@ -585,24 +586,30 @@ def _starts(channel: _AtRest, terms: Terms, priors: dict[str, Any]) -> Iterator[
         yield np.array([float(p.coordinate(values[n])) for n, p in priors.items()])
 
 
-def _line_size(columns: Sequence[Float[np.ndarray, "n r"]], turn: float) -> float:
-    """Return the root mean square of a line over the runs, less what other noise has at its frequency, output unit.
+def _line_size(y: Float[np.ndarray, "n"], turn: float) -> float:
+    """Return the root mean square of a line in a run, less what other noise has at its frequency, output unit.
 
     Where its phase lasts as long as the record a line is one amplitude, of which a law knows the order of magnitude and
-    the readings all. With c the coefficient of a run's periodogram, |c|²/2 is its mean square; neighbouring frequencies
-    tell what the other noise adds.
+    the readings all: with c the largest coefficient of the periodogram near its frequency, |c|²/2 is its mean square.
 
     Args:
-        columns: of the runs, the last the output.
-        turn: per reading, in cycles.
+        y: output.
+        turn: about its frequency, cycles per reading.
     """
-    excess = 0.0
-    for own in columns:
-        y, places = own[:, -1] - own[:, -1].mean(), np.arange(len(own))
-        turns = turn + np.array([0, *BESIDE, *-BESIDE]) / len(own)
-        line, *around = (abs(y @ np.exp(-2j * math.pi * one * places)) ** 2 for one in turns)
-        excess += 2 * (line - float(np.mean(around))) / len(own)
-    return math.sqrt(max(excess, 0.0) / sum(map(len, columns)))
+    n = len(y)
+    edges = np.linspace(0, n, min(LINE_BLOCKS, n) + 1).astype(int)
+    slow = np.add.reduceat((y - y.mean()) * np.exp(-2j * math.pi * turn * np.arange(n)), edges[:-1])
+    place = 0.5 * (edges[:-1] + edges[1:]) / n
+
+    def power(offset: float) -> float:
+        """Return the periodogram, so many cycles per run from the frequency."""
+        return 2 * abs(slow @ np.exp(-2j * math.pi * offset * place)) ** 2 / n
+
+    offset = 0.0
+    for width in (0.8, 0.1):
+        offset = max(offset + width * np.linspace(-1, 1, 9), key=power)
+    around = np.mean([power(offset + k) for k in (*BESIDE, *-BESIDE)])
+    return math.sqrt(max(power(offset) - float(around), 0.0) / n)
 
 
 def _drawn(
@@ -616,8 +623,9 @@ def _drawn(
         coherent = own[TONE[2]] > COHERENT_SHARE * channel.longest
         if coherent.any():
             turn = float(np.median(own[TONE[1]][coherent])) * channel.spectrum.step
-            error = own[WHITE] / math.sqrt(sum(map(len, channel.columns)))
+            run = max(channel.columns, key=len)[:, -1]
+            error = own[WHITE] / math.sqrt(len(run))
             error = error * np.random.default_rng(seed).standard_normal(len(error))
-            size = np.abs(_line_size(channel.columns, turn) + error)
+            size = np.abs(_line_size(run, turn) + error)
             own[TONE[0]] = np.where(coherent, size, own[TONE[0]])
     return RestNoise(terms, own, law)

@@ -74,7 +74,7 @@ def test_rounding_of_an_angle_is_quantisation_noise() -> None:
 
 @pytest.mark.slow
 def test_a_line_is_a_tone_and_no_density() -> None:
-    readings, frequency = still(12, n=3000, walk=0.0), 2.31  # Hz
+    readings, frequency = still(14, n=3000, walk=0.0), 2.31  # Hz
     line = 0.004 * math.sqrt(2) * np.cos(2 * math.pi * frequency * readings["time"])
     found = bc.noise(readings.with_column("output", readings["output"] + line))
     assert found.law == "white + tone"
