@@ -244,7 +244,7 @@ def weigh_noise(readings: Measurements, seed: int = 0) -> WeighedNoise:
         filled = [_filled(own, law, values, runs.step, random) for own in columns]
         lines = [line[TONE[1]]] if "tone" in further else []
         channel = _AtRest(filled, EvenSpectrum(filled, runs.step, lines), *made)
-        fits = {base: _fit(channel, base, {})}
+        fits: dict[Terms, GaussianFit] = {base: _fit(channel, base, {})}
         try:
             for terms in _sums(fits, base, further, kept):
                 end.ask()
@@ -299,11 +299,12 @@ def _drawn_sums(
     channel: _AtRest, fits: dict[Terms, GaussianFit], seed: int
 ) -> tuple[list[RestNoise], RestNoise, dict[Terms, float]]:
     """Draws of the probable sums, of the most probable one with a random walk, and the probability of each."""
-    sampled = dict[Terms, list[np.ndarray]]()  # and their weights
+    sampled = dict[Terms, tuple[np.ndarray, np.ndarray]]()  # and their weights
 
     def sample(terms: Terms) -> float:
         values = channel.log_density(terms)
-        *sampled[terms], evidence = importance_draws(values, fits[terms], seed, DRAWS)
+        v, weights, evidence = importance_draws(values, fits[terms], seed, DRAWS)
+        sampled[terms] = v, weights
         return evidence
 
     while True:
@@ -518,7 +519,7 @@ def _filled(
     weight = np.append(0.0, 1 / density[0, 1:])
 
     def precise(x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "m"]:
-        return idct(weight * dct(x, norm="ortho"), norm="ortho")[m]
+        return np.asarray(idct(weight * dct(x, norm="ortho"), norm="ortho"))[m]
 
     q = LinearOperator((len(m), len(m)), lambda x: precise(np.bincount(m, x.ravel(), n)))
     noise = np.where(lost, 0.0, columns[:, -1] - mean)
@@ -603,7 +604,7 @@ def _line_size(y: Float[np.ndarray, "n"], turn: float) -> float:
 
     def power(offset: float) -> float:
         """Return the periodogram, so many cycles per run from the frequency."""
-        return 2 * abs(slow @ np.exp(-2j * math.pi * offset * place)) ** 2 / n
+        return float(2 * abs(slow @ np.exp(-2j * math.pi * offset * place)) ** 2 / n)
 
     offset = 0.0
     for width in (0.8, 0.1):

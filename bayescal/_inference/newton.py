@@ -122,6 +122,6 @@ def importance_draws(
     mixture = adapted(mode, centred, None, random, count // 2, ROUNDS, math.inf)
     u, log_proposal = propose(mixture, None, random, count)
     log_weight = centred(u) - log_proposal
-    evidence = float(logsumexp(log_weight)) - math.log(count)
+    evidence = float(np.asarray(logsumexp(log_weight))) - math.log(count)
     evidence += float(np.linalg.slogdet(fit.root)[1])
     return fit.v + u @ fit.root.T, smoothed(log_weight)[0], evidence

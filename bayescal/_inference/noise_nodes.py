@@ -22,8 +22,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.fft import dct
 
-from bayescal._model.noise_law import WHITE, Noise
+from bayescal._model.noise_law import WHITE
 from bayescal._model.noise_spectrum import end_transform
+from bayescal._model.summed_noise import SumOfTerms
 
 SINGLE_FREQUENCIES = 16  # on either side of a singular point, each a node of its own
 SEGMENT_RATIO = (
@@ -73,7 +74,7 @@ class EvenSpectrum:
         lam, rows, products = [], [], []
         self.width = runs[0].shape[1]
         for n in sorted({len(run) for run in runs}):
-            own = np.stack([dct(run, axis=0, norm="ortho") for run in runs if len(run) == n])
+            own = np.stack([np.asarray(dct(r, axis=0, norm="ortho")) for r in runs if len(r) == n])
             e = np.stack([end_transform(n, sign) for sign in SIGNS])
             squares, ends, first = [], [], sum(map(len, lam))
             for part, places, share in _segments(n, [2 * f * step * n for f in lines]):
@@ -90,7 +91,7 @@ class EvenSpectrum:
         self.lam, self.rows = np.concatenate(lam), np.concatenate(rows)
         self._products = np.concatenate(products)
 
-    def log_likelihood(self, law: Noise, values: Mapping[str, Any]) -> Float[np.ndarray, "s"]:
+    def log_likelihood(self, law: SumOfTerms, values: Mapping[str, Any]) -> Float[np.ndarray, "s"]:
         """Return the restricted log likelihood of a law at s settings, but for a constant.
 
         Args:
@@ -105,7 +106,9 @@ class EvenSpectrum:
             found = [self._of_chunk(law, {n: v[c] for n, v in own.items()}) for c in chunks]
         return np.concatenate(found)
 
-    def _of_chunk(self, law: Noise, values: Mapping[str, np.ndarray]) -> Float[np.ndarray, "s"]:
+    def _of_chunk(
+        self, law: SumOfTerms, values: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "s"]:
         terms = law.spectrum(values, self.step, self.lam)
         diagonal = values[WHITE] ** 2 + sum((t.symbol for t in terms), np.zeros_like(self.lam))
         inverse, count = 1 / diagonal, len(diagonal)

@@ -16,7 +16,6 @@ from scipy import stats
 
 import bayescal as bc
 from bayescal._inference.noise_nodes import EvenSpectrum
-from bayescal._inference.noise_nodes import EvenSpectrum
 from bayescal._model.noise_terms import ENDLESS, FASTEST, RUNGS
 from bayescal._model.state_space import States, filtered
 from bayescal_models import still_sensor
@@ -432,29 +431,6 @@ def test_products_in_frequency_give_the_restricted_likelihood(terms, rng) -> Non
     nodes = EvenSpectrum(parts, STEP, [VALUES["noise.tone.frequency"]])
     values = {name: np.full(2, VALUES[name]) for name in law.parameters()}
     assert nodes.log_likelihood(law, values) == pytest.approx(expected, rel=1e-7)
-
-
-@pytest.mark.parametrize(
-    "terms", [*SUMS, ("quantisation",), ("correlated", "averaging"), ("tone", "averaging")], ids=name_of
-)
-def test_products_in_frequency_give_the_restricted_likelihood(terms, rng) -> None:
-    """Two runs of one length and one of another, longer than single nodes reach; a column and levels taken out."""
-    lengths, law = (130, 130, 310), law_of(terms)
-    time = STEP * np.concatenate([np.arange(n) for n in lengths])
-    run = np.repeat(np.arange(3), lengths)
-    dense = (run[:, None] == run) * slow_covariance(terms, time[:, None] - time)
-    dense += VALUES["noise.white"] ** 2 * np.eye(time.size)
-    columns = np.column_stack([np.exp(-time / 40), rng.standard_normal(time.size).cumsum()])
-    levels = (run[:, None] == np.arange(3)) / np.sqrt(lengths)
-    whole = np.column_stack([levels, columns])
-    gram = whole.T @ np.linalg.solve(dense, whole)
-    known = gram[:-1, :-1]
-    rss = gram[-1, -1] - gram[-1, :-1] @ np.linalg.solve(known, gram[:-1, -1])
-    expected = -0.5 * (np.linalg.slogdet(dense)[1] + np.linalg.slogdet(known)[1] + rss)
-    parts = [columns[run == k] for k in range(3)]
-    nodes = EvenSpectrum(parts, STEP, [VALUES["noise.tone.frequency"]])
-    values = {name: np.full(2, VALUES[name]) for name in law.parameters()}
-    assert nodes.log_likelihood(law, values) == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("kind", slow_but(["apart"], ["one", "apart", "last", "together"]))
