@@ -218,10 +218,7 @@ noise.no_level (note)
 noise.temperature (note)
     A polynomial of degree {degree} over {of[0]} was taken out beside the noise.
 noise.lost (note)
-    {share:.2g} % of the readings were lost: the filter goes on without.
-noise.blocks (note)
-    Of {readings} readings the filter took {means} means of {count} by their exact law, and {stretches} stretches of
-    {length} single readings.
+    {share:.2g} % of the readings were lost: they are drawn from the noise law, given the others.
 noise.event (note)
     At {at} s the average over {over} s changes by {change} {unit:unit}, {times} times what is usual: that is an event,
     such as a warm-up, a knock or a step, and the law takes it for noise.
