@@ -22,6 +22,7 @@ from bayescal._calibration.guards import (
 from bayescal._calibration.posterior_tree import build_tree, with_log_likelihood
 from bayescal._calibration.storage import save
 from bayescal._calibration.summary import chi_squared, null_directions, summary, unknowns_parts
+from bayescal._core.flag import Flag
 from bayescal._core.formatting import WIDTH
 from bayescal._core.result_table import Printed, ResultTable
 from bayescal._model.model import in_short
@@ -56,8 +57,11 @@ class Calibration(Printed, Fitted):
         lines.append(str(self.verdict))
         lines += [f"conflict: {words}" for words in self.conflicts]
         lines += [f"unit? {words}" for words in self.off_scale]
-        said = {*map(str, self.conflicts)}
-        lines += [f"not reliable: {words}" for words in self.verdict.against if words not in said]
+        told = {(one.code, one.of) for one in self.conflicts}
+        further = [
+            w for w in self.verdict.against if not (isinstance(w, Flag) and (w.code, w.of) in told)
+        ]
+        lines += [f"not reliable: {words}" for words in further]
         return "\n".join(textwrap.fill(line, WIDTH) for line in lines)
 
     def _brief(self) -> str:

@@ -55,6 +55,7 @@ def sources_of(readings: Measurements) -> tuple[Source, ...]:
 
 def description(c: Fitted) -> dict[str, Any]:
     """All that a calibration is but its numbers, by the names of what is installed."""
+    against = c.verdict.against
     return {
         "schema": "bayescal.calibration/1",  # of 0.2: identities stay what they were
         "instrument": c.model.instrument.name,
@@ -86,7 +87,7 @@ def description(c: Fitted) -> dict[str, Any]:
             for s in c.readings.sources
         ],
         "flags": list(c.readings.flags),
-        **({"flag_codes": codes} if (codes := _codes(c.readings.flags)) else {}),
+        **({"flag_codes": codes} if (codes := _codes((*c.readings.flags, *against))) else {}),
         **({"nominal_scale": asdict(scale)} if (scale := c.readings.scale) else {}),
     }
 

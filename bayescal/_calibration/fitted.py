@@ -56,9 +56,9 @@ class Fitted:
     start: dict[str, float] = field(default_factory=dict)
     confounded: tuple[Confounder, ...] | None = None  # None: to be asked of the readings
 
-    def judged(self, against: Iterable[Any]) -> Self:
+    def judged(self, against: Iterable[str]) -> Self:
         """The same, checked, with why it is not to be used though it converged; nothing where it may be."""
-        return self.with_verdict(against=tuple(map(str, against)), checked=True)
+        return self.with_verdict(against=tuple(against), checked=True)
 
     def with_verdict(self, **changes: Any) -> Self:
         """The same with another verdict; what was computed of it is kept."""

@@ -63,7 +63,7 @@ def why_not(calibration: Calibration) -> str:
     known = vars(calibration)  # kept with what else is computed of it
     if "why_not" not in known:
         said = noiseless(calibration)
-        known["why_not"] = said or " ".join(map(str, _against(calibration)))
+        known["why_not"] = said or " ".join(_against(calibration))
     return known["why_not"]
 
 

@@ -173,6 +173,7 @@ def _fields(
     if unknown := set(layout.promoted) - {b.name for b in layout.blocks}:
         raise ValueError(f"{', '.join(sorted(unknown))} is no coefficient of its model")
     verdict = Verdict.read(described["verdict"])
+    verdict = replace(verdict, against=_with_codes(verdict.against, described))
     joint = _draws_from(groups, layout, finite=verdict.ok)
     mode = _mode_from(groups, layout, finite=verdict.ok)
     confounded = tuple(Confounder(**one) for one in described.get("confounded", ()))
@@ -239,11 +240,15 @@ def _mode_from(groups: Groups, layout: Layout, finite: bool) -> Mode:
     return mode._replace(indefinite=mode.indefinite > 0)
 
 
+def _with_codes(said: Sequence[str], described: dict[str, Any]) -> tuple[str, ...]:
+    codes = described.get("flag_codes", {})
+    return tuple(Flag(words, *codes[words]) if words in codes else words for words in said)
+
+
 def _readings_from(groups: Groups, described: dict[str, Any]) -> Measurements:
     _arrays(groups, "observed_data", {"output": (None,)})
     data = renamed(groups["constant_data"].merge(groups["observed_data"]), named_back)
     sources = tuple(Source(**s) for s in described["sources"])
-    given, codes = described.get("nominal_scale"), described.get("flag_codes", {})
-    flags = tuple(Flag(f, *codes[f]) if f in codes else f for f in described["flags"])
+    given, flags = described.get("nominal_scale"), _with_codes(described["flags"], described)
     scale = given and NominalScale(**given)
     return Measurements.from_xarray(data, sources=sources, flags=flags, scale=scale)

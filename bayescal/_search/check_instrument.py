@@ -275,7 +275,7 @@ def _recover(
                 "allowed=(…)? Can the condition that it asks for occur?"
             )
         else:
-            found.errors += map(str, off_scale(b.effect, adds, found.noise, found.unit))
+            found.errors += off_scale(b.effect, adds, found.noise, found.unit)
         if c.per is None:
             truth, remark = float(x[b.start]), "its basis is zero" if zero else ""
             if (

@@ -125,7 +125,7 @@ class Discovery(Printed):
 
     def _parts(self) -> list[str | ResultTable]:
         """What is missing, and every candidate, the most probable first."""
-        lines: list[str | ResultTable] = [_folded(str(one)) for one in self.equivalent]
+        lines: list[str | ResultTable] = [_folded(one) for one in self.equivalent]
         lines += _findings(self)
         if self.noise:
             shown = [n for n in self.noise if n.probability >= SHOWN_PROBABILITY]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayescal._calibration.claim import Claim, as_kept, distinct
+from bayescal._calibration.claim import Claim, as_claim
 from bayescal._calibration.judgement import (
     CORRELATED_SD,
     of_noise,
@@ -40,7 +40,7 @@ def gate(steps: Sequence[Step]) -> Gate:
 
 def _gate(steps: Sequence[Step], reasons: Sequence[Claim]) -> Gate:
     if reasons:
-        return Gate(False, " ".join(map(str, reasons)), tuple(reasons))
+        return Gate(False, " ".join(reasons), tuple(reasons))
     # Of fewer readings no correlation reaches that many standard deviations.
     if len(steps[-1].calibration.readings) < int(CORRELATED_SD**2) + 1:
         return Gate(True, "converged; too few readings to see whether neighbours are correlated")
@@ -59,10 +59,9 @@ def against(steps: Sequence[Step]) -> tuple[Claim, ...]:
         *_taken_over(steps),
         *_against_the_steps_before(steps),
     ]
-    earlier = map(as_kept, last.calibration.verdict.against)
-    found = distinct([*_freed(steps), *found])
-    said = {*map(str, found)}
-    return (*(one for one in distinct(earlier) if str(one) not in said), *found)
+    found = dict.fromkeys([*_freed(steps), *found])
+    earlier = (w for w in last.calibration.verdict.against if w not in found)
+    return (*dict.fromkeys(map(as_claim, earlier)), *found)
 
 
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:

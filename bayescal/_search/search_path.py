@@ -67,13 +67,13 @@ class Step:
     against: tuple[Claim, ...] = ()
     different: tuple[Claim, ...] = ()
 
-    def judged(self, against: Sequence[Claim | str]) -> Step:
+    def judged(self, against: Sequence[str]) -> Step:
         """The same, whose calibration knows why it is not to be used."""
         return replace(self, calibration=self.calibration.judged(against))
 
-    def noted(self, notes: Sequence[Claim | str]) -> Step:
+    def noted(self, notes: Sequence[str]) -> Step:
         """The same, whose calibration says this beside how it was fitted."""
-        said = (*dict.fromkeys((*self.calibration.verdict.notes, *map(str, notes))),)
+        said = (*dict.fromkeys((*self.calibration.verdict.notes, *notes)),)
         return replace(self, calibration=self.calibration.with_verdict(notes=said))
 
     @cached_property

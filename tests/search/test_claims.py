@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import pickle
 import string
 from pathlib import Path
 
 import pytest
 
-from bayescal._calibration.claim import Claim, as_kept, distinct
+from bayescal._calibration.claim import Claim, as_claim
 from bayescal._calibration.claim_words import WORDS, Words
 
 PAGE = Path(__file__).with_name("claims.txt")
@@ -54,7 +55,8 @@ def test_equal_claims_count_once_and_those_of_a_saved_calibration_too() -> None:
         Claim("prior.widened", "x", contraction=-3.0),
     )
     assert one == Claim("prior.widened", "x", contraction=-2.0) != other
-    assert distinct([one, other, one, as_kept(str(other))]) == (one, other)
+    assert {one, other, as_claim(one), as_claim(str(other))} == {one, other}
+    assert pickle.loads(pickle.dumps(one)).numbers == one.numbers
     assert one.data() == {
         "code": "prior.widened",
         "of": ["x"],

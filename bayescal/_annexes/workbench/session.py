@@ -400,7 +400,7 @@ class Session:
         """
         begin = self.current
         if begin.step.against and not self._loop.freed(begin.step):
-            raise ModelError(f"nothing is looked for: {' '.join(map(str, begin.step.against))}")
+            raise ModelError(f"nothing is looked for: {' '.join(begin.step.against)}")
         self._followers.append(follow)
         try:
             with self._in_time():
