@@ -112,7 +112,6 @@ from ._tables.raw_table import option as option
 from ._use.correction import NOT_RELIABLE as NOT_RELIABLE
 from ._use.correction import CorrectionInUse as CorrectionInUse
 from ._use.correction import CorrectionKind as CorrectionKind
-from ._use.correction import kept_why as kept_why
 from ._use.correction_files import as_data as as_data
 from ._use.correction_files import as_text as as_text
 from ._use.correction_files import format_of as format_of
