@@ -12,12 +12,13 @@ import xarray as xr
 
 from bayescal._calibration.claim import Claim
 from bayescal._calibration.fitted import Fitted
-from bayescal._calibration.guards import (
-    conflicts,
+from bayescal._calibration.judgement import (
+    CONFLICTS,
+    FEW,
+    GROUPS,
+    Subject,
+    claims,
     effects_off_scale,
-    following_members,
-    too_different,
-    too_few,
 )
 from bayescal._calibration.posterior_tree import build_tree, with_log_likelihood
 from bayescal._calibration.storage import save
@@ -92,17 +93,12 @@ class Calibration(Printed, Fitted):
     @cached_property
     def conflicts(self) -> tuple[Claim, ...]:
         """Where readings and priors contradict each other, and what else a fit may not be."""
-        return (
-            *conflicts(self),
-            *too_different(self),
-            *following_members(self),
-            *too_few(self),
-        )
+        return tuple(claims((*CONFLICTS, *GROUPS, *FEW), Subject(self)))
 
     @cached_property
     def off_scale(self) -> tuple[Claim, ...]:
         """Effects that at their plausible size are a million times smaller or larger than the noise."""
-        return () if too_few(self) else tuple(effects_off_scale(self))
+        return effects_off_scale(self)
 
     @cached_property
     def tree(self) -> xr.DataTree:

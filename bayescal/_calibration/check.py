@@ -18,7 +18,7 @@ from bayescal._calibration.covariate_evidence import (
     together,
 )
 from bayescal._calibration.fit import fit
-from bayescal._calibration.guards import uncorrelated
+from bayescal._calibration.judgement import uncorrelated
 from bayescal._calibration.noise_in_time import SIGNIFICANT_P, allan_check
 from bayescal._calibration.worst_region import worst_regions
 from bayescal._core.parallel import on_one_thread

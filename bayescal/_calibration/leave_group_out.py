@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import fdtrc
 
-from bayescal._calibration.calibration import Calibration
+from bayescal._calibration.fitted import Fitted
 from bayescal._calibration.part import Part
 from bayescal._core.parallel import on_one_thread
 from bayescal._data.measurements import Measurements
@@ -86,7 +86,7 @@ def groups_of(readings: Measurements) -> tuple[str, tuple[str, ...], np.ndarray]
 
 
 @on_one_thread
-def leave_one_group_out(calibration: Calibration) -> LeaveOneGroupOut | None:
+def leave_one_group_out(calibration: Fitted) -> LeaveOneGroupOut | None:
     """Predict every group from the others; None where the noise is not Gaussian."""
     if not calibration.model.noise.gaussian:
         return None

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.covariate_evidence import Covariate
+from bayescal._calibration.fitted import Fitted
 
 RUN_REGION_READINGS = 8  # readings that a run needs for a region of its own where a model fails
 
@@ -33,7 +33,7 @@ class Region:
     covariate_unit: str
 
 
-def worst_regions(calibration: Calibration, covariates: list[Covariate]) -> list[Region]:
+def worst_regions(calibration: Fitted, covariates: list[Covariate]) -> list[Region]:
     """For each covariate the range of neighbouring bins whose mean residual is worst against its uncertainty.
 
     Means and uncertainties follow the noise law: under correlated noise a long range counts for less.
@@ -65,9 +65,7 @@ def _binned(covariate: Covariate, own: np.ndarray) -> tuple[np.ndarray, int]:
     return bins, BINS
 
 
-def _worst(
-    calibration: Calibration, covariate: Covariate, own: np.ndarray, run: str | None
-) -> Region:
+def _worst(calibration: Fitted, covariate: Covariate, own: np.ndarray, run: str | None) -> Region:
     """Of all readings, or one run's own."""
     bins, count = _binned(covariate, own)
     pull, weight = calibration.linear.along((bins[:, None] == np.arange(count)).astype(float))

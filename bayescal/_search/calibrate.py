@@ -16,9 +16,15 @@ import numpy as np
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.check import check
 from bayescal._calibration.fit import fit
-from bayescal._calibration.guards import PRIOR, following_members, too_different
 from bayescal._calibration.holdout_contradiction import HoldoutTest
-from bayescal._calibration.judgement import noiseless, wrong_question
+from bayescal._calibration.judgement import (
+    GROUPS,
+    PRIOR,
+    Subject,
+    claims,
+    noiseless,
+    wrong_question,
+)
 from bayescal._calibration.leave_group_out import leave_one_group_out, scheme
 from bayescal._calibration.noise_in_time import noise_floor
 from bayescal._calibration.predict import predict
@@ -463,10 +469,7 @@ def step_of(
         check=checked,
         discovery=None,
         against=wrong_question(calibration, floor, accepted),
-        different=(
-            *too_different(calibration, accepted),
-            *following_members(calibration, accepted),
-        ),
+        different=tuple(claims(GROUPS, Subject(calibration, accepted))),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc, logsumexp, ndtri
 
 from bayescal._calibration.claim import Claim
-from bayescal._calibration.guards import off_scale
+from bayescal._calibration.judgement import off_scale
 from bayescal._core.null_space import UNDECIDED_SHARE
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density

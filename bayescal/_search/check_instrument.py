@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bayescal._calibration.fit import fit
-from bayescal._calibration.guards import off_scale
+from bayescal._calibration.judgement import off_scale
 from bayescal._calibration.summary import null_directions
 from bayescal._core.errors import BayescalError, ModelError
 from bayescal._core.formatting import number, with_error

@@ -10,11 +10,13 @@ import numpy as np
 from bayescal._calibration.claim import Claim, as_claim
 from bayescal._calibration.judgement import (
     CORRELATED_SD,
-    of_noise,
+    LEFT_OUT,
+    THERMOMETERS,
+    Subject,
+    claims,
     of_runs,
-    of_thermometers,
     only_between_runs,
-    surprising,
+    residual_claims,
 )
 from bayescal._calibration.leave_group_out import FEW_IN_GROUP, scheme
 from bayescal._core.settings import settings
@@ -50,18 +52,34 @@ def _gate(steps: Sequence[Step], reasons: Sequence[Claim]) -> Gate:
 def against(steps: Sequence[Step]) -> tuple[Claim, ...]:
     """Why the last model is not to be used; what was found against it earlier among it."""
     last = steps[-1]
-    found = last.against or [
-        *last.different,
-        *of_noise(last.calibration, last.check, last.doubts, _may_be_missing(last)),
-        *_undecided(last),
-        *_equivalent(last, "doubt"),
-        *of_thermometers(last.calibration, steps[0].calibration.model),
-        *_taken_over(steps),
-        *_against_the_steps_before(steps),
-    ]
+    found = last.against or _claims_of_last(steps)
     found = dict.fromkeys([*_freed(steps), *found])
     earlier = (w for w in last.calibration.verdict.against if w not in found)
     return (*dict.fromkeys(map(as_claim, earlier)), *found)
+
+
+def _claims_of_last(steps: Sequence[Step]) -> list[Claim]:
+    last = steps[-1]
+    subject = Subject(
+        last.calibration,
+        check=last.check,
+        left_out=last.left_out,
+        doubts=last.doubts,
+        first=steps[0].calibration.model,
+        missing=_may_be_missing(last),
+    )
+    return [
+        *last.different,
+        *residual_claims(subject),
+        *_undecided(last),
+        *_equivalent(last, "doubt"),
+        *claims(THERMOMETERS, subject),
+        *_taken_over(steps),
+        *_against_the_steps_before(steps),
+        *claims(LEFT_OUT, subject),
+        *_runs_apart(last),
+        *_contradicted(last),
+    ]
 
 
 def judged(steps: Sequence[Step]) -> tuple[tuple[Step, ...], Gate]:
@@ -222,7 +240,7 @@ def _against_the_steps_before(steps: Sequence[Step]) -> list[Claim]:
     if (best := holdout_better(last, earlier)) and best.holdout_rmse and last.holdout_rmse:
         errors = {"then": best.holdout_rmse, "now": last.holdout_rmse, "unit": unit}
         reasons.append(Claim(WORSE, what="the hold-out data", step=best.title, **errors))
-    return [*reasons, *surprising(last.left_out), *_runs_apart(last), *_contradicted(last)]
+    return reasons
 
 
 def _runs_apart(step: Step) -> list[Claim]:

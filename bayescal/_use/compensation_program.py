@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity, sources_of
-from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import inclusion
+from bayescal._calibration.why_not import why_not
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
