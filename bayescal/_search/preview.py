@@ -98,7 +98,10 @@ def preview(calibration: Calibration, effect: Effect | str | Model) -> Preview:
 
 
 class Previews:
-    """Previews of several effects over one calibration: columns are computed once, and each preview is kept."""
+    """Previews of several effects over one calibration: columns are computed once, and each preview is kept.
+
+    Of the instrument's effects, an unknown dependence on each column and the user's own, or of those given alone.
+    """
 
     def __init__(
         self,
@@ -106,18 +109,13 @@ class Previews:
         effects: Sequence[Effect] | None = None,
         own: Sequence[Effect] = (),
     ) -> None:
-        """Args:
-        calibration: a fit.
-        effects: that may be asked for; if not given, the instrument's and an unknown dependence on each column.
-        own: further ones of the user's own.
-        """
         model, readings = calibration.model, calibration.readings
         if effects is None:
             instrument = model.instrument
             effects = (*instrument.candidates, *instrument.effects, *placeholders(model, readings))
-        effects = (*effects, *own)
+        every = (*effects, *own)
         self.calibration = calibration
-        self.effects = {e.name: e for e in effects if testable(e, readings) is None}
+        self.effects = {e.name: e for e in every if testable(e, readings) is None}
         self.record = calibration.problem.record.beside()
         self.record.show((*self.effects.values(), *model.effects))
         self._made: dict[str, tuple[Effect, Preview]] = {}
@@ -131,12 +129,8 @@ class Previews:
         if isinstance(effect, str):
             effect = self.effects.get(effect) or self.calibration.model.instrument.effect(effect)
         chosen, made = self._made.get(effect.name, (None, None))
-        if made is None or chosen != effect:
-            made = self._previewed(effect)
-            self._made[effect.name] = effect, made
-        return made
-
-    def _previewed(self, effect: Effect) -> Preview:
+        if made is not None and chosen == effect:
+            return made
         model = self.calibration.model + effect
         if (reason := testable(effect, self.calibration.readings)) is not None:
             raise ModelError(
@@ -145,13 +139,11 @@ class Previews:
         line, covariance, evidence = self._fitted(model, refined=not effect.is_placeholder)
         size, size_sd = _size(effect, line, covariance)
         hyper = line.problem.hyper(line.mode.v)
-        return replace(
-            self._compared(effect.name, line, evidence),
-            size=size,
-            size_sd=size_sd,
-            unit=effect.coefficients[0].unit,
-            shape={s.name: float(hyper[effect.shape_name(s)]) for s in effect.column_shapes},
-        )
+        shape = {s.name: float(hyper[effect.shape_name(s)]) for s in effect.column_shapes}
+        told = {"size": size, "size_sd": size_sd, "unit": effect.coefficients[0].unit}
+        made = replace(self._compared(effect.name, line, evidence), **told, shape=shape)
+        self._made[effect.name] = effect, made
+        return made
 
     def of_model(self, model: Model) -> Preview:
         """What another model of the same readings would do.
