@@ -161,9 +161,7 @@ def covariates_of(calibration: Calibration) -> list[Covariate]:
     return found
 
 
-def _duos(
-    covariates: list[Covariate],
-) -> list[tuple[Covariate, Covariate]]:
+def _duos(covariates: list[Covariate]) -> list[tuple[Covariate, Covariate]]:
     """Pairs of covariates that are not nearly one and the same."""
     varied = [b for b in covariates if not b.levels]
     rank = {b.name: _ranks(b.values) for b in varied}
@@ -180,10 +178,6 @@ def autocorrelation(calibration: Calibration, standardised: np.ndarray) -> tuple
     A fit takes from residuals what it follows: about a fitted level, n independent readings have −1/(n − 1). With
     r that of the residuals and ρ that expected of independent noise under this model, the coefficient is the
     difference on Fisher's scale, tanh(artanh r − artanh ρ), which is within ±1.
-
-    Args:
-        calibration: the fitted model.
-        standardised: its whitened residuals.
     """
     order, step = calibration.problem.record.in_time
     first = np.flatnonzero((step[1:] >= 0) | (not calibration.readings.has("time")))

@@ -282,12 +282,7 @@ class _Filled(string.Formatter):
 
 
 def worded(code: str, holds: Mapping[str, Any]) -> str:
-    """A claim in words: what it says, and what to do.
-
-    Args:
-        code: of the claim.
-        holds: what it is of, and its numbers; `cure` says which of several cures is meant.
-    """
+    """A claim in words: what it says, and what to do."""
     words = WORDS[code]
     cure = words.cures.get(holds.get("cure", ""), "")
     return _Filled().vformat(f"{words.says} {cure}".rstrip(), (), holds)

@@ -127,12 +127,7 @@ def stand_alone(layout: Layout) -> Bool[np.ndarray, "p"]:
 
 
 def given_up(linear: LinearModel, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "p k"]:
-    """By how much a model's coefficients would stand elsewhere beside further ones of one standard deviation each.
-
-    Args:
-        linear: the model.
-        columns: of these, whitened, per standard deviation.
-    """
+    """By how much a model's coefficients would stand elsewhere beside further ones of one standard deviation each."""
     p = linear.problem.layout.size
     return -(linear.root[:p] * linear.sd[:p, None]) @ linear.projected(columns)
 
@@ -174,10 +169,7 @@ def unexplained(model: Model, readings: Measurements) -> dict[str, Float[np.ndar
 
 
 def widened(
-    x: Float[np.ndarray, "chains draws p"],
-    found: Sequence[Confounder],
-    layout: Layout,
-    seed: int,
+    x: Float[np.ndarray, "chains draws p"], found: Sequence[Confounder], layout: Layout, seed: int
 ) -> Float[np.ndarray, "chains draws p"]:
     """Draws of the coefficients that hold what columns may have done: of the same mean."""
     for i, one in enumerate(found):

@@ -113,10 +113,7 @@ def _resized(model: Model) -> dict[str, float]:
 
     def resized(e: Effect) -> bool:
         known = own.get(e.name)
-        if known is None or e.coefficients in (
-            known.coefficients,
-            _as_before(known).coefficients,
-        ):
+        if known is None or e.coefficients in (known.coefficients, _as_before(known).coefficients):
             return bool(e.frees)
         return replace(e, coefficients=known.coefficients, shapes=known.shapes) == known
 

@@ -90,7 +90,7 @@ class AcceptanceCheck(NamedTuple):
 
     Attributes:
         codes: of the claims that it makes.
-        test: yields them, of a subject and the limits.
+        test: makes them, of a subject (of a search: its steps) and the limits.
         limits: by name, as the table gives them.
     """
 
@@ -99,21 +99,15 @@ class AcceptanceCheck(NamedTuple):
     limits: Mapping[str, float] = {}
 
 
-def claims(checks: Iterable[AcceptanceCheck], subject: Subject) -> list[Claim]:
-    """Return all that some checks say against a fit, in their order."""
+def claims(checks: Iterable[AcceptanceCheck], subject: Any) -> list[Claim]:
+    """Return all that some checks say of a subject, in their order."""
     return [claim for one in checks for claim in one.test(subject, **one.limits)]
 
 
 def wrong_question(
     fit: Fitted, noise_floor: float, accepted: Collection[str] = ()
 ) -> tuple[Claim, ...]:
-    """Return why nothing can be learnt from a model: readings that contradict it, or rounded more than they vary.
-
-    Args:
-        fit: of the model.
-        noise_floor: noise that no model could remove, output unit.
-        accepted: coefficients or effects that may contradict their priors.
-    """
+    """Return why nothing can be learnt from a model: readings that contradict it, or rounded more than they vary."""
     free = [e for e in fit.model.effects if e.frees]
     freed = (n for e in free for n in (e.name, e.frees))
     subject = Subject(fit, {*accepted, *freed}, noise_floor)

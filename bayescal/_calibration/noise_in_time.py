@@ -135,11 +135,7 @@ def allan_check(calibration: Fitted) -> AllanCheck | None:
 
 
 def _drawn(
-    calibration: Fitted,
-    mode: dict[str, Any],
-    variance: float,
-    factors: np.ndarray,
-    step: float,
+    calibration: Fitted, mode: dict[str, Any], variance: float, factors: np.ndarray, step: float
 ) -> Float[np.ndarray, "d k"]:
     """Allan variances under the law's parameters drawn from the posterior, or at the mode.
 

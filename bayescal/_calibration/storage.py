@@ -19,12 +19,7 @@ import numpy as np
 import xarray as xr
 
 from bayescal._calibration.confounding import Confounder
-from bayescal._calibration.description import (
-    description,
-    identity,
-    model_from,
-    of_today,
-)
+from bayescal._calibration.description import description, identity, model_from, of_today
 from bayescal._calibration.fitted import Fitted
 from bayescal._core.atomic_file import (
     named_back,

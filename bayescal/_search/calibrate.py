@@ -301,13 +301,7 @@ class Loop:
     def averaged(
         self, steps: Sequence[Step], goal: Structure, search: Search | None = None
     ) -> SearchPath:
-        """Judge the last of some steps, and average it over the structures that were weighed.
-
-        Args:
-            steps: on the way to a structure, each with what is missing from it.
-            goal: that structure.
-            search: how the search stood at its end; None: as it stands.
-        """
+        """Judge the last of some steps, and average it over the structures that were weighed."""
         assert self.library is not None
         structures, end, steps = self.library.structures, deadline.current(), [*steps]
         if (last := steps[-1].discovery) is not None:
@@ -437,16 +431,9 @@ class Loop:
 
 
 def step_of(
-    calibration: Calibration,
-    holdout: Measurements | None = None,
-    accepted: Collection[str] = (),
+    calibration: Calibration, holdout: Measurements | None = None, accepted: Collection[str] = ()
 ) -> Step:
     """A fit as a step: checked, with its errors; what is missing from it is not asked yet.
-
-    Args:
-        calibration: the fit.
-        holdout: hold-out data.
-        accepted: coefficients or effects that may contradict their priors.
 
     Raises:
         InputError: the readings show no noise.

@@ -116,16 +116,7 @@ def judge(
     with_it: Weighed | None,
     form: str,
 ) -> Candidate:
-    """One candidate on its own.
-
-    Args:
-        library: of all candidates.
-        name: under which it is reported.
-        points: its scores, the most probable first.
-        at: the structure that it is missing from.
-        with_it: the same with it, refitted; None where it was not.
-        form: the most probable one.
-    """
+    """One candidate on its own."""
     top, several = points[0], len(library.structures.forms[name]) > 1
     effect = library.structures.candidates[top.effect]
     found = Candidate(
@@ -324,10 +315,7 @@ def kind_of(candidate: Candidate, found: bool, plausible: float) -> Candidate:
         return candidate  # to be seen well enough, and explained by what was found
     # Visible means: a plausible size would be found. Where nuisances take all but a hundredth, what is left hangs on
     # their exact form, and the plausible size must be enough by itself.
-    least, hidden = (
-        candidate.minimum_detectable,
-        (candidate.visibility or 0.0) < UNDECIDED_SHARE,
-    )
+    least, hidden = (candidate.minimum_detectable, (candidate.visibility or 0.0) < UNDECIDED_SHARE)
     most = plausible * (1.0 if hidden else DETECTABLE_SIZES)
     if least is None or least > most:
         return replace(candidate, kind="not visible", reason="not detectable in this experiment")

@@ -264,12 +264,6 @@ def with_causes(
 ) -> Measurements:
     """The readings, in which nothing depends on the columns to ignore, and on no other one than given, if any is.
 
-    Args:
-        readings: as read, where other channels of the unit are no causes.
-        instrument: whose columns may be causes in any case.
-        ignore: columns that are none.
-        covariates: further columns that may be; None for all that were read as such.
-
     Raises:
         InputError: there is no such column, or one is both.
     """

@@ -54,10 +54,6 @@ def with_spans(structures: Structures, floor: float) -> Structures:
     """Structures that know which candidates these readings cannot tell from the base's effects, or from one another.
 
     Candidates with shapes, and of groups, are left to evidence, which sums over them.
-
-    Args:
-        structures: candidates beside a base.
-        floor: standard deviation of neighbouring readings about each other, output unit.
     """
     structures = replace(structures, floor=min(floor, _left_by_all(structures)))
     line, columns = _columns(structures)

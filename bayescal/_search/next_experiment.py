@@ -169,12 +169,7 @@ def divergence(truth: Outlook, rival: Outlook) -> float:
 
 
 def outlook(calibration: Calibration, readings: Measurements) -> Outlook:
-    """What a fitted model expects of a campaign.
-
-    Args:
-        calibration: the fit.
-        readings: the campaign's plan; of more than `MOST_READINGS` readings, as many evenly spread.
-    """
+    """What a fitted model expects of a campaign."""
     means, noise = expected_readings(calibration, readings, DRAWS)
     # Signal by draws, noise in closed form: a covariance from draws alone would have the rank of their number.
     centred = means - means.mean(axis=0)
@@ -186,11 +181,6 @@ def expected_readings(
     calibration: Calibration, readings: Measurements, draws: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """What a fitted model expects of a campaign: means of draws (d, n), covariance of the rest (n, n).
-
-    Args:
-        calibration: the fit.
-        readings: the campaign's plan.
-        draws: of the posterior.
 
     Returns:
         Expected outputs of each draw, members of groups new; and what single readings add to that: noise, the

@@ -92,10 +92,6 @@ class Posterior:
         A description that carries more than a small part stands for something that has no name here: a structure with
         one is not complete, also where the description is among the given, or the noise. One that does not counts for
         nothing.
-
-        Args:
-            structures: that were weighed.
-            unseen: effects of which the readings say nothing: of these it is not asked.
         """
         given = Structure(self.given)
         rest = structures.reported(given) | self.families({*unseen, *structures.latent(given)})

@@ -172,13 +172,7 @@ def log_mass(v: Float[np.ndarray, "k"], mean: float = 0.0, sd: float = 1.0) -> n
 
 
 def said(structures: Structures, name: str, shape: Shape) -> ShapeEvidence:
-    """What a channel says of a shape by the structures weighed of it.
-
-    Args:
-        structures: of the channel.
-        name: of the effect.
-        shape: as the instrument states it; the structures may hold it with another range.
-    """
+    """What a channel says of a shape by the structures weighed of it."""
     own = structures.candidates[name].shared_shape
     assert own is not None
     holding, without = (_best(structures, name, holds=h) for h in (True, False))

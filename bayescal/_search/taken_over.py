@@ -104,12 +104,7 @@ class TakenOver(NamedTuple):
 def taken_over(
     first: Calibration, last: Calibration, latent: Collection[str] = ()
 ) -> list[TakenOver]:
-    """Terms of the first model that what was added may stand for, the one that moved the most first.
-
-    Args:
-        first, last: fits of the same readings, the second with effects added.
-        latent: effects that were not.
-    """
+    """Terms of the first model that what was added may stand for, the one that moved the most first."""
     had = {e.name for e in first.model.effects}.union(latent)
     added = [e for e in last.model.effects if e.name not in had]
     found: list[TakenOver] = []

@@ -231,10 +231,7 @@ def _look_around(library: Library, at: Weighed, max_effects: int, among: Scope) 
 
 
 def _weigh_forms(
-    structures: Structures,
-    at: Weighed,
-    but: Collection[str] = (),
-    finer: bool = False,
+    structures: Structures, at: Weighed, but: Collection[str] = (), finer: bool = False
 ) -> Generator[Weighed, None, set[str]]:
     """Weigh a structure with the forms of its effects that no score tells of, each in place of the one that it has.
 
