@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import bdtr, kolmogorov, ndtr, smirnov
 
 from bayescal._calibration.calibration import Calibration
-from bayescal._calibration.check_result import Check, Entry, FixedComparison, Pair
+from bayescal._calibration.check_result import Check, Entry, FixedComparison, Pair, Region
 from bayescal._calibration.covariate_evidence import (
     Covariate,
     log_bayes_factors,
@@ -20,7 +20,6 @@ from bayescal._calibration.covariate_evidence import (
 from bayescal._calibration.fit import fit
 from bayescal._calibration.judgement import uncorrelated
 from bayescal._calibration.noise_in_time import SIGNIFICANT_P, allan_check
-from bayescal._calibration.worst_region import worst_regions
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
 from bayescal._inference.least_squares import LeastSquares
@@ -35,6 +34,9 @@ FARTHEST_SHARE = 0.1  # share of the readings, those farthest from the model, wh
 DUOS = 15  # pairs of covariates, at most
 MEMBERS = 64  # of a group that is looked at member by member, at most
 ROUNDING = 1e-9  # share of a sum, below which it is the rounding of its terms
+
+RUN_REGION_READINGS = 8  # readings that a run needs for a region of its own where a model fails
+BINS = 12  # of a covariate
 
 
 @on_one_thread
@@ -273,3 +275,66 @@ def _uniform(values: np.ndarray) -> float:
     root = np.sqrt(n)
     x = root * apart
     return float(kolmogorov(x + 1 / (6 * root) + (x - 1) / (4 * n)))
+
+
+def worst_regions(calibration: Calibration, covariates: list[Covariate]) -> list[Region]:
+    """For each covariate the range of neighbouring bins whose mean residual is worst against its uncertainty.
+
+    Means and uncertainties follow the noise law: under correlated noise a long range counts for less.
+    """
+    levels, codes = calibration.readings.groups("run")
+    every: list[tuple[str | None, np.ndarray]] = [(None, np.ones(len(codes), bool))]
+    runs = [(level, codes == k) for k, level in enumerate(levels)] if len(levels) > 1 else []
+    runs = [(level, own) for level, own in runs if own.sum() >= RUN_REGION_READINGS]
+    found = []
+    for covariate in covariates:
+        parts = every if covariate.levels else [*every, *runs]
+        regions = [_worst(calibration, covariate, own, run) for run, own in parts]
+        # One run's own region must be clearly worse than the common one to be named.
+        region = max(regions, key=lambda r: abs(r.z) - (r.group is not None))
+        group = covariate.levels[int(region.low)] if covariate.levels else region.group
+        found.append(replace(region, group=group))
+    return found
+
+
+def _binned(covariate: Covariate, own: np.ndarray) -> tuple[np.ndarray, int]:
+    """The bin of each reading, −1 for those that are not its own; and how many bins there are."""
+    values = covariate.values[own]
+    distinct, bins = np.unique(values), np.full(len(covariate.values), -1)
+    if covariate.levels or len(distinct) <= BINS:
+        bins[own] = np.searchsorted(distinct, values)
+        return bins, len(distinct)
+    edges = np.quantile(values, np.linspace(0, 1, BINS + 1)[1:-1])
+    bins[own] = np.searchsorted(edges, values, side="right")
+    return bins, BINS
+
+
+def _worst(
+    calibration: Calibration, covariate: Covariate, own: np.ndarray, run: str | None
+) -> Region:
+    """Of all readings, or one run's own."""
+    bins, count = _binned(covariate, own)
+    pull, weight = calibration.linear.along((bins[:, None] == np.arange(count)).astype(float))
+    starts, ends = np.triu_indices(count + 1, 1)
+    short = ends - starts <= (1 if covariate.levels else max(1, (2 * count) // 3))
+    starts, ends = starts[short], ends[short]
+    pulls = np.append(0.0, np.cumsum(pull))
+    weights = np.pad(weight.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    total = pulls[ends] - pulls[starts]
+    information = (weights[ends, ends] - weights[starts, ends]) - (
+        weights[ends, starts] - weights[starts, starts]
+    )
+    known = information > 0
+    scores = np.where(known, total, 0.0) / np.sqrt(np.where(known, information, 1.0))
+    at = int(np.argmax(np.abs(scores)))
+    z = float(scores[at])
+    inside = (bins >= starts[at]) & (bins < ends[at])
+    values = covariate.values[inside] if inside.any() else covariate.values
+    return Region(
+        low=float(values.min()),
+        high=float(values.max()),
+        group=run,
+        size=float(total[at] / information[at]) if z != 0 else 0.0,
+        z=z,
+        covariate_unit=covariate.unit,
+    )
