@@ -61,7 +61,10 @@ def check(calibration: Calibration) -> Check:
     pairs = [Pair((a.name, b.name), f) for (a, b), f in zip(duos, of_duos, strict=True)]
     loo = _leave_one_out(judged, white)
     # Where the mean is off, so are size and side of the residuals: these are judged only where it is not.
-    off = max(factors, default=0.0) >= settings().strong_evidence
+    off, one_sided = max(factors, default=0.0) >= settings().strong_evidence, 1.0
+    if (count := int(FARTHEST_SHARE * len(loo))) and not off:  # sign test (binomial, two-sided)
+        above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
+        one_sided = min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5)))
     return Check(
         entries=tuple(sorted(entries, key=lambda e: -e.log_bayes_factor)),
         pairs=tuple(sorted(pairs, key=lambda p: -p.log_bayes_factor)),
@@ -76,7 +79,7 @@ def check(calibration: Calibration) -> Check:
             (i, z) for i, z in enumerate(loo.tolist()) if abs(z) > settings().outlier_sd
         ),
         pit_p=_uniform(ndtr(loo)),
-        one_sided=1.0 if off else _one_sided(loo),
+        one_sided=one_sided,
         fixed=_compare_fixed(calibration, residual, noise, free_noise),
         residuals=residual,
         allan=allan_check(judged),
@@ -245,13 +248,6 @@ def _leave_one_out(calibration: Calibration, white: np.ndarray) -> np.ndarray:
     leverage = np.sum(calibration.linear.directions**2, axis=1)
     # V⁻¹r over the root of V⁻¹'s diagonal, both from the leverages.
     return white / np.sqrt(np.maximum(1 - leverage, 1e-12))
-
-
-def _one_sided(loo: np.ndarray) -> float:
-    """p-value of the sign test (binomial, two-sided) on the readings that stand farthest from the model."""
-    count = int(FARTHEST_SHARE * len(loo))
-    above = int(np.sum(loo[np.argsort(-np.abs(loo))[:count]] > 0))
-    return min(1.0, 2 * float(bdtr(min(above, count - above), count, 0.5))) if count else 1.0
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:

@@ -62,11 +62,12 @@ def save(calibration: Fitted, path: Path) -> Path:
     if path.suffix != ".nc":
         raise InputError(f"A calibration is saved as NetCDF: name the file …nc, not {path.name!r}")
     readings = renamed(calibration.readings.to_xarray(), storable)
+    parts = {n: np.asarray(value, float) for n, value in calibration.mode._asdict().items()}
     groups = {
         "observed_data": readings[["output"]],
         "constant_data": readings.drop_vars("output"),
         "draws": draws_dataset(calibration.joint),
-        "mode": _mode_dataset(calibration.mode),
+        "mode": xr.Dataset({n: ([f"{n}_{i}" for i in range(a.ndim)], a) for n, a in parts.items()}),
     }
     described = json.dumps({**description(calibration), "schema": SCHEMA})
     content = netcdf_bytes(groups, bayescal=described, bayescal_identity=identity(calibration))
@@ -81,23 +82,14 @@ def draws_dataset(draws: Draws) -> xr.Dataset:
     return xr.Dataset(vectors)
 
 
-def _mode_dataset(mode: Mode) -> xr.Dataset:
-    parts = {name: np.asarray(value, float) for name, value in mode._asdict().items()}
-    return xr.Dataset({n: ([f"{n}_{i}" for i in range(a.ndim)], a) for n, a in parts.items()})
-
-
-def _saved_in(folder: Path) -> str:
-    """The calibrations in a folder, or in those of a unit's channels, by name."""
-    found = sorted([*folder.glob("*.nc"), *folder.glob("*/*.nc")])
-    return f", {' or '.join(map(str, found[:6]))}" if found else ""
-
-
 def load_calibration(
     path: Path, effects: Sequence[Effect] = (), instruments: Sequence[Instrument] = ()
 ) -> dict[str, Any]:
     """Read the fields of a calibration; see `bayescal.load`."""
     if path.is_dir():
-        raise InputError(f"{path} is a folder: give the calibration in it{_saved_in(path)}")
+        saved = sorted([*path.glob("*.nc"), *path.glob("*/*.nc")])
+        there = f", {' or '.join(map(str, saved[:6]))}" if saved else ""
+        raise InputError(f"{path} is a folder: give the calibration in it{there}")
     if not path.is_file():
         raise InputError(f"There is no file {path}: give a calibration saved by bayescal (…nc)")
     content = io.BytesIO(verified(path, "a saved calibration", AGAIN))

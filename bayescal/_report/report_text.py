@@ -607,12 +607,9 @@ def _not_decided(chapter: Chapter) -> Iterator[str]:
         yield f"Not decided: {'; '.join(dict.fromkeys(open_))}."
     if chapter.data["other_path"] is not None:
         rival = chapter.data["other_path"]
-        added = " and ".join(rival["added"]) or "nothing"
-        factor = rival["log_bayes_factor"]
-        yield (
-            f"Undecided: noise law {rival['noise']}, with {added} added, is nearly as probable (log Bayes factor "
-            f"{factor:.1f})."
-        )
+        what = f"noise law {rival['noise']}, with {' and '.join(rival['added']) or 'nothing'} added"
+        factor = f"log Bayes factor {rival['log_bayes_factor']:.1f}"
+        yield f"Undecided: {what}, is nearly as probable ({factor})."
 
 
 def listed(words: list[str], last: str = "and") -> str:

@@ -118,7 +118,7 @@ def judge(
 ) -> Candidate:
     """One candidate on its own."""
     top, several = points[0], len(library.structures.forms[name]) > 1
-    effect = library.structures.candidates[top.effect]
+    effect, before = library.structures.candidates[top.effect], float(np.trace(top.products))
     found = Candidate(
         effect=name,
         form=form if several else "",
@@ -126,7 +126,7 @@ def judge(
         z=_z(top, library.grouped(top.effect)),
         unit=effect.coefficients[0].unit,
         shape={**top.point.shapes, **top.size.scales},
-        visibility=_visibility(top),
+        visibility=float(np.trace(top.information)) / before if before > 0 else 0.0,
         minimum_detectable=_minimum_detectable(library, top),
         role=effect.role,
     )
@@ -232,11 +232,6 @@ def _z(point: ScoredPoint, group: bool) -> float:
     keep = values > 1e-10 * max(values.max(), 1e-300)
     square = float(np.sum((vectors.T @ u)[keep] ** 2 / values[keep]))
     return float(-ndtri(max(chdtrc(keep.sum(), square), 1e-300)))
-
-
-def _visibility(point: ScoredPoint) -> float:
-    before = float(np.trace(point.products))
-    return float(np.trace(point.information)) / before if before > 0 else 0.0
 
 
 def _minimum_detectable(library: Library, point: ScoredPoint) -> float | None:

@@ -197,7 +197,8 @@ def another_run(calibration: Calibration, columns: Sequence[str]) -> str:
     if others or column not in calibration.frame.rates:
         return f"Vary {' and '.join(columns)} otherwise in another run."
     values, rates = readings[column], np.abs(np.asarray(calibration.frame.rates[column]))
-    runs = _rows_of_runs(readings)
+    (names, codes), order = run_codes(readings), np.argsort(readings["time"], kind="stable")
+    runs = [order[codes[order] == code] for code in range(len(names))]
     begins = float(np.median([values[rows][0] for rows in runs]))
     low, high = float(values.min()), float(values.max())
     ends = (low, high) if abs(begins - low) > abs(begins - high) else (high, low)
@@ -221,9 +222,3 @@ def another_run(calibration: Calibration, columns: Sequence[str]) -> str:
         f"One run of another profile would tell: from {number(ends[0], 3)} to {number(ends[1], 3)} °C and back, "
         f"{ramp}{dwell}."
     )
-
-
-def _rows_of_runs(readings: Measurements) -> list[np.ndarray]:
-    names, codes = run_codes(readings)
-    order = np.argsort(readings["time"], kind="stable")
-    return [order[codes[order] == code] for code in range(len(names))]

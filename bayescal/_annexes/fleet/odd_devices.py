@@ -43,8 +43,6 @@ def odd_devices(
 ) -> dict[str, list[str]]:
     """Return the devices of which a quantity is not like the others', and what is said of each.
 
-    One unknown is read after the other, for a process may not hold all.
-
     Args:
         results: rows of `device`, `coefficient`, `mean`, `sd`, `unit` and `ok`, of one model.
         facts: one row a device, by its name: how many readings it has, and its reference temperature T0, °C.
@@ -78,9 +76,8 @@ def odd_devices(
         p, middle = predicted(mean**power if power < 1 else mean, variance, freedom, least)
         usual = number(abs(middle) ** (1 / power) if power < 1 else middle)
         for i in np.flatnonzero(p < least).tolist():
-            said = (
-                f"{name} {number(mean[i])}, of the others {usual} {unit_label(own['unit'].iloc[0])}"
-            )
+            said = f"{name} {number(mean[i])}, of the others {usual} "
+            said += unit_label(own["unit"].iloc[0])
             odd.setdefault(str(devices[i]), []).append(said.rstrip())
     return odd
 
