@@ -336,7 +336,9 @@ def discovery_at(
             probability=posterior.inclusion(name),
             indistinguishable_from=tuple(sorted(near)),
         )
-        plausible = _plausible(structures.candidates[points[name][0].effect])
+        effect = structures.candidates[points[name][0].effect]
+        sizes = (s.high for s in effect.shapes if s.name == effect.measure)
+        plausible = next(sizes, effect.coefficients[0].size)
         judged.append(kind_of(candidate, name in in_sets, plausible))
     alone = structures.unscored if scored else structures.candidates
     for name in sorted(posterior.families(alone) - had):
@@ -359,6 +361,8 @@ def discovery_at(
     first = list(found[0].effects) if found else []
     leads = [c.effect for c in ranked if c.kind == "lead"] if len(first) < 2 else []
     rivals = list(dict.fromkeys(first + leads))[:RIVALS]
+    laws = {"": structures.base.noise, **structures.laws} if structures.laws else {}
+    each = [LawProbability(n.name, n.in_words, posterior.noise(k)) for k, n in laws.items()]
     return Discovery(
         nothing_missing=posterior.complete(structures, (c.effect for c in judged if c.unseen))
         if stated
@@ -373,26 +377,11 @@ def discovery_at(
         candidates=(*ranked, *shut),
         best=tuple(best),
         rivals=tuple(structures.candidates[posterior.form(n)] for n in rivals),
-        noise=tuple(_laws(structures, posterior)),
+        noise=tuple(sorted(each, key=lambda law: -law.probability)),
         stopped=stopped,
         unstated="" if stated else ENDED,
         off_scale=too_small_or_large(library, points, here),
     )
-
-
-def _laws(structures: Structures, posterior: Posterior) -> list[LawProbability]:
-    """The laws that were weighed, the most probable first; none where there was no choice."""
-    if not structures.laws:
-        return []
-    laws = {"": structures.base.noise, **structures.laws}
-    each = [LawProbability(n.name, n.in_words, posterior.noise(k)) for k, n in laws.items()]
-    return sorted(each, key=lambda law: -law.probability)
-
-
-def _plausible(effect: Effect) -> float:
-    """The size that an effect plausibly has, in the unit in which it is reported."""
-    amplitude = next((s for s in effect.shapes if s.name == effect.measure), None)
-    return effect.coefficients[0].size if amplitude is None else amplitude.high
 
 
 def _findings(found: Discovery) -> list[str]:
