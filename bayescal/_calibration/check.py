@@ -109,20 +109,18 @@ def _judged(calibration: Calibration) -> tuple[Calibration, float | None]:
 def _compare_fixed(
     calibration: Calibration, residual: np.ndarray, noise: float, free: float | None
 ) -> FixedComparison | None:
-    return (
-        None
-        if free is None
-        else FixedComparison(
-            noise=noise,
-            free_fit=free,
-            known=known_noise(calibration),
-            mean=float(residual.mean()),
-            low=float(residual.min()),
-            high=float(residual.max()),
-            rms=float(np.sqrt(np.mean(residual**2))),
-            positive=int((residual > 0).sum()),
-            count=residual.size,
-        )
+    if free is None:
+        return None
+    return FixedComparison(
+        noise=noise,
+        free_fit=free,
+        known=known_noise(calibration),
+        mean=float(residual.mean()),
+        low=float(residual.min()),
+        high=float(residual.max()),
+        rms=float(np.sqrt(np.mean(residual**2))),
+        positive=int((residual > 0).sum()),
+        count=residual.size,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Self
 
 from bayescal._calibration.claim_words import WORDS, worded
 from bayescal._core.flag import Flag
@@ -19,7 +19,7 @@ class Claim(Flag):
 
     numbers: dict[str, Any]
 
-    def __new__(cls, code: str, *of: str, **numbers: Any) -> Claim:
+    def __new__(cls, code: str, *of: str, **numbers: Any) -> Self:
         made = super().__new__(cls, worded(code, {"of": of, **numbers}), code, *of)
         made.numbers = numbers
         return made

@@ -26,9 +26,7 @@ from bayescal._core.settings import settings
 from bayescal._data.unit_conversion import unit_label
 from bayescal._inference.trust import K_HAT
 
-FEWEST_GROUPS = (
-    10  # that a standard error over groups needs: over three it is itself uncertain by half
-)
+FEWEST_GROUPS = 10  # for a standard error over groups: over three it is uncertain by half
 BY_GROUPS, BY_EVIDENCE = "leave-one-group-out", "log evidence"
 BY_READINGS = "pointwise leave-one-out"
 SAME_CURVE = 0.15  # of the noise: the largest difference of curves that count as the same

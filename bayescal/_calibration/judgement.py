@@ -46,10 +46,8 @@ WITHIN_RUNS_SHARE = 0.05
 # Standard deviations of the lag-1 autocorrelation, above which noise is not what its law says; one record in 30,000 by
 # chance.
 CORRELATED_SD = 4.0
-SCALE_RANGE = (
-    1e-6,
-    1e6,
-)  # times the noise: what contributes less or more at a plausible size is in a wrong unit
+# Times the noise: what contributes less or more at a plausible size is in a wrong unit.
+SCALE_RANGE = (1e-6, 1e6)
 # Coefficients of an effect whose sizes are judged; more of them stand for a function, whose values are not sizes of a
 # law.
 LAW_COEFFICIENTS = 2
@@ -89,7 +87,7 @@ class AcceptanceCheck(NamedTuple):
     """A test with its limits.
 
     Attributes:
-        codes: of the claims that it makes.
+        codes: of the claims that it makes, with spaces between.
         test: makes them, of a subject (of a search: its steps) and the limits.
         limits: by name, as the table gives them.
     """
@@ -161,7 +159,7 @@ def contradicted_alone(subject: Subject, sd: float, candidate_sizes: float) -> I
     stands = {
         u.name: (u.block.origin + float(mean[u.x]), sd * float(error[u.x]))
         for u in fit.unknowns
-        if u.x is not None and u.effect in own
+        if u.x is not None and u.block is not None and u.effect in own
     }
     yield from _against_priors(subject, stands, sd, candidate_sizes)
 
@@ -171,7 +169,9 @@ def _against_priors(
 ) -> Iterator[Claim]:
     """Coefficients that stand far from their priors' means, each (where, by how much it may be off)."""
     baseline = {e.name for e in subject.fit.model.instrument.effects}
-    for u in (u for u in subject.fit.unknowns if u.block is not None and u.prior_sd is not None):
+    for u in subject.fit.unknowns:
+        if u.block is None or u.prior_sd is None:
+            continue
         effect, c = u.block.effect, u.block.coefficient
         law = len(effect.coefficients) <= LAW_COEFFICIENTS
         if u.held or not law or subject.accepts(effect.name, u.name):
@@ -555,12 +555,9 @@ A = AcceptanceCheck
 AWAY = {"sd": 4.0, "candidate_sizes": 10.0}
 CONFLICTS = (
     A(PRIOR, contradicted, AWAY),
-    A(
-        "prior.widened", widened, {"contraction": -1.0}
-    ),  # the posterior is wider than the prior can be
-    A(
-        "size.beyond_output time.beyond_record", too_large, {"records": 10.0}
-    ),  # no time can be told beyond
+    # Below −1 the posterior is wider than the prior can be.
+    A("prior.widened", widened, {"contraction": -1.0}),
+    A("size.beyond_output time.beyond_record", too_large, {"records": 10.0}),
     A("curve.beyond_known", beyond_the_known, {"sizes": 4.0}),
 )
 WITHOUT_PRIORS = (A(PRIOR, contradicted_alone, AWAY),)

@@ -252,13 +252,13 @@ def test_what_is_offered_beside_an_instrument_is_there(group: str) -> None:
 # Lines of Python that each part may have: lowered by whoever takes lines out, never raised. What needs more room takes
 # it from the same part first.
 CEILINGS = {
-    "bayescal/_core": 2_204,
+    "bayescal/_core": 2_201,
     "bayescal/_tables": 2_446,
     "bayescal/_data": 6_286,
     "bayescal/_model": 6_216,
     "bayescal/effects": 729,
     "bayescal/_inference": 6_147,
-    "bayescal/_calibration": 6_236,
+    "bayescal/_calibration": 6_229,
     "bayescal/_use": 3_622,
     "bayescal/_search": 6_246,
     "bayescal/_report": 2_808,
