@@ -282,7 +282,7 @@ def fit(
         from bayescal._cli.output import fit_data
 
         if calibration.verdict.ok:
-            calibration = calibration.with_verdict(against=(*map(str, calibration.conflicts),))
+            calibration = calibration.with_verdict(against=calibration.conflicts)
         if folder is not None:
             with whole_folder(folder, identity(calibration)) as hidden:
                 calibration.save(hidden / CALIBRATION)

@@ -163,9 +163,8 @@ class CorrelatedTerm(NoiseTerm):
         return "" if self.place else "K"
 
     def unit(self, name: str, output: str) -> str:
-        if name.endswith(".diffusion"):
-            return f"{output}/s^0.5"
-        return "s" if name.endswith(".time") else "1"
+        units = {self._name("diffusion"): f"{output}/s^0.5", self._name("time", 1): "s"}
+        return units.get(name, "1")
 
     def time(self, values: Values, bounds: Bounds) -> Any:
         """Its correlation time, s."""
@@ -300,7 +299,7 @@ class SmoothTerm(NoiseTerm):
         }
 
     def unit(self, name: str, output: str) -> str:
-        return "s" if name.endswith(".time") else output
+        return "s" if name == "noise.smooth.time" else output
 
     def variance(self, values, bounds):
         return values["noise.smooth"] ** 2

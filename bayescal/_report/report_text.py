@@ -5,7 +5,6 @@ The sentences are the result in one paragraph, how it came about, its use and li
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, pairwise
 from typing import Any
@@ -374,10 +373,9 @@ def conclusion(chapter: Chapter) -> str:
 
 def _against(chapter: Chapter) -> Iterator[str]:
     gate = chapter.data["gate"]
-    reasons = [*chapter.data["verdict"]["reasons"], *[gate["reason"]] * (not gate["ok"])]
-    if reasons:
-        first = re.split(r"(?<=[.?]) ", reasons[0])[0]  # the rest stands at the gate
-        yield f"Not to be used as it is: {first}"
+    claims = [one["in_words"] for one in gate.get("claims", ())]
+    if reasons := [*claims, *chapter.data["verdict"]["reasons"]]:
+        yield f"Not to be used as it is: {reasons[0]}"  # the rest stands at the gate
 
 
 def _found(chapter: Chapter) -> str:
@@ -608,8 +606,10 @@ def _not_decided(chapter: Chapter) -> Iterator[str]:
     if open_:
         yield f"Not decided: {'; '.join(dict.fromkeys(open_))}."
     if chapter.data["other_path"] is not None:
-        rival = chapter.data["other_path"]["in_words"].partition(". ")[0].rstrip(".")
-        yield f"Undecided: {rival[0].lower()}{rival[1:]}."
+        rival = chapter.data["other_path"]
+        what = f"noise law {rival['noise']}, with {' and '.join(rival['added']) or 'nothing'} added"
+        factor = f"log Bayes factor {rival['log_bayes_factor']:.1f}"
+        yield f"Undecided: {what}, is nearly as probable ({factor})."
 
 
 def listed(words: list[str], last: str = "and") -> str:

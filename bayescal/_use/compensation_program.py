@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike
 
 from bayescal._calibration.calibration import Calibration
 from bayescal._calibration.description import identity, sources_of
-from bayescal._calibration.judgement import why_not
 from bayescal._calibration.mixture import inclusion
+from bayescal._calibration.why_not import why_not
 from bayescal._core.as_json import as_json
 from bayescal._core.errors import InputError, ModelError
 from bayescal._core.formatting import number
@@ -37,7 +37,7 @@ from bayescal._data.time_in_runs import RATE_WINDOW, rate_window
 from bayescal._data.unit_conversion import unit_label
 from bayescal._model.frame import Frame, build_frame, held_name
 from bayescal._tables.cells import date_text
-from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse, kept_why
+from bayescal._use.correction import NOT_RELIABLE, CorrectionInUse
 from bayescal._use.expression_graph import Graph, NotExportable, trace
 from bayescal._use.operating_equation import (
     Folded,
@@ -310,7 +310,7 @@ class Provenance:
         made_by: program and version.
         calibration: its identity; empty in exports that do not state one.
         epoch: seconds since 1970 at time zero; None where the calibration's times have no dates.
-        why_not: why the result is not to be used, which is among the notes too; empty where it may be.
+        why_not: why the result is not to be used, which is the last note too; empty where it may be.
     """
 
     instrument: str
@@ -520,6 +520,11 @@ class CompensationProgram(CorrectionInUse):
         return self.about.instrument, self.about.notes, self.about.why_not
 
     @property
+    def notes_on_use(self) -> tuple[str, ...]:
+        """What to know but what stands against using it."""
+        return self.about.notes[:-1] if self.why_not else self.about.notes
+
+    @property
     def stimulus_limits(self) -> tuple[float, float] | None:
         """Beyond which a compensated value is flagged."""
         return None if self.stimulus_range is None else limits(self.stimulus_range)
@@ -613,7 +618,7 @@ def from_data(data: Any, file: str) -> CompensationProgram:
         equation, graph = saved.equation, Graph.from_data(saved.equation.operations)
         noise = equation.noise if saved.noise is None else graph.constant(saved.noise**2)
         program = CompensationProgram(
-            about=replace(saved.about, why_not=kept_why(data["about"])),
+            about=saved.about,
             inputs=saved.inputs,
             stimulus_range=saved.stimulus_range,
             unknowns=saved.unknowns,

@@ -25,12 +25,6 @@ class CorrectionInUse(ABC):
         """Why the result is not to be used, in words; empty where it may be."""
         return self.about_it()[2]
 
-    @property
-    def notes_on_use(self) -> tuple[str, ...]:
-        """What to know but what stands against using it."""
-        _, notes, why_not = self.about_it()
-        return tuple(note for note in notes if note != f"{NOT_RELIABLE}{why_not}")
-
 
 Writer = Callable[[Mapping[str, Any], bool], str]
 """Writes corrections by the names of their sensors, with or without uncertainty."""
@@ -60,11 +54,3 @@ class CorrectionKind(NamedTuple):
     loader: str
     together: tuple[str, ...] = ()
     left_out: Callable[[Any, str], str] = lambda correction, format: ""
-
-
-def kept_why(data: Mapping[str, Any]) -> str:
-    """Why a result is not to be used, of a correction's JSON: `why_not`, or the note that older files mark."""
-    marked = (
-        n[len(NOT_RELIABLE) :] for n in data["notes"] if n[: len(NOT_RELIABLE)] == NOT_RELIABLE
-    )
-    return data["why_not"] if "why_not" in data else next(marked, "")

@@ -16,7 +16,6 @@ from bayescal.workshop import (
     c_comment,
     code_template,
     include_guard,
-    kept_why,
     python_words,
 )
 
@@ -81,7 +80,7 @@ def vector_from_data(found: Any, file: str) -> VectorCorrection:
         reach=saved.reach,
         axes_of=saved.axes_of,
         shared=shared,
-        against=kept_why(found),
+        against=saved.why_not,
     )
 
 
