@@ -40,11 +40,7 @@ def named_values(given: list[str] | None, option: str) -> dict[str, str]:
 
 
 def said_values(given: list[str] | None, option: str) -> dict[str, list[str]]:
-    """name=value options, every value of a name.
-
-    Raises:
-        InputError: one is not of that form.
-    """
+    """name=value options, every value of a name."""
     values = dict[str, list[str]]()
     for one in given or []:
         name, equals, value = (part.strip() for part in one.partition("="))

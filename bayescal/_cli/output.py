@@ -137,12 +137,7 @@ def fit_data(calibration: Calibration) -> dict[str, Any]:
 
 
 def unexplained_text(calibration: Calibration, check: Check, own: Sequence[Effect] = ()) -> str:
-    """Columns that the residuals depend on and that no known effect uses, a sentence each.
-
-    Args:
-        calibration, check: a model and where it fails.
-        own: effects of the user's own, known too.
-    """
+    """Columns that the residuals depend on and that no known effect uses, a sentence each."""
     instrument = calibration.model.instrument
     known = (*instrument.known.values(), *calibration.model.effects, *own)
     used = {"run", "time", *(column for effect in known for column in effect.columns)}
@@ -171,11 +166,7 @@ def _headed(head: str, *parts: object) -> str:
 
 
 class ConsoleReporter:
-    """Follows a search: the first table at once, a line where the best so far changes or ten seconds have passed.
-
-    Attributes:
-        begun: whether the first table is printed, or is not to be.
-    """
+    """Follows a search: the first table at once, a line where the best so far changes or ten seconds have passed."""
 
     def __init__(self, begun: bool, verbose: bool = False) -> None:
         self.begun, self.verbose = begun, verbose
@@ -317,11 +308,7 @@ def _missing_lines(trail: SearchPath) -> list[str]:
 
 
 def write_prediction(prediction: Prediction, readings: Measurements, path: Path) -> None:
-    """The readings with columns predicted, predicted_uncertainty and residual; and the correlated noise if asked for.
-
-    Raises:
-        InputError: the file type is not known or the folder is not there.
-    """
+    """Write the readings with columns predicted, predicted_uncertainty, residual, and correlated noise if asked for."""
     p = prediction
     columns = {
         "predicted": p.mean,

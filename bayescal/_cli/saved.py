@@ -161,11 +161,7 @@ def compensator_from(path: Path, own: InUse) -> bc.Compensator:
 
 
 def correction_from(path: Path, own: InUse) -> bc.Compensator | CorrectionInUse:
-    """What corrects readings, of one output or of three axes: of a saved calibration, or exported as JSON.
-
-    Raises:
-        InputError: it cannot be loaded, or members are chosen of an export.
-    """
+    """What corrects readings, of one output or of three axes: of a saved calibration, or exported as JSON."""
     if path.suffix.lower() == ".json":
         from bayescal._use.compensation_program import CompensationProgram
         from bayescal._use.correction_files import load_correction
@@ -197,11 +193,7 @@ def of_units(paths: list[Path], file: str = "") -> list[Path]:
 
 
 def chapters_from(paths: list[Path], own: OwnParts) -> list[Chapter]:
-    """What a report is of: saved calibrations, and folders with the search that led to one.
-
-    Raises:
-        InputError: one of them cannot be loaded.
-    """
+    """What a report is of: saved calibrations, and folders with the search that led to one."""
     from bayescal._report.section import chapters, of_folder
 
     parts = _own(own)

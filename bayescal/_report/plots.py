@@ -644,11 +644,7 @@ def sphere(calibration: Calibration) -> Figure:
 def residuals_on_sphere(
     calibration: Calibration,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
-    """Directions of poses, by their outputs, and the residuals of their magnitudes in standard deviations.
-
-    Raises:
-        ModelError: as `sphere`.
-    """
+    """Directions of poses, by their outputs, and the residuals of their magnitudes in standard deviations."""
     vector, readings = calibration.model.instrument.vector, calibration.readings
     if vector is None or vector.acting is not None:
         raise ModelError(

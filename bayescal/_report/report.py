@@ -46,24 +46,14 @@ RESIDUAL_PANELS = 4  # of residuals
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the page.
+    """A figure of the page."""
 
-    Attributes:
-        body: the figure as HTML.
-        caption: below it.
-    """
-
-    body: Markup
-    caption: str
+    body: Markup  # as HTML
+    caption: str  # below it
 
 
 class Pictures:
-    """Draws the pictures of one page, so that no two share an id.
-
-    Attributes:
-        refused: errors that are no fault of a picture.
-        failed: why pictures could not be drawn, which the page says in their place.
-    """
+    """Draws the pictures of one page, so that no two share an id."""
 
     def __init__(self, refused: tuple[type[Exception], ...] = ()) -> None:
         self.count, self.refused, self.failed = 0, (InputError, *refused), list[NotDrawn]()

@@ -59,23 +59,15 @@ FEWEST_GROUPS_FOR_NORMAL = 10
 
 @dataclass(frozen=True)
 class Contribution:
-    """One coefficient's part.
+    """One coefficient's part."""
 
-    Attributes:
-        name, unit: of the coefficient, as reported.
-        value, uncertainty: posterior mean and standard uncertainty, in that unit.
-        sensitivity: ∂value/∂coefficient, stimulus unit per reported unit.
-        contribution: |sensitivity|·uncertainty, stimulus unit.
-        share: of the variance, correlations included.
-    """
-
-    name: str
+    name: str  # name, unit: of the coefficient, as reported
     unit: str
-    value: float
+    value: float  # value, uncertainty: posterior mean and standard uncertainty, in that unit
     uncertainty: float
-    sensitivity: float
-    contribution: float
-    share: float
+    sensitivity: float  # ∂value/∂coefficient, stimulus unit per reported unit
+    contribution: float  # |sensitivity|·uncertainty, stimulus unit
+    share: float  # of the variance, correlations included
 
 
 @dataclass(frozen=True)

@@ -42,25 +42,16 @@ ROWS = 200_000  # compensated at a time
 
 @dataclass
 class CompensationSummary:
-    """What was done.
+    """What was done."""
 
-    Attributes:
-        file: written.
-        columns: names of the two columns added.
-        rows: compensated.
-        outside: name → readings outside its calibrated range.
-        unsolved: readings for which the equation has no solution; their value is NaN.
-        missing: rows without a reading, or without an input; their value is empty.
-        flags: input warnings, each a sentence.
-    """
-
-    file: Path
-    columns: tuple[str, str]
-    rows: int = 0
+    file: Path  # written
+    columns: tuple[str, str]  # names of the two columns added
+    rows: int = 0  # compensated
+    # name → readings outside its calibrated range
     outside: dict[str, int] = field(default_factory=dict)
-    unsolved: int = 0
-    missing: int = 0
-    flags: tuple[str, ...] = ()
+    unsolved: int = 0  # readings for which the equation has no solution; their value is NaN
+    missing: int = 0  # rows without a reading, or without an input; their value is empty
+    flags: tuple[str, ...] = ()  # input warnings, each a sentence
 
 
 @dataclass
@@ -102,11 +93,7 @@ class _FileCompensation:
         self.all = self._compensated(table, converted)
 
     def _refuse_another_clock(self, readings: Measurements) -> None:
-        """Refuse times without dates that fall among those of the calibration: a device is not read twice at one time.
-
-        Raises:
-            InputError: they do, the file is none of those that were fitted, and the correction changes with the date.
-        """
+        """Refuse times without dates that fall among those of the calibration: no device is read twice at one time."""
         used = self.compensator
         undated = readings.since is None and used.epoch is None and not self.options.begin
         if not (used.dated and undated) or {s.sha256 for s in readings.sources} & used.fitted:

@@ -59,32 +59,24 @@ class OutsideCalibration(UserWarning):
 
 @dataclass(frozen=True)
 class Input:
-    """A covariate that compensation needs.
+    """A covariate that compensation needs."""
 
-    Attributes:
-        name, unit, meaning: for people and firmware.
-        kind: "column"; or what is made of a record: "rate", "lag", "lag slope" (its change by its time constant,
-            which carries the uncertainty of that; 0 leaves it out), "elapsed".
-        column: the column that it is, or is made of.
-        tau: time constant of a lag, s; of a rate, the time whose slope it is.
-        silence: of a lag, the time without a reading beyond which the column counts as having changed at its beginning,
-            s; None where it counts as linear always, as exports before 0.3.0 have it.
-        held: of a lag, whether the column stands from each reading to the next.
-        low, high: range in the calibration, in `unit`.
-        settled: of a time, whether what follows it has died out by `high`: later is no extrapolation.
-    """
-
-    name: str
+    name: str  # name, unit, meaning: for people and firmware
     unit: str
     meaning: str
+    # "column"; or what is made of a record: "rate", "lag", "lag slope" (its change by its time constant, which
+    # carries the uncertainty of that; 0 leaves it out), "elapsed"
     kind: str
-    column: str
-    low: float
+    column: str  # the column that it is, or is made of
+    low: float  # low, high: range in the calibration, in `unit`
     high: float
-    tau: float | None = None
+    tau: float | None = None  # time constant of a lag, s; of a rate, the time whose slope it is
+    # of a lag, the time without a reading beyond which the column counts as having changed at its beginning, s;
+    # None where it counts as linear always, as exports before 0.3.0 have it
     silence: float | None = None
+    # of a time, whether what follows it has died out by `high`: later is no extrapolation
     settled: bool = False
-    held: bool = False
+    held: bool = False  # of a lag, whether the column stands from each reading to the next
 
     @property
     def end(self) -> float:
@@ -272,12 +264,7 @@ def outside(
 def warn_outside(
     masks: Mapping[str, np.ndarray], calibrated: Mapping[str, tuple[float, float, str]]
 ) -> None:
-    """Warn the caller's caller of readings outside their range.
-
-    Args:
-        masks: where they are outside, of `outside`.
-        calibrated: lowest and highest value and unit, for those that have a range of their own.
-    """
+    """Warn the caller's caller of readings outside their range."""
     parts = [
         f"{name} in {int(mask.sum())} of {len(mask)} readings"
         + (_calibrated(*calibrated[name]) if name in calibrated else "")
@@ -297,35 +284,24 @@ def _calibrated(low: float, high: float, unit: str) -> str:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where an export comes from and what may be done with it.
+    """Where an export comes from and what may be done with it."""
 
-    Attributes:
-        instrument: its name; title: one line.
-        stimulus, unit: what is compensated for; output_unit: of the reading.
-        effects: (name, equation) of those that act.
-        reference: constants of the bases, such as T0.
-        sources: (file, sha256) of the readings.
-        raw: how a raw output becomes the reading: unit, gain, offset; None if it is the reading.
-        notes: what to know, each a sentence.
-        made_by: program and version.
-        calibration: its identity; empty in exports that do not state one.
-        epoch: seconds since 1970 at time zero; None where the calibration's times have no dates.
-        why_not: why the result is not to be used, which is among the notes too; empty where it may be.
-    """
-
-    instrument: str
+    instrument: str  # its name; title: one line
     title: str
-    stimulus: str
+    stimulus: str  # stimulus, unit: what is compensated for; output_unit: of the reading
     unit: str
     output_unit: str
-    effects: tuple[tuple[str, str], ...]
-    reference: dict[str, float]
-    sources: tuple[tuple[str, str], ...]
+    effects: tuple[tuple[str, str], ...]  # (name, equation) of those that act
+    reference: dict[str, float]  # constants of the bases, such as T0
+    sources: tuple[tuple[str, str], ...]  # (file, sha256) of the readings
+    # how a raw output becomes the reading: unit, gain, offset; None if it is the reading
     raw: tuple[str, float, float] | None
-    notes: tuple[str, ...]
-    made_by: str
-    calibration: str = ""
+    notes: tuple[str, ...]  # what to know, each a sentence
+    made_by: str  # program and version
+    calibration: str = ""  # its identity; empty in exports that do not state one
+    # why the result is not to be used, which is among the notes too; empty where it may be
     why_not: str = ""
+    # seconds since 1970 at time zero; None where the calibration's times have no dates
     epoch: float | None = None
 
 
@@ -491,25 +467,17 @@ class SavedProgram:
 
 @dataclass(frozen=True, eq=False)
 class CompensationProgram(CorrectionInUse):
-    """A compensation by mean and covariance, to first order.
+    """A compensation by mean and covariance, to first order."""
 
-    Attributes:
-        about: what it is.
-        inputs: covariates needed, beside the reading.
-        stimulus_range: in the calibration; None where the stimulus was not varied or not a column.
-        unknowns: whose covariance (p, p) it is, in reported units.
-        covariance: their posterior covariance.
-        affine: whether the equation is a straight line in the stimulus.
-        graph, expected, slope, gradient, noise: the equation, and its nodes; `noise` is the variance of one reading,
-            output unit squared.
-    """
-
-    about: Provenance
-    inputs: tuple[Input, ...]
+    about: Provenance  # what it is
+    inputs: tuple[Input, ...]  # covariates needed, beside the reading
+    # in the calibration; None where the stimulus was not varied or not a column
     stimulus_range: tuple[float, float] | None
-    unknowns: tuple[ProgramUnknown, ...]
-    covariance: np.ndarray
-    affine: bool
+    unknowns: tuple[ProgramUnknown, ...]  # whose covariance (p, p) it is, in reported units
+    covariance: np.ndarray  # their posterior covariance
+    affine: bool  # whether the equation is a straight line in the stimulus
+    # graph, expected, slope, gradient, noise: the equation, and its nodes; `noise` is the variance of one
+    # reading, output unit squared
     graph: Graph
     expected: int
     slope: int
@@ -538,11 +506,7 @@ class CompensationProgram(CorrectionInUse):
     def run(
         self, output: np.ndarray, inputs: Mapping[str, np.ndarray], kind: Any = np.float64
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Stimulus, its standard uncertainty without noise, and |d stimulus/d output|, (n,) each.
-
-        Raises:
-            InputError: an input is missing.
-        """
+        """Stimulus, its standard uncertainty without noise, and |d stimulus/d output|, (n,) each."""
         target = np.asarray(output, kind)
         given = {i.name: np.asarray(inputs[i.name], kind) for i in self.inputs if i.name in inputs}
 

@@ -63,11 +63,7 @@ def kinds() -> Iterator[CorrectionKind]:
 
 
 def kind_of(correction: CorrectionInUse) -> CorrectionKind:
-    """That of a correction.
-
-    Raises:
-        InputError: it is of an annex whose entry point is not installed.
-    """
+    """That of a correction."""
     for kind in kinds():
         if isinstance(correction, kind.of):
             return kind

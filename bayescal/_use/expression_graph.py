@@ -188,11 +188,7 @@ class Graph:
     def evaluate(
         self, outputs: Sequence[int], inputs: Mapping[str, Any], kind: Any = np.float64
     ) -> list[Any]:
-        """The outputs for arrays of inputs, in double or (kind=np.float32) single precision.
-
-        Raises:
-            InputError: an input is missing.
-        """
+        """The outputs for arrays of inputs, in double or (kind=np.float32) single precision."""
         values: dict[int, Any] = {}
         with np.errstate(all="ignore"):
             for place in self.needed(outputs):
@@ -233,11 +229,7 @@ class Graph:
 
     @classmethod
     def from_data(cls, data: Any) -> Graph:
-        """A graph from JSON; data only, nothing of it is run but the operations of the table above.
-
-        Raises:
-            InputError: it is none.
-        """
+        """A graph from JSON; data only, nothing of it is run but the operations of the table above."""
         graph = cls()
         for place, row in enumerate(data if isinstance(data, list) else [None]):
             if not isinstance(row, list) or not row or not isinstance(row[0], str):
@@ -481,29 +473,18 @@ def _dot(graph: Graph, arguments: list[np.ndarray], numbers: Any) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Language:
-    """A language that exports are written in.
+    """A language that exports are written in."""
 
-    Attributes:
-        name: its form in the table of operations.
-        cast: before a constant.
-        nan, infinity: constants of these.
-        truths: what is false, and what is true.
-        statement: of a name and an expression; the same of one that is true or false.
-        input: an input as it is written, of its field.
-        template: file beside this one that writes the program.
-        words: text within a comment.
-    """
-
-    name: Literal["c", "python"]
-    cast: str
-    nan: str
+    name: Literal["c", "python"]  # its form in the table of operations
+    cast: str  # before a constant
+    nan: str  # nan, infinity: constants of these
     infinity: str
-    truths: tuple[str, str]
-    statement: str
+    truths: tuple[str, str]  # what is false, and what is true
+    statement: str  # of a name and an expression; the same of one that is true or false
     statement_boolean: str
-    input: str = "{}"
-    template: str = ""
-    words: Callable[[Any], str] = str
+    input: str = "{}"  # an input as it is written, of its field
+    template: str = ""  # file beside this one that writes the program
+    words: Callable[[Any], str] = str  # text within a comment
 
     def number(self, value: float | bool) -> str:
         """A constant, as an operand."""
@@ -533,13 +514,7 @@ LANGUAGES = {"c": C, "python": PYTHON}
 def statements(
     graph: Graph, outputs: Sequence[int], names: Mapping[str, str], language: Language
 ) -> tuple[list[str], list[str]]:
-    """Statements, one for each operation, and the expressions of the outputs.
-
-    Args:
-        graph, outputs: what is written.
-        names: of the inputs, as the language writes them.
-        language: to write.
-    """
+    """Statements, one for each operation, and the expressions of the outputs."""
     text, written = dict[int, str](), list[str]()
     for place in graph.needed(outputs):
         node = graph.nodes[place]

@@ -43,21 +43,13 @@ Scalars = dict[str, Float[Array, ""]]
 
 
 class Lag(NamedTuple):
-    """One T̃ − T that the equation asks for.
+    """One T̃ − T that the equation asks for."""
 
-    Attributes:
-        column: the temperature that is lagged.
-        tau: time constant, s, at the posterior mean.
-        shape: name of the unknown that tau is a multiple of; None for a constant.
-        name: of the input that carries it.
-        multiple: τ over that unknown.
-    """
-
-    column: str
-    tau: float
-    shape: str | None
-    name: str
-    multiple: float = 1.0
+    column: str  # the temperature that is lagged
+    tau: float  # time constant, s, at the posterior mean
+    shape: str | None  # name of the unknown that tau is a multiple of; None for a constant
+    name: str  # of the input that carries it
+    multiple: float = 1.0  # τ over that unknown
 
     @property
     def slope(self) -> str | None:
@@ -87,32 +79,20 @@ class AtPoint(NamedTuple):
 
 
 class UnknownInUse(NamedTuple):
-    """One unknown that acts in use.
+    """One unknown that acts in use."""
 
-    Attributes:
-        name: of the coefficient or shape; "(new run)" beside it for a deviation not measured.
-        key: under which the equation finds it.
-        unit: in which it is reported.
-        kind: "coefficient", "shape", "new" for one drawn anew in use, "folded" for what folded effects come to.
-    """
-
-    name: str
-    key: str
-    unit: str
-    kind: str
+    name: str  # of the coefficient or shape; "(new run)" beside it for a deviation not measured
+    key: str  # under which the equation finds it
+    unit: str  # in which it is reported
+    kind: str  # "coefficient", "shape", "new" for one drawn anew in use, "folded" for what folded effects come to
 
 
 class Folded(NamedTuple):
-    """Effects that stand in the equation as what they come to at one place: an unknown for each slot.
+    """Effects that stand in the equation as what they come to at one place: an unknown for each slot."""
 
-    Attributes:
-        effects: by name.
-        slots: (slot, unit) that they act on.
-        at: (name, value, unit) of the stimulus and every input there.
-    """
-
-    effects: tuple[str, ...]
-    slots: tuple[tuple[str, str], ...]
+    effects: tuple[str, ...]  # by name
+    slots: tuple[tuple[str, str], ...]  # (slot, unit) that they act on
+    # (name, value, unit) of the stimulus and every input there
     at: tuple[tuple[str, float, str], ...]
 
     @property
@@ -126,26 +106,18 @@ class Folded(NamedTuple):
 
 
 class OperatingEquation(eqx.Module):
-    """The measurement equation of a bound model for one reading in use, and its inverse.
+    """The measurement equation of a bound model for one reading in use, and its inverse."""
 
-    Attributes:
-        reference: constants of the bases.
-        layout: the model, with one member of every group: that which is in use.
-        members: (group, member) chosen by name, such as ("device", "A17"); others are new.
-        known: numeric columns of the readings of the fit.
-        rated: temperatures whose rates could be inputs.
-        lags: what the equation asks of the past.
-        asked: which of them, in the order in which bases ask; one may be asked for by several.
-        folded: effects that it does not hold; None where it holds all.
-    """
-
-    reference: Scalars
-    layout: Layout
+    reference: Scalars  # constants of the bases
+    layout: Layout  # the model, with one member of every group: that which is in use
+    # (group, member) chosen by name, such as ("device", "A17"); others are new
     members: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    known: tuple[str, ...] = eqx.field(static=True)
-    rated: tuple[str, ...] = eqx.field(static=True)
-    lags: tuple[Lag, ...] = eqx.field(static=True, default=())
+    known: tuple[str, ...] = eqx.field(static=True)  # numeric columns of the readings of the fit
+    rated: tuple[str, ...] = eqx.field(static=True)  # temperatures whose rates could be inputs
+    lags: tuple[Lag, ...] = eqx.field(static=True, default=())  # what the equation asks of the past
+    # which of them, in the order in which bases ask; one may be asked for by several
     asked: tuple[int, ...] = eqx.field(static=True, default=())
+    # effects that it does not hold; None where it holds all
     folded: Folded | None = eqx.field(static=True, default=None)
 
     @property
@@ -377,14 +349,7 @@ def folded(
     effects: Collection[str],
     at: Sequence[tuple[str, float, str]],
 ) -> OperatingEquation:
-    """An equation without some effects, each slot with what these come to at one place.
-
-    Args:
-        equation: that holds them.
-        calibration: that it is of.
-        effects: their names.
-        at: stimulus and every input: name, value, unit.
-    """
+    """An equation without some effects, each slot with what these come to at one place."""
     model = equation.layout.model
     kept = replace(model, effects=tuple(e for e in model.effects if e.name not in effects))
     acting = {b.slot for b in equation.blocks if b.effect.name in effects}
@@ -515,13 +480,7 @@ def left_out(
     calibration: Calibration,
     inputs: Mapping[str, np.ndarray],
 ) -> float:
-    """What the folded effects make of the output elsewhere than at their place: rms over draws and readings, its unit.
-
-    Args:
-        equation, left: an equation, and the effects folded in it.
-        calibration: that it is of.
-        inputs: of the equation that holds them, at the readings of the calibration.
-    """
+    """Return what the folded effects make of the output elsewhere than at their place, rms over draws and readings."""
     whole, *both = _with_and_without(equation, left, calibration, SIZE_DRAWS, calibration.seed)
     rows = slice(None, None, -(-len(calibration.readings) // SIZE_DRAWS))
     readings, name = calibration.readings, equation.use.stimulus
@@ -628,10 +587,7 @@ def expected_first_order(equation: OperatingEquation, theta, covariance, stimulu
 
 @compiled
 def errors_over_draws(equation: OperatingEquation, theta, mean, stimulus, inputs):
-    """Corrected reading minus stimulus where θ is what a draw says and the correction is made with its mean, (d, n).
-
-    With them 1/|slope| of the output by the stimulus, (n,). A reading has no noise here.
-    """
+    """Corrected reading minus stimulus where θ is what a draw says and the correction is made with its mean, (d, n)."""
 
     def error(one):
         output = _points(equation, one, stimulus, inputs)
@@ -720,15 +676,10 @@ def solved(
 
 
 class NoiseInUse(NamedTuple):
-    """What the posterior says of the noise law in use.
+    """What the posterior says of the noise law in use."""
 
-    Attributes:
-        law: its parameters by name, at the posterior mean of their coordinates.
-        level: posterior mean of the variance over the readings of the fit, over the variance by `law` there.
-    """
-
-    law: dict[str, Any]
-    level: float
+    law: dict[str, Any]  # its parameters by name, at the posterior mean of their coordinates
+    level: float  # posterior mean of the variance over the readings of the fit, over the variance by `law` there
 
 
 NOISE_READINGS, NOISE_DRAWS = 200, 2000  # over which the level of the noise is averaged

@@ -199,11 +199,7 @@ def _answer(
 
 
 def _three(given: str | None) -> dict[str, str]:
-    """Of three outputs, their columns in a file.
-
-    Raises:
-        InputError: these are not three.
-    """
+    """Of three outputs, their columns in a file."""
     names = names_in(given)
     if len(names) not in (0, 3):
         raise InputError(f"{given!r} names {len(names)} columns: give three, as ax,ay,az")
@@ -290,11 +286,7 @@ def _write(folder: Path, trail: Any, correction: Any, readings: Any, sensor: str
 
 
 def _draw(trails: Mapping[str, Any], folder: Path) -> bool:
-    """Pictures and reports of three axes, in the folders of their results in this one, and a report of all.
-
-    Returns:
-        Whether all could be made; what could not is said.
-    """
+    """Pictures and reports of three axes, in the folders of their results in this one, and a report of all."""
     from bayescal.workshop import draw_search
 
     made = [drawn(draw_search, trails, folder)]
@@ -326,11 +318,7 @@ def parameters(asked: ExportRequest) -> Answer:
 def by_axis(
     given: Sequence[tuple[Path, bc.Compensator]], named: list[str] | None, own: InUse
 ) -> dict[str, bc.Compensator]:
-    """Calibrations by their axis: as their readings name it, or as the user does.
-
-    Raises:
-        InputError: an axis is not known, or is given twice.
-    """
+    """Calibrations by their axis: as their readings name it, or as the user does."""
     from bayescal._annexes.imu.firmware_parameters import axis_of
 
     found, files = dict[str, bc.Compensator](), dict[str, Path]()
@@ -355,11 +343,7 @@ def by_axis(
 
 
 def device_numbers(given: list[str] | None) -> dict[str, int]:
-    """--device-id as `firmware_parameters` takes it.
-
-    Raises:
-        InputError: one is no number.
-    """
+    """--device-id as `firmware_parameters` takes it."""
     said = named_values(given, "--device-id")
     for name, value in said.items():
         if not value.isdecimal():

@@ -37,17 +37,11 @@ NEWTON_STEPS = 4  # steps of the inverse: each squares the error
 
 
 class TermSlopes(NamedTuple):
-    """What corrected vectors fall by where a term of their correction rises: `powers` times `each`.
+    """What corrected vectors fall by where a term of their correction rises: `powers` times `each`."""
 
-    Attributes:
-        correction: whose terms.
-        powers: of T − T0 (n, k).
-        each: by the terms at its temperature (n, 3, p).
-    """
-
-    correction: VectorCorrection
-    powers: Float[np.ndarray, "n k"]
-    each: Float[np.ndarray, "n 3 p"]
+    correction: VectorCorrection  # whose terms
+    powers: Float[np.ndarray, "n k"]  # of T − T0 (n, k)
+    each: Float[np.ndarray, "n 3 p"]  # by the terms at its temperature (n, 3, p)
 
     def along(self, slope: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n q"]:
         """Of a quantity with this slope by the vector."""
@@ -410,13 +404,7 @@ def terms_table(rows: Sequence[TermRow]) -> ResultTable:
 def term_rows(
     terms: ArrayLike, uncertainty: ArrayLike, unit: str, beside: Sequence[str]
 ) -> list[TermRow]:
-    """The terms that are not nothing.
-
-    Args:
-        terms, uncertainty: as a correction holds them (k, p).
-        unit: of the outputs.
-        beside: columns of what acts beside, whose terms are for a unit of each.
-    """
+    """The terms that are not nothing."""
     axes, terms = "xyz", np.asarray(terms, float)
     names = [(f"offset {a}", unit) for a in axes] + [
         (f"matrix {a}{b}", "1") for a in axes for b in axes

@@ -109,11 +109,7 @@ def _openvins(correction: VectorCorrection) -> dict[str, np.ndarray]:
 
 
 def realsense_json_of(correction: VectorCorrection, *others: VectorCorrection) -> str:
-    """calibration.json of librealsense; what is not given is left as it is measured.
-
-    Raises:
-        InputError: a correction is neither of accelerometers nor of gyroscopes.
-    """
+    """calibration.json of librealsense; what is not given is left as it is measured."""
     every = _inertial("realsense", (correction, *others))
     as_measured = {"scale_and_alignment": np.eye(3).ravel().tolist(), "bias": [0.0, 0.0, 0.0]}
     imu: dict[str, Any] = dict.fromkeys(("accelerometer", "gyroscope"), as_measured)
@@ -126,11 +122,7 @@ def realsense_json_of(correction: VectorCorrection, *others: VectorCorrection) -
 
 
 def ros_yaml_of(correction: VectorCorrection) -> str:
-    """imu_calib.yaml of ROS' imu_calib, of accelerometers.
-
-    Raises:
-        InputError: of something else.
-    """
+    """imu_calib.yaml of ROS' imu_calib, of accelerometers."""
     if "accelerometer" not in _inertial("ros", (correction,)):
         raise InputError("ros: imu_calib corrects accelerometers, and these are gyroscopes")
     back, bias = _after(correction)
@@ -151,11 +143,7 @@ def _after(correction: VectorCorrection) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _inertial(format: str, every: Sequence[VectorCorrection]) -> dict[str, VectorCorrection]:
-    """Triads by what they are of, "accelerometer" or "gyroscope".
-
-    Raises:
-        InputError: one is of neither.
-    """
+    """Triads by what they are of, "accelerometer" or "gyroscope"."""
     kinds = {"rad/s": "gyroscope", "m/s^2": "accelerometer"}
     found = {kinds.get(si_of(c.unit)[1], ""): c for c in every}
     if "" in found:
@@ -218,11 +206,7 @@ def _intrinsics(correction: VectorCorrection, frame: np.ndarray) -> list[str]:
 def autopilot_parameters(
     correction: VectorCorrection, autopilot: str
 ) -> tuple[dict[str, float], str]:
-    """Parameters of PX4 ("px4-params") or ArduPilot ("ardupilot-params"), of its first sensor, by name; what they lack.
-
-    Raises:
-        InputError: another autopilot, or a quantity that it has no such parameters for.
-    """
+    """Return parameters of an autopilot by name, of its first sensor, and what they leave out, in a sentence."""
     if autopilot not in AUTOPILOTS:
         raise InputError(f"format {autopilot!r} is not one of {', '.join(AUTOPILOTS)}")
     px4 = autopilot == "px4-params"

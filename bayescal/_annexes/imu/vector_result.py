@@ -16,12 +16,7 @@ CAPTION = "Three axes: outputs = offset + matrix · what acts, each a polynomial
 def vector_data(
     calibration: Calibration, average: Calibration | None = None
 ) -> dict[str, Any] | None:
-    """Offset and 3 × 3 matrix over temperature, with standard uncertainties, of three axes; None of one output.
-
-    Args:
-        calibration: of the structure that is shown.
-        average: over the structures, under `averaged`: what exports hold.
-    """
+    """Offset and 3 × 3 matrix over temperature, with standard uncertainties, of three axes; None of one output."""
     if calibration.model.instrument.vector is None:
         return None
     averaged = None if average is None else vector_data(average)

@@ -48,11 +48,7 @@ class SavedCorrection:
 
 
 def vector_from_data(found: Any, file: str) -> VectorCorrection:
-    """A correction of three axes from JSON.
-
-    Raises:
-        InputError: it is none, or damaged.
-    """
+    """A correction of three axes from JSON."""
     try:
         saved = as_type(found, SavedCorrection)
         terms, covariance = (np.array(a, dtype=float) for a in (saved.terms, saved.covariance))
