@@ -327,9 +327,7 @@ class Compensator:
 
     @cached_property
     def _moments(self) -> PosteriorMoments:
-        return posterior_moments(
-            self._equation, self._calibration, self.draws, self._calibration.seed
-        )
+        return posterior_moments(self._equation, self._calibration, self.draws)
 
     @cached_property
     def _noise(self) -> NoiseInUse:
