@@ -257,7 +257,7 @@ def budget(
         at=point,
         at_units={chosen.stimulus: chosen.unit, **{i.name: i.unit for i in chosen.inputs}},
         reading=expected,
-        output_unit=chosen.output_unit,
+        output_unit=chosen.about.output_unit,
         uncertainty=variance**0.5,
         noise=float(chosen.noise_variance(places)[0]) ** 0.5 / abs(slope),
         k=float(k),
