@@ -33,7 +33,8 @@ def named_values(given: list[str] | None, option: str) -> dict[str, str]:
     Raises:
         InputError: one is not of that form, or a name has two values.
     """
-    for name, values in (found := said_values(given, option)).items():
+    found = said_values(given, option)
+    for name, values in found.items():
         if len(values) > 1:
             raise InputError(f"{option} says {name} twice, {' and '.join(values)}: say it once")
     return {name: values[0] for name, values in found.items()}

@@ -163,12 +163,6 @@ def compose(instrument: Instrument, choice: ModelOptions, own: Sequence[Effect] 
     return model.fix(named_numbers(choice.fix, "--fix"))
 
 
-def structure_with(instrument: Instrument, text: str, own: Sequence[Effect]) -> Model:
-    """A structure with effects added to it: "line+bias.thermal_lag"."""
-    first, *added = (part.strip() for part in text.split("+"))
-    return compose(instrument, ModelOptions(structure=first, add=added), own)
-
-
 def law_named(name: str, model: Model, readings: Measurements) -> Noise:
     """A noise law by its name: the model's own, or one of those that a search would weigh on these readings."""
     from bayescal._model.frame import build_frame

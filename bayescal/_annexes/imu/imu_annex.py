@@ -322,13 +322,10 @@ def by_axis(
     from bayescal._annexes.imu.firmware_parameters import axis_of
 
     found, files = dict[str, bc.Compensator](), dict[str, Path]()
-    given_names = [(None, path, one) for path, one in given]
-    for name, file in (
-        pair for one in named or [] for pair in named_values([one], "--axis").items()
-    ):
-        given_names.append((name, Path(file), compensator_from(Path(file), own)))
-    for name, path, chosen in given_names:
-        name = name or (axis_of(chosen.calibration) if chosen.calibration else None)
+    every = [(axis_of(c.calibration) if c.calibration else None, p, c) for p, c in given]
+    pairs = (pair for one in named or [] for pair in named_values([one], "--axis").items())
+    every += [(name, Path(p), compensator_from(Path(p), own)) for name, p in pairs]
+    for name, path, chosen in every:
         if name is None:
             raise InputError(
                 f"{path}: its readings do not say of which axis it is: --axis gyro_x={path} in its place"
@@ -366,7 +363,7 @@ def _exports() -> dict[str, Callable[[ExportRequest], Answer]]:
 def _result(calibration: bc.Calibration, average: bc.Calibration | None) -> dict[str, Any]:
     if calibration.model.instrument.vector is None:
         return {"vector": None}
-    from bayescal._annexes.imu.vector_result import vector_data
+    from bayescal._annexes.imu.vector_text import vector_data
 
     return {"vector": vector_data(calibration, average)}
 
@@ -374,10 +371,10 @@ def _result(calibration: bc.Calibration, average: bc.Calibration | None) -> dict
 def _coefficient_tables(data: Mapping[str, Any]) -> list[tuple[str, Any]]:
     if not data.get("vector"):
         return []
-    from bayescal._annexes.imu.vector_result import CAPTION, matrix_table
+    from bayescal._annexes.imu.vector_text import CAPTION, matrix_table
 
     table = matrix_table(data)
-    return [(CAPTION, table)] if table is not None else []
+    return [] if table is None else [(CAPTION, table)]
 
 
 ANNEX = {

@@ -343,14 +343,12 @@ class VectorCorrection(CorrectionInUse):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """f̂ (n, 3), H⁻¹ (n, 3, 3), slopes of f̂ by the terms at its temperature (n, 3, p), temperatures (n,)."""
         if isinstance(outputs, Measurements):
-            if self.beside and beside is None and outputs.has(self.beside[0]):
-                beside = np.stack([outputs[name] for name in self.beside], axis=1)
-            temperature = (
-                outputs["temperature"]
-                if temperature is None and outputs.has("temperature")
-                else temperature
-            )
-            outputs = np.stack([outputs[name] for name in self.outputs], axis=1)
+            readings = outputs
+            if self.beside and beside is None and readings.has(self.beside[0]):
+                beside = np.stack([readings[name] for name in self.beside], axis=1)
+            if temperature is None and readings.has("temperature"):
+                temperature = readings["temperature"]
+            outputs = np.stack([readings[name] for name in self.outputs], axis=1)
         y = np.atleast_2d(np.asarray(outputs, dtype=float))
         if y.ndim != 2 or y.shape[1] != 3:
             raise InputError(
@@ -358,9 +356,8 @@ class VectorCorrection(CorrectionInUse):
             )
         if temperature is None and len(self.terms) > 1:
             raise InputError("the correction depends on the temperature: give temperature=… in °C")
-        warm = np.broadcast_to(
-            self.assumed if temperature is None else np.asarray(temperature, float), len(y)
-        )
+        given = self.assumed if temperature is None else np.asarray(temperature, float)
+        warm = np.broadcast_to(given, len(y))
         if self.beside and beside is None:
             raise InputError(
                 f"the correction depends on {', '.join(self.beside)}: give beside=… (n, 3), as calibrated"
@@ -406,9 +403,8 @@ def term_rows(
 ) -> list[TermRow]:
     """The terms that are not nothing."""
     axes, terms = "xyz", np.asarray(terms, float)
-    names = [(f"offset {a}", unit) for a in axes] + [
-        (f"matrix {a}{b}", "1") for a in axes for b in axes
-    ]
+    names = [(f"offset {a}", unit) for a in axes]
+    names += [(f"matrix {a}{b}", "1") for a in axes for b in axes]
     own = terms.shape[1] - 9 * bool(beside)
     if own > 12:
         pairs = [axes[i] + axes[j] for i, j in PAIRS]
@@ -416,15 +412,16 @@ def term_rows(
     if own > 30:
         names += [(f"cube {a}", f"1/({unit})^2") for a in axes]
     names += [(f"{g} on {a}", unit) for a in axes for g in beside]
-    found = []
-    for power, (values, sds) in enumerate(zip(terms, np.asarray(uncertainty, float), strict=True)):
-        per = ("", "/degC", "/degC^2", "/degC^3")[power]
-        found += [
-            TermRow(name, power, float(value), float(sd), f"{own_unit}{per}")
-            for (name, own_unit), value, sd in zip(names, values, sds, strict=True)
-            if value or sd
-        ]
-    return found
+    rows = zip(range(4), terms, np.asarray(uncertainty, float), strict=False)
+    return [
+        TermRow(name, power, float(value), float(sd), f"{its}{PER_DEGREE[power]}")
+        for power, values, sds in rows
+        for (name, its), value, sd in zip(names, values, sds, strict=True)
+        if value or sd
+    ]
+
+
+PER_DEGREE = ("", "/degC", "/degC^2", "/degC^3")
 
 
 def slopes_by_terms(
