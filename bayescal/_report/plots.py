@@ -527,13 +527,15 @@ def allan(given: Check | Calibration | AllanDeviation) -> Figure:
             "there is no Allan deviation to draw: it needs runs of 30 readings or more, evenly spaced in time; "
             "bc.allan_deviation(readings) says what these lack"
         )
-    ax, measured, what = new_figure(5.2, 3.6).subplots(), found, "readings"
+    ax = new_figure(5.2, 3.6).subplots()
+    measured = found.measured if isinstance(found, AllanCheck) else found
     if isinstance(found, AllanCheck):
-        measured, what, seen = found.measured, "residuals", found.expected > 0
+        seen = found.expected > 0
         tau, low, high = measured.tau[seen], found.low[seen], found.high[seen]
         ax.fill_between(tau, low, high, color=GREY, alpha=0.25, lw=0)
         label = f"noise law ({found.law_name}), 95 %"
         ax.plot(tau, found.expected[seen], "--", color=GREY, lw=1.2, label=label)
+    what = "residuals" if isinstance(found, AllanCheck) else "readings"
     _measured(ax, measured, fmt="o-", lw=1.2, label=what)
     if isinstance(found, AllanCheck) and (i := found.apart) is not None:
         ax.plot(measured.tau[i], measured.deviation[i], "o", ms=7, color=RED, zorder=3)

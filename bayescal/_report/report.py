@@ -124,8 +124,10 @@ class Pictures:
     def missing(self, found: dict, title: str) -> Picture | None:
         """The candidates of one step, where any was tested."""
         tested = [c for c in found["candidates"] if c["log_bayes_factor"] is not None]
+        if not tested:
+            return None
         told = "; ".join(f"{c['effect']} {c['log_bayes_factor']:.1f}" for c in tested[:5])
-        return tested and self.draw(
+        return self.draw(
             lambda: plots.missing(found),
             f"What is missing from {title}",
             f"Bars of the log Bayes factor of each candidate; the first of them: {told}.",

@@ -229,7 +229,7 @@ def _csv(job: _FileCompensation, path: Path, partial: Path, table: Table, raw: s
                 target.write(_longer(part.lines[0], added, part))
                 target.writelines(_longer(line, ["", ""], part) for line in part.behind)
                 continue
-            rows = iter(np.column_stack(job.rows(part.table)).tolist())
+            rows = iter(job.rows(part.table).T.tolist())
             for line in part.lines:
                 if not line.strip():
                     target.write(line)

@@ -230,7 +230,8 @@ class Graph:
         """
         graph = cls()
         for place, row in enumerate(data if isinstance(data, list) else [None]):
-            op, *rest = row if isinstance(row, list) and row else [None]
+            parts: list[Any] = row if isinstance(row, list) and row else [None]
+            op, *rest = parts
             value = rest[0] if len(rest) == 1 else None
             if op == "const" and (
                 isinstance(value, int | float) or value in ("nan", "inf", "-inf")
