@@ -36,27 +36,17 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 @dataclass(frozen=True)
 class Foreword:
-    """A section that stands before all chapters.
+    """A section that stands before all chapters."""
 
-    Attributes:
-        name: its id in the page.
-        title: above it.
-        note: in small print below it.
-        verdict: what it comes to, in a box, with what it rests on; empty for none.
-        bad: whether that is against what is reported of.
-        why: what the verdict rests on.
-        lists: headings, with labels and texts below each.
-        table: with its caption.
-    """
-
-    name: str
-    title: str
-    note: str
-    verdict: str = ""
-    bad: bool = False
-    why: str = ""
+    name: str  # its id in the page
+    title: str  # above it
+    note: str  # in small print below it
+    verdict: str = ""  # what it comes to, in a box, with what it rests on; empty for none
+    bad: bool = False  # whether that is against what is reported of
+    why: str = ""  # what the verdict rests on
+    # headings, with labels and texts below each
     lists: tuple[tuple[str, list[tuple[str, str]]], ...] = ()
-    table: tuple[str, ResultTable] | None = None
+    table: tuple[str, ResultTable] | None = None  # with its caption
 
 
 class Foreworded(Protocol):
@@ -67,25 +57,18 @@ class Foreworded(Protocol):
 
 @dataclass(frozen=True)
 class Chapter:
-    """One set of readings.
+    """One set of readings."""
 
-    Attributes:
-        calibration: the last model's.
-        check: where it fails.
-        data: everything that was found, as in result.json.
-        first, first_check: where it began; None where only result.json tells of it.
-        picture: the loop as it was drawn at the time (PNG); None where the pictures can be drawn again.
-        folder: that it was read from; None for what was found in memory.
-        average: the last model's calibration averaged over structures; None where one has nearly all probability.
-    """
-
-    calibration: Calibration
-    check: Check
-    data: dict[str, Any]
+    calibration: Calibration  # the last model's
+    check: Check  # where it fails
+    data: dict[str, Any]  # everything that was found, as in result.json
+    # first, first_check: where it began; None where only result.json tells of it
     first: Calibration | None = None
     first_check: Check | None = None
+    # the loop as it was drawn at the time (PNG); None where the pictures can be drawn again
     picture: bytes | None = None
-    folder: Path | None = None
+    folder: Path | None = None  # that it was read from; None for what was found in memory
+    # the last model's calibration averaged over structures; None where one has nearly all probability
     average: Calibration | None = None
 
     @property
