@@ -132,8 +132,8 @@ def _as_searched(effect: Effect, known: Effect) -> bool:
 
 SUFFIXES = {
     format: suffix
-    for suffix, format in correction_files.FORMATS.items()
-    if format in correction_files.OF_ONE_OUTPUT
+    for suffix, format in correction_files.ONE_OUTPUT.suffixes.items()
+    if format in correction_files.ONE_OUTPUT.writers
 }
 FORMATS = (*SUFFIXES, *AUTOPILOTS)
 
