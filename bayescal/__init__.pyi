@@ -8,15 +8,13 @@ from ._calibration.predict import predict as predict
 from ._calibration.check import check as check
 from ._calibration.compare import compare as compare
 from ._search.discover import discover as discover
-from ._search.preview import preview as preview
 from ._report.save_search import calibrate as calibrate
 from ._report.save_search import calibrate_channels as calibrate_channels
 
 # beside the loop: which test to run next, an effect's draft
-from ._search.poses import poses as poses
+from ._search.undetermined import poses as poses
 from ._search.next_experiment import next_experiment as next_experiment
 from ._search.undetermined import undetermined as undetermined
-from ._search.draft_effect import shape_of as shape_of
 from ._search.draft_effect import draft_effect as draft_effect
 
 # an instrument of one's own, tried on itself
@@ -93,7 +91,6 @@ from ._inference.method import Verdict as Verdict
 from ._calibration.check_result import Check as Check
 from ._calibration.compare import Comparison as Comparison
 from ._search.discover import Discovery as Discovery
-from ._search.preview import Preview as Preview
 from ._report.save_search import (
     SearchPath as SearchPath,
 )  # with `save`, which save_search.py attaches
@@ -110,9 +107,7 @@ from ._annexes.imu.firmware_parameters import FirmwareParameters as FirmwarePara
 
 # many devices at once
 from ._annexes.fleet.fit_batch import fit_batch as fit_batch
-from ._annexes.fleet.batch_result import FleetResult as FleetResult
 from ._annexes.fleet.find_devices import Find as Find
-from ._annexes.fleet.batch_result import load_fleet as load_fleet
 from ._annexes.fleet.devices import split_devices as split_devices
 from ._annexes.fleet.devices import Devices as Devices
 from ._annexes.fleet.batch_result import BatchResult as BatchResult

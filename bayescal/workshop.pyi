@@ -4,8 +4,8 @@
 # a calibration: its identity, its files, what stands against it; its part of a report
 from ._calibration.description import identity as identity
 from ._calibration.description import sources_of as sources_of
-from ._calibration.judgement import why_not as why_not
 from ._calibration.summary import summary as summary
+from ._calibration.why_not import why_not as why_not
 
 # commands: their options, what they are asked for, what they answer
 from ._cli.console import Answer as Answer
@@ -40,16 +40,14 @@ from ._cli.saved import compensator_from as compensator_from
 from ._cli.saved import load_saved as load_saved
 from ._cli.saved import of_units as of_units
 from ._cli.saved import reliable as reliable
-from ._core.annex import Annex as Annex
 
-# JSON, and the shape that it must have
+# JSON, and the type that it must have
 from ._core.as_json import as_json as as_json
 from ._core.as_json import json_text as json_text
 from ._core.as_json import write_json as write_json
 
 # files: written whole or not at all; folders of results
 from ._core.atomic_file import replacing_for_user as replacing_for_user
-from ._core.atomic_file import sha256_of as sha256_of
 from ._core.atomic_file import to_disk as to_disk
 from ._core.atomic_file import write_text as write_text
 
@@ -58,13 +56,10 @@ from ._core.formatting import WIDTH as WIDTH  # columns of a page
 from ._core.formatting import number as number
 from ._core.formatting import probability as probability
 from ._core.formatting import with_error as with_error
-from ._core.json_shape import ANY as ANY
-from ._core.json_shape import OneOf as OneOf
-from ._core.json_shape import mismatch as mismatch
+from ._core.json_shape import as_type as as_type
 from ._core.json_shape import parsed_json as parsed_json
 from ._core.json_shape import read_json as read_json
 from ._core.json_shape import read_toml as read_toml
-from ._core.json_shape import required as required
 from ._core.progress import note as note
 from ._core.progress import stage as stage
 from ._core.progress import tell as tell
@@ -117,7 +112,6 @@ from ._tables.raw_table import option as option
 from ._use.correction import NOT_RELIABLE as NOT_RELIABLE
 from ._use.correction import CorrectionInUse as CorrectionInUse
 from ._use.correction import CorrectionKind as CorrectionKind
-from ._use.correction import kept_why as kept_why
 from ._use.correction_files import as_data as as_data
 from ._use.correction_files import as_text as as_text
 from ._use.correction_files import format_of as format_of
@@ -125,5 +119,5 @@ from ._use.correction_files import in_form as in_form
 from ._use.correction_files import load_correction as load_correction
 from ._use.correction_files import names_in_unit as names_in_unit
 from ._use.correction_files import sensor_name as sensor_name
-from ._use.export_template import code_template as code_template
-from ._use.export_template import include_guard as include_guard
+from ._use.program_text import code_template as code_template
+from ._use.program_text import include_guard as include_guard

@@ -45,12 +45,7 @@ def likeliest(calibration: Fitted) -> set[str]:
 
 
 def with_columns(calibration: F, columns: Iterable[str]) -> F:
-    """The average over those structures that need no other columns, where that leaves enough of them.
-
-    Args:
-        calibration: averaged or not.
-        columns: of readings that are there.
-    """
+    """The average over those structures that need no other columns, where that leaves enough of them."""
     there = set(columns)
     lacking = [e.name for e in calibration.model.effects if not there.issuperset(e.columns)]
     return without(calibration, lacking) if lacking else calibration
@@ -72,10 +67,7 @@ def without(calibration: F, names: Collection[str]) -> F:
     old, count = calibration.layout, CHAINS * (int(kept.sum()) // CHAINS)
     effects = tuple(e for e in calibration.model.effects if e.name not in names)
     layout = replace(old, model=replace(calibration.model, effects=effects))
-    left = {b.name for b in layout.blocks} | {h.name for h in layout.hypers}
-    of_x = [np.full(b.size, b.name in left) for b in old.x_blocks]
-    in_x = np.flatnonzero(np.concatenate([np.zeros(0, bool), *of_x]))
-    in_v = np.flatnonzero([h.name in left for h in old.hypers])
+    in_x, in_v = old.entries_in(layout)
     pick = np.flatnonzero(kept)[:count]
     mode = calibration.mode
     joint = Draws.of(x[pick][:, in_x], v[pick][:, in_v])

@@ -93,7 +93,7 @@ class Products:
     # what the table is ------------------------------------------------------------------------------------------
 
     def _laid_out(self) -> Columns:
-        names, end = [h.name for h in self.problem.hypers], self.problem.size
+        names, end = self.problem.layout.index_in_phi, self.problem.size
         plain, moving, owner, by = [np.zeros(0, int)], [], [], []
         for t in self.terms:
             place = (
@@ -106,7 +106,7 @@ class Products:
                 continue
             for member in place:
                 own = len(owner) + np.arange(box.rank)
-                by.append((names.index(t.known.shape_names[0]), own, box))
+                by.append((names[t.known.shape_names[0]], own, box))
                 owner += [len(moving)] * box.rank
                 moving.append(member)
         return Columns(

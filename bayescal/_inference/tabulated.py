@@ -28,7 +28,7 @@ from jaxtyping import Float, Int
 from bayescal._inference.column_table import RESIDUAL, ColumnTable
 from bayescal._inference.expansion import TRIED_DRAWS, Expansion, Expansions, Fitted, Listed
 from bayescal._inference.gaussian import Conditional, Gram, Prior, condition, draw
-from bayescal._inference.noise_nodes import OneNode, Products, Weights
+from bayescal._inference.law_nodes import OneNode, Products, Weights
 from bayescal._inference.problem import Problem, Values
 from bayescal._model.composition import by_member
 from bayescal._model.terms import Term

@@ -13,7 +13,6 @@ from typing import Any
 import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.linalg.lapack import dtbtrs
 
 from bayescal._core.errors import ModelError
 from bayescal._core.jax_setup import configure_jax
@@ -23,6 +22,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._data.pose_rows import ACROSS
 from bayescal._data.time_in_runs import (
     causal_slope,
+    recursion,
     run_codes,
     run_starts,
     sequence,
@@ -104,8 +104,7 @@ class Frame:
 
     def position(self, name: str) -> Float[Array, "n"]:
         """Where a covariate stands in its range at the fit, 0 to 1; a rate is called "temperature rate"."""
-        column = name.removesuffix(" rate")
-        values = self.columns[name] if name in self.columns else self.rates[column]
+        values = self.columns[name] if name in self.columns else self.rates[measured_column(name)]
         low, high = self.reference[f"{name}_low"], self.reference[f"{name}_high"]
         span = high - low
         return (values - low) / (span + (span <= 0))  # one, where it does not vary
@@ -223,10 +222,9 @@ def followed(share: Float[Any, "*s n"], push: Float[Any, "*s n"]) -> Float[Any, 
         # One small loop rather than an associative scan, which takes ten times as long to compile.
         return xp.scan(advance, xp.zeros_like(share[0]), (share, push))
     share, push = np.broadcast_arrays(share, push)
-    found, band = np.empty(push.shape), np.ones((2, push.shape[-1]), order="F")
-    for i in np.ndindex(push.shape[:-1]):  # a unit bidiagonal matrix: LAPACK's banded solver
-        band[1, :-1] = -share[i][1:]
-        found[i] = dtbtrs(band, push[i][:, None], uplo="L", diag="U")[0][:, 0]
+    found = np.empty(push.shape)
+    for i in np.ndindex(push.shape[:-1]):
+        found[i] = recursion(share[i], push[i][:, None])[:, 0]
     return found
 
 
@@ -249,6 +247,11 @@ def derived(readings: Measurements, every: bool = False) -> dict[str, np.ndarray
         if len(names) > 1:
             found["elapsed"] = time - run_starts(readings)[codes]
     return found
+
+
+def measured_column(covariate: str) -> str:
+    """Return the column of a covariate that may be its rate: "temperature" of "temperature rate"."""
+    return covariate.removesuffix(" rate")
 
 
 def reference_name(column: str) -> str:

@@ -14,8 +14,8 @@ frequency and a few columns U, one for each end function and sign, and
 
 All functions of λ are smooth in log λ. Parameters are arrays (s, 1): s settings at once.
 
-Source: derived here; the precision of an autoregression of first order is in M. Kac, W. Murdock and G. Szegő, J. Rational
-Mech. Anal. 2 (1953) 767.
+Source: derived here; the precision of an autoregression of first order is in M. Kac, W. Murdock and G. Szegő, J.
+Rational Mech. Anal. 2 (1953) 767.
 """
 
 from __future__ import annotations
@@ -129,7 +129,9 @@ def _end_of_exponential(x: Any, n: int, sign: int) -> tuple[Any, Any]:
 def difference_of_errors(size: Any, lam: Lambda) -> SpectralTerm:
     """Return differences of neighbouring independent errors: size²·(L + e₊e₊ᵀ + e₋e₋ᵀ)."""
     square = np.asarray(size) ** 2
-    return SpectralTerm(square * lam, (np.ones_like(lam),), lambda n, sign: -square.reshape(1, 1, -1))
+    return SpectralTerm(
+        square * lam, (np.ones_like(lam),), lambda n, sign: -square.reshape(1, 1, -1)
+    )
 
 
 def mean_of_errors(size: Any, lam: Lambda) -> SpectralTerm:

@@ -102,15 +102,15 @@ class NoiseTerm(abc.ABC):
     def variance(self, values: Values, bounds: Bounds) -> Any:
         """Of a reading, output unit squared."""
 
-    @abc.abstractmethod
     def spectrum(
         self, values: Values, bounds: Bounds, step: float, lam: Float[np.ndarray, "j"]
     ) -> list[SpectralTerm]:
         """Return its covariance in frequency on readings a step apart; values are arrays (s, 1).
 
         Raises:
-            NotImplementedError: it is not stationary.
+            NotImplementedError: it is not stationary, or nobody needs it yet.
         """
+        raise NotImplementedError(f"{self.words} noise has no spectrum here")
 
     def fresh(self, values: Values, bounds: Bounds, step: float) -> Any:
         """About the variance of what is new in it a usual step after the reading before; in no harm if it is rough."""
@@ -163,9 +163,8 @@ class CorrelatedTerm(NoiseTerm):
         return "" if self.place else "K"
 
     def unit(self, name: str, output: str) -> str:
-        if name.endswith(".diffusion"):
-            return f"{output}/s^0.5"
-        return "s" if name.endswith(".time") else "1"
+        units = {self._name("diffusion"): f"{output}/s^0.5", self._name("time", 1): "s"}
+        return units.get(name, "1")
 
     def time(self, values: Values, bounds: Bounds) -> Any:
         """Its correlation time, s."""
@@ -300,7 +299,7 @@ class SmoothTerm(NoiseTerm):
         }
 
     def unit(self, name: str, output: str) -> str:
-        return "s" if name.endswith(".time") else output
+        return "s" if name == "noise.smooth.time" else output
 
     def variance(self, values, bounds):
         return values["noise.smooth"] ** 2

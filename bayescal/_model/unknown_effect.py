@@ -28,7 +28,8 @@ import numpy as np
 from bayescal._core.jit import given
 from bayescal._core.xp import xp
 from bayescal._data.measurements import Measurements
-from bayescal._model.effect import OPEN, Coefficient, Effect, Shape
+from bayescal._model.effect import OPEN, Coefficient, Effect, Kind, Role, Shape
+from bayescal._model.frame import measured_column
 from bayescal._model.prior import Normal
 
 TERMS = 12  # eigenfunctions: enough for lengths down to a tenth of the range
@@ -52,6 +53,11 @@ def covariate_in(name: str) -> str | None:
     """The covariate, with its form if it has one, in a placeholder's canonical name; None for any other effect."""
     found = _NAME.fullmatch(name)
     return ", ".join(filter(None, along_and_form(found[1]))) if found else None
+
+
+def role_of(name: str) -> Role:
+    """Return the role that a canonical name states."""
+    return "unnamed" if covariate_in(name) else "freed" if name.endswith(FREED) else "named"
 
 
 def along_and_form(covariate: str) -> tuple[str, str]:
@@ -82,6 +88,7 @@ def freed(effect: Effect, times: float = 1.0) -> Effect:
     return replace(
         effect,
         name=effect.name + FREED,
+        frees=effect.name,
         forms=(),
         family="",
         coefficients=wide,
@@ -132,7 +139,7 @@ def unknown(
         name: canonical; `unknown(covariate)` if not given.
     """
     terms, lengths = resolution(covariate in ("time", "elapsed"))
-    measured = covariate.removesuffix(" rate")
+    measured = measured_column(covariate)
     derived = covariate in ("elapsed", f"{measured} rate")
     columns = ("time",) if covariate == "elapsed" else (measured,)
     return Effect(
@@ -148,6 +155,7 @@ def unknown(
         equation=f"f({covariate}),  f a Gaussian process",
         source=SOURCE,
         along=covariate,
+        kind="curve",
     )
 
 
@@ -269,7 +277,7 @@ def _too_few(covariate: str, readings: Measurements) -> str | None:
 
 
 def _of_form(
-    form: str,
+    form: Kind,
     slot: str,
     basis: Callable[..., Any],
     count: int,
@@ -295,6 +303,7 @@ def _of_form(
         source=SOURCE,
         along="" if in_time else covariate,
         family="" if in_time else f"unknown({covariate})",
+        kind=form,
     )
 
 

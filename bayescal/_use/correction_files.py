@@ -1,8 +1,8 @@
 """Corrections as files (C99, Python, JSON, …), of one output or of three axes: one exporter, one loader, one naming.
 
-What kinds of corrections there are beside those of one output, annexes say (`Annex.corrections`). Everything in a C
+What kinds of corrections there are beside those of one output, annexes say (`_core/annex.py`). Everything in a C
 header carries the name of its sensor, so that those of several go into one program. Two of one name are refused by the
-compiler (`export_template.py`).
+compiler (`program_text.py`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayescal._core.annex import annexes, first_offered
+from bayescal._core.annex import absent_annexes, offered
 from bayescal._core.as_json import json_text
 from bayescal._core.errors import InputError
 from bayescal._core.json_shape import read_json
@@ -34,21 +34,17 @@ def in_form(write: Callable[..., str], *how: Any) -> Writer:
 
 
 def _program(language: Language) -> Writer:
-    return lambda named, uncertainty: "".join(
-        program_text(program, language, name, uncertainty) for name, program in named.items()
-    )
+    def write(named: Mapping[str, Any], uncertainty: bool) -> str:
+        return "".join(program_text(one, language, n, uncertainty) for n, one in named.items())
+
+    return write
 
 
-FORMATS = {".json": "json", ".h": "c", ".py": "python"}
-OF_ONE_OUTPUT: dict[str, Writer] = {
-    "json": as_data,
-    **{name: _program(language) for name, language in LANGUAGES.items()},
-}
 ONE_OUTPUT = CorrectionKind(
     of=CompensationProgram,
     axes="one output",
-    writers=OF_ONE_OUTPUT,
-    suffixes=FORMATS,
+    writers={"json": as_data, **{name: _program(one) for name, one in LANGUAGES.items()}},
+    suffixes={".json": "json", ".h": "c", ".py": "python"},
     is_data=lambda data: data.get("schema") == SCHEMA,
     read=from_data,
     loader="load_compensator",
@@ -58,18 +54,16 @@ ONE_OUTPUT = CorrectionKind(
 def kinds() -> Iterator[CorrectionKind]:
     """The kinds of corrections: of one output, then those of annexes, which load when they are asked for."""
     yield ONE_OUTPUT
-    for one in annexes():
-        yield from one.corrections()
+    for corrections in offered("corrections"):
+        yield from corrections()
 
 
 def kind_of(correction: CorrectionInUse) -> CorrectionKind:
-    """That of a correction.
-
-    Raises:
-        InputError: it is of an annex whose entry point is not installed.
-    """
-    of_it = (kind if isinstance(correction, kind.of) else None for kind in kinds())
-    return first_offered(of_it, f"writing a {type(correction).__name__}")
+    """That of a correction."""
+    for kind in kinds():
+        if isinstance(correction, kind.of):
+            return kind
+    raise InputError(f"no annex writes a {type(correction).__name__}. {absent_annexes()}".rstrip())
 
 
 def sensor_name(given: str | None, instrument: str) -> str:

@@ -115,6 +115,7 @@ def rate(slot: str, size: float, unit: str, *, source: str, column: str = "tempe
         equation="c·(T − T̃)/w,  w·dT̃/dt = T − T̃",
         source=source,
         along=f"{column} rate",
+        kind="rate",
     )
 
 
@@ -151,6 +152,7 @@ def hysteresis(
         untestable=partial(_one_way, column, widths),
         equation="c·D + d[run]·exp(−∫|dT|/w),  dD/dT = (sign(dT) − D)/w",
         source=source,
+        kind="hysteresis",
     )
 
 
@@ -199,6 +201,7 @@ def thermal_lag(
             column,
             source,
         ),
+        kind="lag",
         forms=tuple(
             replace(
                 body(
@@ -320,9 +323,8 @@ def _of_a_body(
 
 def _start(unit: str, size: float, slot: str | None = None) -> Coefficient:
     """What a state adds where it was when a run began: one a run, none where it always began at rest."""
-    return Coefficient(
-        unit, Normal(0.0, size), part="start", slot=slot, per="run", group_sd=HalfNormal(size)
-    )
+    of_runs = {"per": "run", "group_sd": HalfNormal(size), "initial": True}
+    return Coefficient(unit, Normal(0.0, size), part="start", slot=slot, **of_runs)
 
 
 def _smoothed_rate(column: str, r: Frame, window: Any) -> Any:

@@ -7,6 +7,7 @@ import pytest
 
 import bayescal as bc
 from bayescal_models import mems_gyro, ng_accelerometer, quartz_beam_accelerometer
+from tests.support.inside import Preview, Previews
 
 QUICK = bc.LeastSquares(draws=500)
 GYRO = mems_gyro.INSTRUMENT
@@ -27,9 +28,9 @@ def residuals(calibration: bc.Calibration) -> np.ndarray:
     return bc.check(calibration).residuals
 
 
-def agrees(before: bc.Calibration, name: str, *, within: float = 1e-6) -> bc.Preview:
+def agrees(before: bc.Calibration, name: str, *, within: float = 1e-6) -> Preview:
     """The preview, after it was compared with a fit of the model with the effect."""
-    found = bc.preview(before, name)
+    found = Previews(before).of(name)
     after = bc.fit(before.model + name, before.readings, QUICK, strict=False)
     noise = float(np.std(residuals(after)))
     np.testing.assert_allclose(
@@ -84,27 +85,3 @@ def test_other_instruments(instrument: bc.Instrument) -> None:
         if len(able) == 2:
             break
     assert able
-
-
-def test_another_model_may_be_asked_about(gyro: bc.Calibration) -> None:
-    without = gyro.model - "bias.temperature"
-    found = bc.preview(gyro, without)
-    after = bc.fit(without, gyro.readings, QUICK, strict=False)
-    np.testing.assert_allclose(residuals(gyro) - found.curve, residuals(after), atol=1e-6)
-    assert found.size is None and found.rms > found.rms_before
-    assert "rms" in str(found)
-
-
-def test_refusals(gyro: bc.Calibration) -> None:
-    with pytest.raises(bc.ModelError, match="in the model already"):
-        bc.preview(gyro, "bias.temperature")
-    with pytest.raises(bc.ModelError, match=r"cannot test it: it needs the column rate_input"):
-        bc.preview(gyro, "scale.constant")
-    with pytest.raises(bc.ModelError, match=r"knows no effect 'bias\.colour'"):
-        bc.preview(gyro, "bias.colour")
-
-
-def test_it_prints_itself(gyro: bc.Calibration) -> None:
-    text = str(bc.preview(gyro, "bias.thermal_lag"))
-    assert text.startswith("bias.thermal_lag would be 0.0")
-    assert "residuals from" in text and "°/s rms, log Bayes factor" in text

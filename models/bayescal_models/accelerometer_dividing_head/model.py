@@ -57,7 +57,7 @@ def _round(r):
     return xp.stack([xp.cos(r["position_angle"]), xp.sin(r["position_angle"])], axis=-1)
 
 
-CONSTANT = effect(one, "c", "position_angle")
+CONSTANT = effect(one, "c", "position_angle", kind="constant")
 WARM = effect(centred, "c·(T − T0)", "position_angle", "temperature")
 DIVIDING = effect(_round, "c·cos θ + s·sin θ", "position_angle", parts=("cos", "sin"))
 

@@ -149,6 +149,7 @@ FORWARD = _each(
     "direction",
     varies=(),
     untestable=_one_way,
+    kind="hysteresis",
 )
 PROJECTED = _each(
     partial(_waves, (1,)),
@@ -182,8 +183,8 @@ SPINDLE = effect(
 LEAK = _each(one, "m·sin ω", "placement_angle", slot="cross_axis")
 S_E_TILT = _each(_of_tilt_from_level, "S_e·(1/cos x − 1)", "true_angle")
 S_E = _each(_of_tilt, "S_e/cos x", "true_angle", varies=())
-SETTLING = _each(progress, "c·(t − t̄)/(tmax − tmin)", "time")
-WARM = _each(centred, "c·(T − T0)", "temperature")
+SETTLING = _each(progress, "c·(t − t̄)/(tmax − tmin)", "time", kind="drift")
+WARM = _each(centred, "c·(T − T0)", "temperature", kind="linear")
 AXIS_LINE, DEVICE_LINE = (
     _drawn(per, _of_placement(1)[1], _of_placement(1)[0], "placement_angle")
     for per in ("axis", "device")
@@ -194,19 +195,24 @@ TWO_LINES = "source 4: its two lines have 0.72 and 0.07″/deg"
 EFFECTS = EffectTable.of(
     "source 4; size ours",
     baseline=(
-        ("zero.constant", _each(one, "c[axis]"), 1000.0, "arcsec", ZERO),
+        ("zero.constant", _each(one, "c[axis]", kind="constant"), 1000.0, "arcsec", ZERO),
         ("zero.placement", _each(*_of_placement(1)), 2.0, "arcsec/deg", TWO_LINES),
         ("zero.run", _drawn("run"), 2.0, "arcsec"),
     ),
     candidates=(
-        ("zero.placement_quadratic", _each(*_of_placement(2)), 0.005, "arcsec/deg^2"),
+        (
+            "zero.placement_quadratic",
+            _each(*_of_placement(2), kind="quadratic"),
+            0.005,
+            "arcsec/deg^2",
+        ),
         ("zero.projection", PROJECTED, 100.0, "arcsec"),
         ("zero.temperature", WARM, 2.0, "arcsec/degC"),
         ("zero.hysteresis", FORWARD, 2.0, "arcsec"),
         ("zero.cross_axis", LEAK, 100.0, "arcsec"),
         ("zero.electrical_tilt", S_E_TILT, 100.0, "arcsec"),
         ("zero.exact_placement", EXACT_LESS_Y, 2.0, "arcsec/deg"),
-        ("scale.constant", _each(one, "κ", "true_angle"), 100.0, "ppm"),
+        ("scale.constant", _each(one, "κ", "true_angle", kind="constant"), 100.0, "ppm"),
         ("dividing.wobble", SPINDLE, 2.0, "arcsec", FACE),
         ("dividing.face", effect(one, "c"), 2.0, "arcsec", FACE),
         ("base_tilt.drift", SETTLING, 2.0, "arcsec"),
@@ -222,7 +228,7 @@ EFFECTS = EffectTable.of(
         ),
     ),
     others=(
-        ("zero.placement_cubic", _each(*_of_placement(3)), 1e-4, "arcsec/deg^3"),
+        ("zero.placement_cubic", _each(*_of_placement(3), kind="cubic"), 1e-4, "arcsec/deg^3"),
         ("zero.table", SPLINE, 20.0, "arcsec"),
         ("zero.electrical", S_E, 1000.0, "arcsec"),
         ("zero.projection_exact", PROJECTED_EXACTLY, 100.0, "arcsec"),

@@ -240,6 +240,7 @@ TURNED = effect(
     f"c·sign(T − T of the previous cell),  0 in the first; dead band {DEAD_BAND:g} °C",
     *("time", "temperature"),
     untestable=one_direction,
+    kind="hysteresis",
 )
 OF_RUNS = effect(
     centred,
@@ -256,9 +257,13 @@ POSITION = effect(
     parts=LOBES,
 )
 LABORATORY = _base(_laboratory, "c·(L − L0), one c for each component", "lab_temperature")
-WARM_BASE = _base(centred, "c·(T − T0), one c for each component", "temperature")
+WARM_BASE = _base(centred, "c·(T − T0), one c for each component", "temperature", kind="linear")
 SETTLING = _base(
-    progress, "c·(t − t̄)/(tmax − tmin), one c for each component", "time", varies=("time",)
+    progress,
+    "c·(t − t̄)/(tmax − tmin), one c for each component",
+    "time",
+    varies=("time",),
+    kind="drift",
 )
 K2, K3, KIP = (effect(one, symbol, "position_angle") for symbol in ("K2", "K3", "Kip"))
 WARM_KIP = effect(centred, "c·(T − T0)", "position_angle", "temperature")
@@ -290,7 +295,12 @@ EFFECTS = EffectTable.of(
             "source 0: within 2′, taken as 95 %",
         ),
         ("fixture_tilt.cell", CELL, 5.0, "urad"),
-        ("base_tilt.constant", _base(one, "c, one for each component"), 1.0, "arcsec"),
+        (
+            "base_tilt.constant",
+            _base(one, "c, one for each component", kind="constant"),
+            1.0,
+            "arcsec",
+        ),
         ("base_tilt.cell", CELL_OF_BASE, 1.0, "urad"),
         ("rotation.constant", catalogue.constant, 0.1, "deg"),
         ("tilt.setting", SETTING, 1.0, "arcsec", "source 0: the table's angles are good to 1″"),

@@ -17,11 +17,8 @@ from bayescal import xp
 AXES = ("x", "y", "z")
 BIAS = tuple(f"bias_{a}" for a in AXES)
 SCALE = tuple(f"scale_{a}" for a in AXES)
-UPPER = (
-    "misalignment_xy",
-    "misalignment_xz",
-    "misalignment_yz",
-)  # of the first axis toward the second
+# Of the first axis toward the second.
+UPPER = ("misalignment_xy", "misalignment_xz", "misalignment_yz")
 LOWER = ("misalignment_yx", "misalignment_zx", "misalignment_zy")
 FIRST = tuple(f"scale_{i}" if i == j else f"misalignment_{i}{j}" for i in AXES for j in AXES)
 SQUARE = tuple(f"square_{a}" for a in AXES)

@@ -67,7 +67,7 @@ class ModelPane(Pane):
         self.equation.object = equation_in_words(calibration.model)
         self.effects.rows = effect_rows(calibration)
         self.noise.rows = noise_rows(state)
-        lines = [str(one) for one in null_directions(calibration)]
+        lines = [*null_directions(calibration)]
         lines += [f"conflict: {w}" for w in calibration.conflicts]
         said = [*(f"not measured: {w}" for w in lines[:3]), str(calibration.verdict)]
         self.verdict.object = "\n".join(said)
@@ -156,7 +156,7 @@ def effect_rows(calibration: Any) -> list[dict[str, Any]]:
             cells.append(
                 {"text": f"… and {len(own) - COEFFICIENTS_IN_A_ROW} more", "kind": "value"}
             )
-        held = [f"{n} = {v:g}" for n, v in model.fixed if n.startswith(effect.name)]
+        held = [f"{n} = {v:g}" for n, v in model.fixed if n in effect.unknown_names]
         cells += [{"text": f"held: {', '.join(held)}", **NUMBER}] if held else []
         change = {"id": "change", "label": "Change …", "title": "take out, fix or resize"}
         rows.append({"id": effect.name, "cells": cells, "actions": [change]})
