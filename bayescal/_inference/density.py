@@ -22,20 +22,13 @@ from bayescal._inference.noise_on_record import (
     total_log_density,
     variance,
 )
-from bayescal._inference.polynomials import BOX, DEGREES, Polynomials
 from bayescal._inference.problem import SHIFT, Problem, Values, differences
-from bayescal._inference.products import Axes, Products
 from bayescal._inference.tabulated import Evaluation, Tabulated
 from bayescal._model.composition import Linearised
 
 NOWHERE = -1e300  # log density where there is none
 NEWTON_STEPS = 50  # to the mode of x at most
 NEWTON_NATS = 1e-11  # that the last of them gains
-DRAWS_TRIED = 12  # draws of a Gaussian fit of φ at which polynomials are tried,
-ENOUGH_NATS = 0.3  # and the log density within which they will do there
-# Times what a number costs in a product, that one costs in a pass over correlated readings.
-PASS_COST = 60
-CALL_COST = 1_000_000  # and such numbers that a pass by itself costs before it begins (0.4 ms)
 
 
 @dataclass(eq=False)
@@ -382,74 +375,3 @@ def by_parameter(
         if h.kind == "noise":
             made[i] = by_name[h.name] * problem.value_change(v, i)
     return made
-
-
-def about(
-    density: Density, v: np.ndarray, covariance: np.ndarray, close: float, proposals: float
-) -> Products | None:
-    """Products as polynomials along the outer axes, good where a Gaussian fit of φ has its draws; None where none are.
-
-    Args:
-        density: of φ, computed from the readings.
-        v: centre of the fit.
-        covariance: of the fit.
-        close: log density, within which polynomials are good; of others the best, if they will do.
-        proposals: φ that will be asked for; none are made where it costs less to compute each from the readings.
-    """
-    problem = density.problem
-    if not np.all(np.isfinite(covariance)):
-        return None
-    axes = Axes(problem, v, BOX * np.sqrt(np.diag(covariance)))
-    dim = len(axes.names)
-    if dim not in DEGREES:
-        return None
-    # They must hold where the importance sampler goes: draws of the Gaussian fit say how far that is along each axis.
-    normal = np.random.default_rng(0).standard_normal((400, len(v)))
-    draws = v + normal @ np.linalg.cholesky(covariance).T
-    coordinates = axes.of(problem.hyper(draws.T), draws)
-    if not np.all(np.isfinite(coordinates)):
-        return None
-    # Judged by what they are for: the largest error of the log density, at draws that they were not fitted to.
-    tried = draws[:DRAWS_TRIED]
-    products = Products(problem, density.x, v, axes)
-    if not _pay(products, Polynomials(coordinates, DEGREES[dim][-2]), proposals):
-        return None
-    there = np.array([density.at(one)[0] for one in tried])
-    best, apart, found, rows = ENOUGH_NATS, math.inf, None, list[np.ndarray]()
-    for degree in DEGREES[dim]:
-        polynomials = Polynomials(coordinates, degree)
-        rows += [products.row(c) for c in polynomials.points[len(rows) :]]
-        products.refit(polynomials, np.array(rows))
-        here = [_log_density(products, density.flat, one) for one in tried]
-        before, apart = apart, float(np.max(np.abs(here - there)))
-        if apart < best:
-            best, found = apart, (polynomials, len(rows))
-        # What a higher degree does not describe better is no polynomial there.
-        if best < close or apart >= before:
-            break
-    if found is None:
-        return None
-    products.refit(found[0], np.array(rows[: found[1]]))
-    return products
-
-
-def _pay(products: Products, polynomials: Polynomials, proposals: float) -> bool:
-    """Whether products as polynomials of a usual degree cost less than so many passes over the readings."""
-    # In numbers multiplied: to compute products at the points and use them, or to whiten and multiply each time.
-    problem, n, width = products.problem, products.size, products.width
-    # Each is then computed by itself, or the output linearised anew for it.
-    if problem.corrected or problem.noisy or not problem.affine:
-        return True
-    points, terms = len(polynomials.points), polynomials.count
-    fitting = points * (CALL_COST + PASS_COST * n * width)
-    using = width**2 * terms * (proposals + 2 * points)
-    return fitting + using < PASS_COST * proposals * n * (problem.size + 1)
-
-
-def _log_density(products: Products, flat: np.ndarray, v: np.ndarray) -> float:
-    """Of one φ, by products."""
-    problem = products.problem
-    hyper = problem.hyper(v)
-    prior = products.prior(problem.prior(hyper, flat))
-    found = condition(products.gram(v, hyper), products.size, prior, products.at)
-    return NOWHERE if found is None else found.log_marginal + problem.log_prior(v)

@@ -92,17 +92,17 @@ class Expansion:
         return _polynomials((v[:, 0] - self.middle[0]) / self.half)[:, self.orders]
 
 
-class Listed(Expansion):
+class ListedColumns(Expansion):
     """Columns at each of some coordinates (r, d), without slopes."""
 
     def values(self, v: Float[np.ndarray, "b d"]) -> Float[np.ndarray, "b r"]:
         return np.all(v[:, None] == self.middle, axis=2).astype(float)
 
-    def of_rows(self, rows: np.ndarray) -> Listed:
-        return Listed(self.columns[rows], self.middle)
+    def of_rows(self, rows: np.ndarray) -> ListedColumns:
+        return ListedColumns(self.columns[rows], self.middle)
 
 
-class Fitted(Expansion):
+class PolynomialColumns(Expansion):
     """Columns as polynomials of the shapes where a Gaussian fit of φ has its draws, without slopes."""
 
     def __init__(
@@ -171,10 +171,10 @@ class Expansions:
         left = np.flatnonzero(which < 0)
         for some in np.array_split(left, -(-len(left) // LISTED)) if len(left) else ():
             which[some] = len(found)
-            found.append(Listed(np.moveaxis(self._columns(v[some]), 0, 2), v[some]))
+            found.append(ListedColumns(np.moveaxis(self._columns(v[some]), 0, 2), v[some]))
         return found, which
 
-    def fitted(self, draws: Float[np.ndarray, "s d"]) -> Fitted | None:
+    def fitted(self, draws: Float[np.ndarray, "s d"]) -> PolynomialColumns | None:
         """Return columns as the best polynomials where some draws of the free shapes are; None where they are none."""
         best, found = np.inf, None
         for degree in DEGREES.get(self.dim, ()):
@@ -193,7 +193,7 @@ class Expansions:
             size, vectors = np.linalg.eigh(coefficients @ coefficients.T)
             shares = vectors[:, size > KEPT_SHARE**2 * size[-1]]
             columns = (shares.T @ coefficients).reshape(-1, *made.shape[1:])
-            best, found = apart, Fitted(np.moveaxis(columns, 0, 2), polynomials, shares)
+            best, found = apart, PolynomialColumns(np.moveaxis(columns, 0, 2), polynomials, shares)
             if best <= TOLERANCE:
                 break
         return found

@@ -1,7 +1,7 @@
 """Products of columns at nodes of one variable, from which they follow at every setting of a noise law.
 
 After an orthonormal transform of the columns a covariance is Σ(θ) = D(θ) − U·M·Uᵀ, D diagonal and a smooth function of
-one variable z of each row. With ℓ_c Lagrange's polynomials at nodes z_c, 1/D(z) = Σ_c ℓ_c(z)/D(z_c), so that, made once,
+one variable z of each row. With ℓ_c Lagrange's polynomials at nodes z_c, 1/D(z) = Σ_c ℓ_c(z)/D(z_c), so that
 
     B_c = Σ_rows ℓ_c(z)·t·tᵀ,
 

@@ -13,8 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 BOX = 5.0  # standard deviations of a Gaussian fit of φ, up to which polynomials are fitted
-FEW = {1: (6, 12, 20), 2: (4, 8, 12, 17), 3: (3, 5, 7, 9)}
-DEGREES = FEW | {4: (2, 4, 6), 5: (2, 4), 6: (2, 3, 4)}  # tried in turn, by the number of axes
+DEGREES = {
+    1: (6, 12, 20),
+    2: (4, 8, 12, 17),
+    3: (3, 5, 7, 9),
+}  # tried in turn, by the number of variables
 
 
 class Polynomials:

@@ -2,7 +2,7 @@
 
 φ is proposed from Student-t mixtures, first around its Laplace fit, then around many draws of the round before:
 spreads that readings know only by their sum of squares have a density with arms, which one ellipse does not cover.
-All proposals are evaluated at once, and the log evidence comes for free. What nonlinearity and interpolated products
+All proposals are evaluated at once, and the log evidence comes for free. What nonlinearity
 leave is corrected by the same weights: each joint draw (x, φ) carries the true density over what it was drawn from.
 Source: A. Owen and Y. Zhou, JASA 95 (2000) 135 (defensive mixtures); M. West, J. R. Stat. Soc. B 55 (1993) 409
 (mixtures around weighted draws).
@@ -22,19 +22,17 @@ from bayescal._core import deadline
 from bayescal._core.importance_weights import Corrections, effective_size, smoothed
 from bayescal._core.parallel import on_one_thread
 from bayescal._core.settings import settings
-from bayescal._inference.density import NOWHERE, Density, about
+from bayescal._inference.density import NOWHERE, Density
 from bayescal._inference.gaussian import Drawn, Gram, draw
 from bayescal._inference.joint import FREEDOM, correction, normal_numbers
 from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.noise_on_record import grams
 from bayescal._inference.problem import Problem
-from bayescal._inference.products import Products
-from bayescal._inference.tabulated import About
 from bayescal._inference.trust import K_HAT
 from bayescal._model.prior import Flat, FlatLine, HalfCauchy, HalfNormal
 
-# Log density above the mode's, from which on a draw shows that it was not the highest: more than what interpolated
-# products are off by (0.03), less than would matter.
+# Log density above the mode's, from which on a draw shows that it was not the highest: more than what columns as
+# polynomials put it off by (0.02), less than would matter.
 HIGHER_NATS = 1.0
 
 USUAL_ROUNDS = 3  # rounds of adaptation; more only where the last one's weights are unsound
@@ -54,9 +52,6 @@ NEGLIGIBLE = 40.0  # below the largest log weight, from which a draw counts noth
 FAR_NATS = 10.0  # below the largest log density, from which products need not be exact where polynomials end
 TABLES = 2_000_000  # numbers in tables of the readings that are computed at once
 COSTLY_READINGS = 1000  # readings, from which on a pass over them costs
-CLOSE_NATS = 0.03  # log density, within which polynomials are good,
-# The same of a long record, where a draw's own correction costs more than many products.
-CLOSER_NATS = 0.001
 PROPOSALS, FEWER_PROPOSALS, FEWEST_PROPOSALS = 8192, 4096, 2048  # by what each costs,
 OF_A_PART = 128  # and at least where a structure is part of an average
 # Share of an average from which on uneven weights of a structure are worth another climb.
@@ -133,88 +128,51 @@ class ManyPhi:
     """The log density of many φ at once, x integrated out, and x given each.
 
     Attributes:
-        table: of products, where one tells them.
-        products: as polynomials of φ, where they will do.
-        direct: whether each φ costs a pass over the readings.
+        table: of products about the mode; None where each φ costs columns, or a pass over the readings.
         exact: whether the closed form is that of φ itself.
     """
 
-    def __init__(self, problem: Problem, mode: Mode, proposals: float | None = None) -> None:
+    def __init__(self, problem: Problem, mode: Mode) -> None:
         self.problem, self.mode, self.size = problem, mode, problem.record.size
         self.density = Density(problem, mode.x, mode.flat, mode.v)
-        table, self.products, self.table = self.density.tabulated, None, None
-        if table is not None and np.all(np.isfinite(mode.covariance)):
-            self.table = table.about(mode.v, mode.covariance, mode.flat)
-        if self.table is None and problem.noise.gaussian:
-            close = CLOSE_NATS if self.size <= COSTLY_READINGS else CLOSER_NATS
-            expected = FEWER_PROPOSALS if proposals is None else proposals
-            self.products = about(self.density, mode.v, mode.covariance, close, expected)
-        self.exact = problem.noise.gaussian and self.products is None
-        self.direct = self.table is None and self.products is None
+        whole, self.table = self.density.tabulated, None
+        if whole is not None and np.all(np.isfinite(mode.covariance)):
+            self.table = whole.about(mode.v, mode.covariance, mode.flat)
+        self.exact = problem.noise.gaussian
         self.together = max(16, NUMBERS // (problem.size + 1) ** 2)
-        if self.direct:  # few at a time, so that the deadline is asked
+        if self.table is None:  # few at a time, so that the deadline is asked
             self.together = min(self.together, max(16, IN_CACHE // self.size))
         self.highest, self.top = float(mode.log_density), mode.v
 
     def at(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> tuple[np.ndarray, Drawn]:
         """Log density of each φ, and the x that standard normal numbers stand for given it."""
         prior = self.problem.log_priors(v)
-        if self.table is not None:
-            total, found = self._by_table(self.table, v, normal, prior)
-        elif self.products is None:
-            found = self._by_readings(v, normal)
-            total = _sum(found.log_marginal, prior)
+        if self.table is None:
+            found = self._one_by_one(v, normal)
         else:
-            total, found = self._by_products(self.products, v, normal, prior)
+            found = self._drawn(self.table.grams(v), v, normal, self.table.at)
+            total = _sum(found.log_marginal, prior)
+            beyond = ~self.table.reaches(v) & (total > self.highest - FAR_NATS)
+            if beyond.any():
+                exact = self._one_by_one(v[beyond], normal[beyond])
+                for all_of_it, new in zip(found, exact, strict=True):
+                    all_of_it[beyond] = new
+        total = _sum(found.log_marginal, prior)
         if total[best := int(np.argmax(total))] > self.highest:
             self.highest, self.top = float(total[best]), v[best]
         return total, found
 
-    def _by_table(
-        self, table: About, v: Float[np.ndarray, "b d"], normal: np.ndarray, prior: np.ndarray
-    ) -> tuple[np.ndarray, Drawn]:
-        own = self.problem.prior(self.problem.hyper(v.T), self.mode.flat, (len(v),))
-        found = draw(table.grams(v), self.size, own, table.at, normal)
-        total = _sum(found.log_marginal, prior)
-        beyond = ~table.reaches(v) & (total > self.highest - FAR_NATS)
-        if beyond.any():
-            there = own._replace(sd=own.sd[beyond])
-            exact = draw(table.whole.grams(v[beyond]), self.size, there, table.at, normal[beyond])
-            for all_of_it, new in zip(found, exact, strict=True):
-                all_of_it[beyond] = new
-            total = _sum(found.log_marginal, prior)
-        return total, found
+    def _drawn(
+        self, grams: Gram, v: Float[np.ndarray, "b d"], normal: np.ndarray, at: np.ndarray
+    ) -> Drawn:
+        prior = self.problem.prior(self.problem.hyper(v.T), self.mode.flat, (len(v),))
+        return draw(grams, self.size, prior, at, normal)
 
-    def _by_products(
-        self, products: Products, v: Float[np.ndarray, "b d"], normal: np.ndarray, prior: np.ndarray
-    ) -> tuple[np.ndarray, Drawn]:
-        held = len(products.at) - self.problem.size
-        hyper = self.problem.hyper(v.T)
-        with_held = np.pad(normal, [(0, 0), (0, held)])
-        own = products.prior(self.problem.prior(hyper, self.mode.flat, (len(v),)))
-        found = draw(products.grams(v, hyper), self.size, own, products.at, with_held)
-        found = found._replace(x=found.x[:, : self.problem.size])
-        total = _sum(found.log_marginal, prior)
-        # Where interpolation or polynomials end or have lost their definiteness, φ that may count are computed.
-        beyond = ~products.reaches(v) & (total > self.highest - FAR_NATS) | (total <= NOWHERE)
-        if beyond.any():
-            exact = self._by_readings(v[beyond], normal[beyond])
-            for all_of_it, new in zip(found, exact, strict=True):
-                all_of_it[beyond] = new
-            total = _sum(found.log_marginal, prior)
-        return total, found
-
-    def inside(self, v: Float[np.ndarray, "b d"]) -> np.ndarray:
-        """Which φ nothing but nonlinearity corrects, or lie where polynomials were fitted to a long record."""
-        if self.exact:
-            return np.ones(len(v), dtype=bool)
-        if self.size <= COSTLY_READINGS or self.products is None:
-            return np.zeros(len(v), dtype=bool)
-        return self.products.reaches(v)
-
-    def _by_readings(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> Drawn:
+    def _one_by_one(self, v: Float[np.ndarray, "b d"], normal: np.ndarray) -> Drawn:
         """The same from products that are computed for each φ."""
-        problem = self.problem
+        problem, table = self.problem, self.density.tabulated
+        if table is not None:
+            return self._drawn(table.grams(v), v, normal, table.at)
         if problem.corrected or problem.noisy or not problem.noise.gaussian:
             made = [self.density.gram(one, problem.hyper(one)) for one in v]
             grams = Gram(*(np.stack([np.asarray(g[i]) for g in made]) for i in range(4)))
@@ -222,8 +180,7 @@ class ManyPhi:
             together = max(8, TABLES // (self.size * (problem.size + 1)))
             parts = [self._computed(part) for part in np.array_split(v, -(-len(v) // together))]
             grams = Gram(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
-        prior = problem.prior(problem.hyper(v.T), self.mode.flat, (len(v),))
-        return draw(grams, self.size, prior, self.mode.x, normal)
+        return self._drawn(grams, v, normal, self.mode.x)
 
     def _computed(self, v: Float[np.ndarray, "b d"]) -> Gram:
         problem, record = self.problem, self.problem.record
@@ -393,8 +350,7 @@ def weighted_draws(
     """
     # Further draws have random numbers of their own: the same ones again would tell nothing.
     random = np.random.default_rng(seed if earlier is None else [seed, len(earlier.v)])
-    expected = part * FEWER_PROPOSALS if proposals is None else proposals
-    density = ManyPhi(problem, mode, expected)
+    density = ManyPhi(problem, mode)
     share, above = _prior_share(problem), HIGHER_NATS
     heavy = heavy or not problem.noise.gaussian
     known = None if earlier is None else earlier.rounds
@@ -414,7 +370,7 @@ def weighted_draws(
         # proposed: the climb may have ended on a lower one, and begins anew there.
         mode = find_mode(problem, [start], x=density.mode.x)
         if mode.log_density > higher:
-            density, known = ManyPhi(problem, mode, expected), None
+            density, known = ManyPhi(problem, mode), None
         elif found is not None:
             return found
         else:  # higher in the linear form about the old mode alone
@@ -451,7 +407,7 @@ def _fill(
     Ends early where a draw lies higher than the mode may.
     """
     mode, prior, first = density.mode, pool.prior, not pool.mixtures
-    direct = density.direct
+    direct = density.table is None
     if direct and len(mode.v):
         mode = mode._replace(covariance=_as_wide_as_it_is(density))
     if not first:
@@ -485,7 +441,7 @@ def proposals_of(density: ManyPhi) -> int:
     """How many: fewer where each costs a pass over many readings, or a large matrix."""
     # A pass over many readings for each φ buys fewer proposals in the same time; weights that are uneven ask for
     # more.
-    problem, direct = density.problem, density.direct
+    problem, direct = density.problem, density.table is None
     long = problem.record.size > COSTLY_READINGS
     if direct and (long or not problem.noise.gaussian):
         return FEWEST_PROPOSALS
@@ -535,19 +491,13 @@ def _placed(
 def _corrected(
     density: ManyPhi, v, found: Drawn, normal, of_phi, judged: Corrections, heavy: bool
 ) -> Float[np.ndarray, "b"]:
-    """`correction` of draws; the same for all where it is known.
-
-    Where polynomials end it is not: there each draw has its own.
-    """
-    problem, exact, inside = density.problem, density.exact, density.inside(v)
-    if not judged.alike:
-        made = correction(problem, found, normal, problem.hyper(v.T), exact, heavy)
-        judged.add(of_phi[inside], made[inside])
-        return made
-    made, out = np.full(len(v), judged.mean), ~inside
-    if out.any():
-        hyper = problem.hyper(v[out].T)
-        made[out] = correction(problem, found.of(out), normal[out], hyper, exact, heavy)
+    """`correction` of draws; the same for all where it is known."""
+    if density.exact and judged.alike:
+        return np.full(len(v), judged.mean)
+    hyper = density.problem.hyper(v.T)
+    made = correction(density.problem, found, normal, hyper, density.exact, heavy)
+    if density.exact:
+        judged.add(of_phi, made)
     return made
 
 

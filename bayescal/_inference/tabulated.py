@@ -1,13 +1,14 @@
 """A structure's log density of φ, x integrated out, from products of columns: value, gradient and exact curvature.
 
-Columns of all effects stand in one table Φ, moving ones as sums of few (`Expansion`), so that [J·sd | r] = Φ·D(φ) with D
-a matrix of row weights, one non-zero number dᵢ(φ) in a row, in the column of the row's owner. With G(θ) = ΦᵀΣ(θ)⁻¹Φ of
-products at the nodes of the noise law (`noise_nodes`) and W = DᵀGD = [[M, m], [mᵀ, s]],
+Columns of all effects stand in one table Φ, moving ones as sums of few (`Expansion`), so that [J·sd | r] = Φ·D(φ) with
+D a matrix of row weights, one non-zero number dᵢ(φ) in a row, in the column of the row's owner. With
+G(θ) = ΦᵀΣ(θ)⁻¹Φ from products at the nodes of the noise law (`law_nodes`) and W = DᵀGD = [[M, m], [mᵀ, s]],
 
-    log p(y, φ) = −½·(n·log 2π + log|Σ| + log|A| + ρ) + log p(φ),   A = M + diag(w),   ρ = s + w·f² − pᵀA⁻¹p,   p = m + w·f,
+    log p(y, φ) = −½·(n·log 2π + log|Σ| + log|A| + ρ) + log p(φ),
+    A = M + diag(w),   ρ = s + w·f² − pᵀA⁻¹p,   p = m + w·f,
 
-x = at + sd·t, the prior t ~ N(f, 1/w). Shapes, spreads and sizes move d, the noise's parameters G. With C = A⁻¹, t = C·p,
-P = [[C + t·tᵀ, −t], [−tᵀ, 1]] (rows and columns of P by the owners of rows), Q = P ∘ G, and k, l entries of φ,
+x = at + sd·t, the prior t ~ N(f, 1/w). Shapes, spreads and sizes move d, the noise's parameters G. With C = A⁻¹,
+t = C·p, P = [[C + t·tᵀ, −t], [−tᵀ, 1]] (rows and columns of P by the owners of rows), Q = P ∘ G, and k, l entries of φ,
 
     ∂ₖ = −aₖᵀQd,   −∂ₖₗ = bₖₗᵀQd + aₖᵀQaₗ − ½·tr(C·Mₖ·C·Mₗ) − qₖᵀCqₗ,   a = ∂d,  b = ∂²d,  qₖ = mₖ − Mₖt,
 
@@ -26,7 +27,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bayescal._inference.column_table import RESIDUAL, ColumnTable
-from bayescal._inference.expansion import TRIED_DRAWS, Expansion, Expansions, Fitted, Listed
+from bayescal._inference.expansion import (
+    TRIED_DRAWS,
+    Expansion,
+    Expansions,
+    ListedColumns,
+    PolynomialColumns,
+)
 from bayescal._inference.gaussian import Conditional, Gram, Prior, condition, draw
 from bayescal._inference.law_nodes import OneNode, Products, Weights
 from bayescal._inference.problem import Problem, Values
@@ -57,7 +64,7 @@ class Evaluation(NamedTuple):
     curvature: Float[np.ndarray, "d d"] | None = None
 
 
-class Part(NamedTuple):
+class TabulatedEffect(NamedTuple):
     """One effect of a structure: its coefficients beside each other in one block of the table.
 
     Attributes:
@@ -97,7 +104,7 @@ class Tabulated:
         self.problem, self.nodes = problem, nodes
         self.places = {h.name: i for i, h in enumerate(problem.hypers)}
         self.noise = [i for i, kind in enumerate(problem.kinds) if kind == "noise"]
-        self._tables: dict[Any, _Rows] = {}
+        self._tables: dict[Any, _StructureRows] = {}
         self.slopes = problem.slopes(x, problem.hyper(there))
         if problem.affine:
             self.table: ColumnTable = problem.record.table
@@ -107,7 +114,7 @@ class Tabulated:
             self.table = self._about(x, there)
         self.at = self._counted_from()
 
-    def _parts(self, table: ColumnTable) -> list[Part]:
+    def _parts(self, table: ColumnTable) -> list[TabulatedEffect]:
         problem, effects = self.problem, dict[int, list[Term]]()
         for t in problem.terms:
             effects.setdefault(id(t.known.effect), []).append(t)
@@ -124,7 +131,7 @@ class Tabulated:
             ]
             amounts = [np.full(t.size, 1.0 if t.place == "x" else -t.value) for t in terms]
             found.append(
-                Part(
+                TabulatedEffect(
                     table.number((terms[0].known.key, held, *config)),
                     problem.record.expansions(terms[0].known.columns, held),
                     tuple(terms),
@@ -135,15 +142,17 @@ class Tabulated:
             )
         return found
 
-    def expansion(self, part: Part, v: Float[np.ndarray, "d"], sloped: bool) -> Expansion:
+    def expansion(
+        self, part: TabulatedEffect, v: Float[np.ndarray, "d"], sloped: bool
+    ) -> Expansion:
         """Return the columns of a part's effect near φ."""
         return part.expansions.at(v[part.free], sloped)
 
-    def _block(self, part: Part, expansion: Expansion) -> int:
+    def _block(self, part: TabulatedEffect, expansion: Expansion) -> int:
         """Return the number of a part's columns in the table: for each coefficient and member as many as the rank."""
         return self.table.block((part.key, expansion), lambda: self._columns(part, expansion))
 
-    def _columns(self, part: Part, expansion: Expansion) -> Float[np.ndarray, "n w"]:
+    def _columns(self, part: TabulatedEffect, expansion: Expansion) -> Float[np.ndarray, "n w"]:
         columns = []
         for t in part.terms:
             own = (self.slopes[t.slot] * t.factor)[:, None] * expansion.columns[:, t.index]
@@ -153,7 +162,7 @@ class Tabulated:
         return np.concatenate(columns, axis=1)
 
     @cached_property
-    def _plain(self) -> dict[int, Part]:
+    def _plain(self) -> dict[int, TabulatedEffect]:
         """Parts that nothing moves, by their blocks; without curves, whose columns are nearly alike."""
         middle = np.zeros(len(self.problem.hypers))
         return {
@@ -201,12 +210,12 @@ class Tabulated:
 
     # rows -------------------------------------------------------------------------------------------------------
 
-    def rows(self, expansions: tuple[Expansion, ...]) -> _Rows:
+    def rows(self, expansions: tuple[Expansion, ...]) -> _StructureRows:
         """Return the structure's rows in some boxes; the latest are kept."""
         if expansions not in self._tables:
             while len(self._tables) >= KEPT_TABLES:
                 del self._tables[next(iter(self._tables))]
-            self._tables[expansions] = _Rows(self, expansions)
+            self._tables[expansions] = _StructureRows(self, expansions)
         return self._tables[expansions]
 
     # the density ------------------------------------------------------------------------------------------------
@@ -327,12 +336,12 @@ class Tabulated:
             rows = self.rows(tuple(e[i] for (e, _), i in zip(covers, box, strict=True)))
             found[own], log_det[own] = self.grams_of(rows, vs[own])
         for part, (expansions, _) in zip(self.parts, covers, strict=True):
-            for listed in (e for e in expansions if isinstance(e, Listed)):
+            for listed in (e for e in expansions if isinstance(e, ListedColumns)):
                 self.table.drop((part.key, listed))
         return Gram.of(found, log_det)
 
     def grams_of(
-        self, rows: _Rows, vs: Float[np.ndarray, "b d"]
+        self, rows: _StructureRows, vs: Float[np.ndarray, "b d"]
     ) -> tuple[Float[np.ndarray, "b p1 p1"], Float[np.ndarray, "b"]]:
         """Return products of [J r] and log|Σ| at several φ of some rows' boxes."""
         made = []
@@ -424,7 +433,7 @@ class About:
 
     def __init__(self, whole: Tabulated, expansions: tuple[Expansion, ...]) -> None:
         self.whole, self.at = whole, whole.at
-        self.rows = _Rows(whole, expansions)
+        self.rows = _StructureRows(whole, expansions)
         for part, expansion in zip(whole.parts, expansions, strict=True):
             if part.free:  # its own
                 whole.table.drop((part.key, expansion))
@@ -437,12 +446,12 @@ class About:
         """Return whether each φ is where the columns were fitted."""
         found = np.ones(len(vs), dtype=bool)
         for part, expansion in zip(self.whole.parts, self.rows.expansions, strict=True):
-            if isinstance(expansion, Fitted):
+            if isinstance(expansion, PolynomialColumns):
                 found &= expansion.reaches(vs[:, part.free])
         return found
 
 
-class _Rows:
+class _StructureRows:
     """A structure's rows of the table in some boxes: which column each is of, whose coefficient owns it, how much."""
 
     def __init__(self, whole: Tabulated, expansions: tuple[Expansion, ...]) -> None:

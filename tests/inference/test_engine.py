@@ -16,7 +16,7 @@ import bayescal as bc
 from bayescal import effects
 from bayescal._calibration.part import Part
 from bayescal._inference import nuts
-from bayescal._inference.density import Density, about
+from bayescal._inference.density import Density
 from bayescal._inference.gaussian import LOG_2PI, column_scale
 from bayescal._inference.laplace import across, find_mode
 from bayescal._inference.linear_model import sized
@@ -307,25 +307,16 @@ def test_tabulated_curvature_is_the_difference_of_slopes(case: str) -> None:
         np.testing.assert_allclose(row, difference, rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("case", "promoted"),
-    [
-        pytest.param("still, wandering", (), marks=pytest.mark.slow),
-        pytest.param("gyro, scatter", (), marks=pytest.mark.slow),
-        ("gyro, thermometer", ("bias.temperature",)),
-    ],
-)
-def test_polynomials_along_outer_axes_are_the_density(monkeypatch, case, promoted) -> None:
-    a = assembled(case, *promoted)
+@pytest.mark.parametrize("case", ["gyro", "gyro, wandering", "gyro, scatter", "gyro, stages"])
+def test_table_about_a_mode_is_the_density(case: str) -> None:
+    a = assembled(case)
     mode = find_mode(a)
-    anew = Density(a, mode.x, mode.flat, mode.v)
-    monkeypatch.setattr("bayescal._inference.density._pay", lambda *_: True)
-    found = about(anew, mode.v, mode.covariance, 0.001, 1)
-    assert found is not None and found.polynomials is not None
     random, root = np.random.default_rng(1), np.linalg.cholesky(mode.covariance)
     vs = mode.v + random.standard_normal((5, len(mode.v))) @ root.T
-    as_data, _ = ManyPhi(a, mode).at(vs, np.zeros((5, a.size)))
-    np.testing.assert_allclose(as_data, anew.values(vs), atol=0.05)
+    many = ManyPhi(a, mode)
+    assert many.table is not None
+    found, _ = many.at(vs, np.zeros((5, a.size)))
+    np.testing.assert_allclose(found, many.density.values(vs), atol=0.02)
 
 
 @pytest.mark.parametrize(
