@@ -58,7 +58,6 @@ def find_mode(
     covariance: np.ndarray | None = None,
     x: Float[np.ndarray, "p"] | None = None,
     still: float = STILL_SD,
-    curved: bool = True,
     start: Mapping[str, float] = NOTHING_KNOWN,
     wanted_from: float = -math.inf,
 ) -> Mode:
@@ -71,7 +70,6 @@ def find_mode(
         x: where x̂ may be; its prior mean, or what directions of an ellipsoid give, if not given.
         still: standard deviations that a round moves anything by, below which the mode is found. The log evidence is
             off by about half their square.
-        curved: whether the Gaussian fit there is asked for too; without, its covariance is the climb's guess.
         start: φ by name where the mode may be, a start beside the prior draws; what it does not name is at its prior's
             middle.
         wanted_from: log density, below which a mode found to a hundredth of a nat will do.
@@ -100,12 +98,9 @@ def find_mode(
         for along in across(problem, top.v):  # and one of many maxima may be higher
             top = highest(top, climbed([*along], top.x))
     density = top.density
-    costly = density is None or density.tabulated is None
-    if costly and not curved and top.value > NOWHERE:
-        return Mode(top.x, top.v, top.wide, top.value, top.value, top.change, flat, False)
     if density is None:
         density = Density(problem, top.x, flat, top.v)
-    return at_mode(density, top.v, top.change, top.x)
+    return at_mode(density, top.v, top.change, top.x, quick=still > STILL_SD)
 
 
 def _start(problem: Problem) -> Float[np.ndarray, "p"]:
@@ -368,14 +363,6 @@ def at_mode(
     spreads = np.array([kind == "group_sd" for kind in density.problem.kinds])
     covariance, volume, indefinite = gaussian_fit(density, v, quick, spreads)
     return mode._replace(covariance=covariance, log_evidence=value + volume, indefinite=indefinite)
-
-
-def with_fit(problem: Problem, mode: Mode) -> Mode:
-    """A mode whose Gaussian fit was not made, with it; its curvatures are by differences on one side."""
-    if mode.log_evidence != mode.log_density:  # it was made
-        return mode
-    density = Density(problem, mode.x, mode.flat, mode.v)
-    return at_mode(density, mode.v, mode.change, quick=True)
 
 
 def gaussian_fit(

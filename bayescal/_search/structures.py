@@ -25,7 +25,7 @@ from bayescal._core import deadline
 from bayescal._core.null_space import Spans
 from bayescal._core.settings import settings
 from bayescal._inference.density import Density
-from bayescal._inference.laplace import Mode, find_mode, with_fit
+from bayescal._inference.laplace import Mode, find_mode
 from bayescal._inference.linear_model import LinearModel, linear_model
 from bayescal._inference.problem import Problem
 from bayescal._inference.record import Record
@@ -315,12 +315,12 @@ class Structures:
         # Of what is that far behind nothing is asked but that it is.
         wanted = self.best.total - log_prior - ROUGHLY_NATS if self.visited else -math.inf
         if near is None:
-            found = find_mode(problem, still=STILL_SD, curved=False, wanted_from=wanted)
+            found = find_mode(problem, still=STILL_SD, wanted_from=wanted)
         else:
             known, width = carried(problem, near.problem, near.mode)
             begin = starts(problem, near.problem, known, hints)
             x = problem.x_of(near.problem, near.mode.x)
-            found = find_mode(problem, begin, width, x, STILL_SD, False, wanted_from=wanted)
+            found = find_mode(problem, begin, width, x, STILL_SD, wanted_from=wanted)
         sized = [e for n, e in self.candidates.items() if n in structure.effects and has_size(e)]
         problem, mode, log_evidence = averaged(problem, found, sized, wanted)
         weighed = Weighed(structure, log_evidence, log_prior, problem, mode)
@@ -480,16 +480,14 @@ def averaged(
         return problem, mode, -math.inf
     chosen = gains.likeliest()
     if mode.log_density + gains.at(chosen) < wanted_from:
-        volume = 0.5 * float(np.linalg.slogdet(2 * np.pi * mode.covariance)[1])
-        log_evidence = mode.log_density + volume + gains.at(chosen)
+        log_evidence = mode.log_evidence + gains.at(chosen)
     else:
         if chosen != begun:
             problem = Problem(problem.layout, problem.record, dict(chosen))
-            mode = find_mode(problem, [mode.v], mode.covariance, mode.x, STILL_SD, curved=False)
+            mode = find_mode(problem, [mode.v], mode.covariance, mode.x, STILL_SD)
             gains = SizeGains.of(problem, mode, chosen)
             if gains is None:
                 return problem, mode, -math.inf
-        mode = with_fit(problem, mode)
         log_evidence = mode.log_evidence
     # Σ over the sizes of one effect, the others at their likeliest: as if ratios of evidence multiplied. They do
     # where effects do not overlap; where they do, one of them mostly has its size by the other's.
