@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from bayescal._inference.law_nodes import OneNode, Products
+from bayescal._inference.noise_nodes import OneNode, Products
 
 RESIDUAL = 0  # the number of the block of what a first fit left of the readings
 SHARED = 1e-6  # of the largest singular value, below which a direction of columns takes nothing

@@ -14,7 +14,7 @@ from bayescal._data.measurements import Measurements
 from bayescal._inference.density import Density
 from bayescal._inference.gaussian import column_scale
 from bayescal._inference.laplace import Mode, flat_scales
-from bayescal._inference.law_nodes import InFrequency
+from bayescal._inference.noise_nodes import InFrequency
 from bayescal._inference.noise_on_record import (
     Independent,
     Whitening,

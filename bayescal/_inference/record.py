@@ -22,7 +22,7 @@ from bayescal._inference import programs
 from bayescal._inference.column_table import ColumnTable
 from bayescal._inference.expansion import Expansions
 from bayescal._inference.host_columns import HostColumns
-from bayescal._inference.law_nodes import AlongColumn, OneNode, in_frequency
+from bayescal._inference.noise_nodes import AlongColumn, OneNode, in_frequency
 from bayescal._model.channel_at_rest import CHANNEL
 from bayescal._model.composition import columns_read
 from bayescal._model.effect import Effect

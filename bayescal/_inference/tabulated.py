@@ -2,7 +2,7 @@
 
 Columns of all effects stand in one table Φ, moving ones as sums of few (`Expansion`), so that [J·sd | r] = Φ·D(φ) with
 D a matrix of row weights, one non-zero number dᵢ(φ) in a row, in the column of the row's owner. With
-G(θ) = ΦᵀΣ(θ)⁻¹Φ from products at the nodes of the noise law (`law_nodes`) and W = DᵀGD = [[M, m], [mᵀ, s]],
+G(θ) = ΦᵀΣ(θ)⁻¹Φ from products at the nodes of the noise law (`noise_nodes`) and W = DᵀGD = [[M, m], [mᵀ, s]],
 
     log p(y, φ) = −½·(n·log 2π + log|Σ| + log|A| + ρ) + log p(φ),
     A = M + diag(w),   ρ = s + w·f² − pᵀA⁻¹p,   p = m + w·f,
@@ -35,7 +35,7 @@ from bayescal._inference.expansion import (
     PolynomialColumns,
 )
 from bayescal._inference.gaussian import Conditional, Gram, Prior, condition, draw
-from bayescal._inference.law_nodes import OneNode, Products, Weights
+from bayescal._inference.noise_nodes import OneNode, Products, Weights
 from bayescal._inference.problem import Problem, Values
 from bayescal._model.composition import by_member
 from bayescal._model.terms import Term
