@@ -56,12 +56,9 @@ class Habit(NamedTuple):
 
 @dataclass(frozen=True)
 class AllanTerm:
-    """One term of an Allan curve.
+    """One term (N, B or K) of an Allan curve, in the unit of data sheets, with the name of IEEE 952 and 1293.
 
     Attributes:
-        symbol: N, B or K.
-        name: as IEEE 952 and 1293 call it.
-        unit: of data sheets.
         value: None where the curve of this record has no such slope.
         uncertainty: standard uncertainty of the value.
     """
@@ -99,13 +96,7 @@ def habit(unit: str) -> Habit:
 
 
 def term(symbol: str, unit: str, value: float | None, uncertainty: float | None) -> AllanTerm:
-    """A term in its data-sheet unit.
-
-    Args:
-        symbol: N, B or K.
-        unit: of the output.
-        value, uncertainty: in that unit times √s (N), as it is (B), or per √s (K); None where not seen.
-    """
+    """Return a term in its data-sheet unit; values in the output's unit times √s (N), as it is (B), per √s (K)."""
     i, names = SYMBOLS.index(symbol), habit(unit)
     if value is None or uncertainty is None:
         return AllanTerm(symbol, names.names[i], names.units[i])
@@ -115,15 +106,7 @@ def term(symbol: str, unit: str, value: float | None, uncertainty: float | None)
 
 
 class Curve(NamedTuple):
-    """An Allan curve.
-
-    Attributes:
-        factors: readings averaged, each twice the one before.
-        step: between readings, s.
-        readings: of the longest run.
-        variance: Allan variances, output unit squared.
-        edf: their equivalent degrees of freedom.
-    """
+    """An Allan curve: factors averaged, step (s), readings of the longest run, variances (output unit²) and edf."""
 
     factors: Float[np.ndarray, "k"]
     step: float
@@ -277,15 +260,13 @@ class EvenRuns(NamedTuple):
 
 @dataclass(frozen=True)
 class AllanDeviation:
-    """Allan deviation of a record.
+    """Allan deviation of a record, in the unit of the output.
 
     Attributes:
-        unit: of the output.
         step: between readings, s.
         runs: that were combined, weighted by their numbers of differences.
         tau: averaging times (k,), s.
-        deviation: (k,), output unit.
-        low, high: ends of its 95 % confidence interval (k,), output unit.
+        deviation, low, high: (k,), and the ends of its 95 % confidence interval.
         differences: of neighbouring averages (k,).
         edf: equivalent degrees of freedom (k,) of the squared deviation, by Greenhall & Riley (2003).
         terms: N, B and K in the units of data sheets.
@@ -335,11 +316,7 @@ def allan_deviation(
 def of_runs(
     readings: Measurements, values: Float[np.ndarray, "n"], runs: EvenRuns
 ) -> AllanDeviation:
-    """The same, of runs that are known to be even.
-
-    Raises:
-        InputError: the values do not change.
-    """
+    """Compute the Allan deviation of runs that are known to be even; raise InputError where values do not change."""
     factors, unit = runs.factors, readings.unit("output") or ""
     variance, differences = overlapping(values, runs)
     if not np.all(variance > 0):
@@ -438,14 +415,10 @@ def _grid(time: np.ndarray, rows: Sequence[np.ndarray], usual: float) -> float |
 def overlapping(
     values: Float[np.ndarray, "n"] | Float[np.ndarray, "n q"], runs: EvenRuns
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Allan variances of all runs together, and how many differences each is the mean of; of several columns their sum.
+    """Return Allan variances of all runs together (of several columns their sum), and their numbers of differences.
 
     Where readings were lost, averages are of those that are there, half of their number at least, and their differences
     are taken down to what white noise of all would have: a random walk comes out lower, by the lost share at most.
-
-    Args:
-        values: of the readings.
-        runs: of these.
     """
     squares, count = np.zeros(len(runs.factors)), np.zeros(len(runs.factors))
     for rows in runs.rows:

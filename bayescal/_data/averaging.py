@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 
 import numpy as np
 
@@ -18,22 +19,16 @@ SET_JUMPS_SHARE = 0.1
 
 
 def duration(text: str | float) -> float:
-    """A time such as "1 s", "0.5s", "2 min", or a number of seconds, in seconds.
-
-    Raises:
-        InputError: it is none, or not positive and finite.
-    """
-    try:
+    """Parse a time such as "1 s", "0.5s", "2 min", or a number of seconds, in s; raise InputError for none above 0."""
+    with suppress(InputError):
         number, unit = quantity(f"{text} s" if isinstance(text, int | float) else text)
         seconds = float(convert(number, unit, "s"))
-    except InputError:
-        seconds = np.nan
-    if not (np.isfinite(seconds) and seconds > 0):
-        raise InputError(
-            f"{text!r} is no time to average over: write a positive number with a unit of time, "
-            "such as '1 s', '0.5 s' or '2 min'"
-        )
-    return seconds
+        if np.isfinite(seconds) and seconds > 0:
+            return seconds
+    raise InputError(
+        f"{text!r} is no time to average over: write a positive number with a unit of time, such as '1 s', '0.5 s' or "
+        "'2 min'"
+    )
 
 
 def average(
@@ -43,7 +38,7 @@ def average(
     step: str | float,
     names: str,
 ) -> tuple[dict[str, np.ndarray], dict[str, str | None], str]:
-    """Means over times that follow each other, of readings whose labels all agree.
+    """Average readings whose labels all agree over times that follow each other.
 
     Args:
         columns: readings, numbers and labels.
@@ -53,8 +48,7 @@ def average(
         names: the files, for messages.
 
     Returns:
-        Means of numbers and labels as they were, in the order of time within runs; their units; and how many readings
-        became how many means, and the noise of either, as a flag.
+        Means of numbers and labels as they were, in the order of time within runs; their units; and a flag.
 
     Raises:
         InputError: no such time, no column `time`, or each reading its own mean, or one mean of all.
@@ -99,15 +93,14 @@ def _refuse_useless(
 ) -> None:
     """Refuse a time that averages nothing, or everything."""
     if counts.size == 1:
-        raise InputError(
-            f"{names}: a mean over {seconds:g} s is one of all {time.size} readings: give a shorter time"
-        )
+        said = f"a mean over {seconds:g} s is one of all {time.size} readings: give a shorter time"
+        raise InputError(f"{names}: {said}")
     if counts.max() == 1:
         usual = float(np.median(np.diff(time)[same[1:]])) if same.any() else np.inf
-        apart = f" (they are {usual:.3g} s apart)" if np.isfinite(usual) else ""
+        apart = f" (they are {usual:.3g} s apart)" * bool(np.isfinite(usual))
         raise InputError(
-            f"{names}: nothing to average, as no two readings with the same labels and settings lie "
-            f"within {seconds:g} s{apart}: give a longer time, or do not average"
+            f"{names}: nothing to average, as no two readings with the same labels and settings lie within "
+            f"{seconds:g} s{apart}: give a longer time, or do not average"
         )
 
 

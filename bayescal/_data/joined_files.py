@@ -13,11 +13,7 @@ from bayescal._tables.raw_table import Table
 
 
 def joined(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> ConvertedColumns:
-    """The files' columns one after the other.
-
-    Args:
-        parts: of each file.
-        labels: of their runs, for those without a column `run`.
+    """Return the files' columns one after the other; files without a column `run` take `labels`.
 
     Raises:
         InputError: labels or dates stand in some files only, or one column has two dimensions.

@@ -76,11 +76,7 @@ class Measurements(Printed):
     since: float | None = None
 
     def __post_init__(self) -> None:
-        """Make the arrays read-only.
-
-        Raises:
-            InputError: a unit is none, or a column is no vector as long as the others.
-        """
+        """Make the arrays read-only; raise InputError for an unknown unit, or columns of unequal shapes."""
         made = {name: _column(values, self.units[name]) for name, values in self.values.items()}
         if {values.ndim for values in made.values()} != {1} or len(
             set(map(len, made.values()))
@@ -407,7 +403,7 @@ def measured(
     labels: Sequence[str] = ("",),
     problems: Objections | None = None,
 ) -> Measurements:
-    """Tables of files, or of arrays, as one record; all that is wrong with any of them is refused at once.
+    """Convert tables of files, or of arrays, to one record; all that is wrong with any of them is refused at once.
 
     Args:
         tables: that could be opened.
@@ -416,9 +412,6 @@ def measured(
         one_temperature: accept one temperature.
         labels: of the files' runs, where they have no column `run`.
         problems: of files that could not be opened, if there are any.
-
-    Raises:
-        InputError: a column, a unit or a cell cannot be used, or the whole cannot.
     """
     problems, parts = Objections(problems or ()), list[ConvertedColumns]()
     if not problems:
@@ -477,10 +470,8 @@ def assemble(
 
 def _column(values: ArrayLike, unit: str | None) -> np.ndarray:
     """A column that cannot be written to: text without a unit, numbers with one."""
-    if unit is None:
-        made = np.asarray(values).astype(str)
-    else:
+    if unit is not None:
         parse(unit)
-        made = np.asarray(values, np.float64).view()
+    made = np.asarray(values).astype(str) if unit is None else np.asarray(values, np.float64).view()
     made.flags.writeable = False
     return made

@@ -38,7 +38,6 @@ class Oddity(NamedTuple):
 
     Attributes:
         code: its kind: "held", "saturated", "leap", "level" or "run".
-        column: the thermometer's.
         said: what is odd, in words.
         rows: at which it is.
         wrong: of these, where the temperature was surely another than the column says; none where that is not known.
@@ -54,13 +53,7 @@ class Oddity(NamedTuple):
 def oddities(
     columns: Columns, thermometers: Collection[str], output: str = "output"
 ) -> list[Oddity]:
-    """Return what is odd in the columns of thermometers.
-
-    Args:
-        columns: readings by name; without `time` nothing can be said.
-        thermometers: columns of measured temperatures, °C.
-        output: name of the output column, if it is there.
-    """
+    """Return what is odd in the columns of `thermometers`, °C; without a column `time` nothing can be said."""
     if "time" not in columns:
         return []
     found, names = list[Oddity](), sorted(n for n in thermometers if np.ptp(columns[n]) > 0)
@@ -266,13 +259,9 @@ HELD_SHARE = 0.05  # the same as a share of a stretch's changes
 
 
 def held_rows(values: np.ndarray, own: Sequence[np.ndarray]) -> np.ndarray:
-    """Rows of stretches in which values are repeated until the next leap, again and again: they were asked seldom.
+    """Return rows of stretches in which values are repeated until the next leap, again and again: asked seldom.
 
     Rounded values repeat too, and then change by a step of their rounding, the smallest gap between any two of them.
-
-    Args:
-        values: of a column that is not constant (n,).
-        own: rows of each stretch without a pause, by `pieces`.
     """
     held, pairs = [np.zeros(0, int)], 0
     some = np.unique(values[np.concatenate([held[0], *own])])
@@ -467,12 +456,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def allowed_changes(columns: Columns, values: np.ndarray) -> np.ndarray:
-    """Return what a thermometer's column may change by from each reading of a file to the next (n − 1,), °C.
-
-    Args:
-        columns: labels of records, and the time, if they are known.
-        values: of the thermometer, °C (n,).
-    """
+    """Return what a thermometer's column, °C (n,), may change by from each reading of a file to the next (n − 1,)."""
     change = np.abs(np.diff(values))
     usual = END_RATIO * float(np.quantile(change, USUAL_CHANGES_SHARE)) if change.size else 0.0
     least = UNLIKE_DEGREES + np.full(len(change), usual)

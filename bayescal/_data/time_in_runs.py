@@ -47,13 +47,10 @@ def sequence(time: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def set_in_steps(values: np.ndarray, order: np.ndarray, step: np.ndarray) -> bool:
-    """Whether a column was set from time to time and stood between, as a load does, rather than measured on its way.
+    """Return whether a column was set from time to time and stood between, as a load does, not measured on its way.
 
-    Nearly all that it changes by, in squares, are changes beyond which and before which it hardly does.
-
-    Args:
-        values: of the column (n,).
-        order, step: of `sequence`.
+    Nearly all that it changes by, in squares, are changes beyond which and before which it hardly does. `order` and
+    `step` as `sequence` returns them.
     """
     change = np.where(step[1:] < 0, 0.0, np.abs(np.diff(values[order])))
     padded = np.pad(change, 1)
@@ -127,17 +124,10 @@ def on_clock(
 
 
 def going_on(fitted: Measurements, later: Measurements) -> dict[str, np.ndarray]:
-    """Return which readings of which runs go on with a record that is known.
+    """Return which readings of which runs go on with a record that is known: rows of `later` by run.
 
     They have the run's name (and device and axis), and follow its readings in blocks, the first of them at once. A file
     of another test, whose clock begins anew, has times that fall among all of the record's, or far from them.
-
-    Args:
-        fitted: the record.
-        later: readings that may continue it, on its clock.
-
-    Returns:
-        Rows of `later` by the run that they continue.
     """
     if not (fitted.has("time") and later.has("time")) or fitted.since != later.since:
         return {}

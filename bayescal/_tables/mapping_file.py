@@ -1,8 +1,4 @@
-"""The TOML file that keeps how the columns of files are understood, for the next file.
-
-TOML that is written here is strings, a number and two tables: `json.dumps` quotes strings as TOML does, so no library
-is needed to write it; Python's own reads it.
-"""
+"""The TOML file that keeps how the columns of files are understood, for the next file."""
 
 from __future__ import annotations
 
@@ -16,22 +12,13 @@ from bayescal._core.json_shape import OneOf, read_toml
 
 MAPPING = {  # its shape: how `read` is asked, as keywords
     "columns?": {str: OneOf(str, [str])},
-    "units?": {str: str},
-    "unwrap?": {str: str},
-    "begin?": {str: str},
+    **{f"{name}?": {str: str} for name in ("units", "unwrap", "begin")},
     "ignore?": [str],
     "local_gravity?": float,
-    **{
-        f"{name}?": str
-        for name in (
-            "local_field",
-            "missing",
-            "decimal",
-            "date_order",
-            "nominal_scale",
-            "nominal_zero",
-        )
-    },
+    **dict.fromkeys(
+        ("local_field?", "missing?", "decimal?", "date_order?", "nominal_scale?", "nominal_zero?"),
+        str,
+    ),
 }
 
 
@@ -46,11 +33,7 @@ def load_mapping(path: Path) -> dict[str, Any]:
 
 
 def save_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
-    """Write a mapping; what is empty is left out.
-
-    Raises:
-        InputError: the place cannot be written to.
-    """
+    """Write a mapping, without what is empty; raise InputError where the place cannot be written to."""
     single = [f"{n} = {_value(v)}" for n, v in mapping.items() if v and not isinstance(v, Mapping)]
     lines = ["# How the columns of these files are read: bayescal … --mapping FILE", *single]
     for name, table in mapping.items():
@@ -61,5 +44,5 @@ def save_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
 
 
 def _value(value: str | float | Sequence[str]) -> str:
-    """A string, a number or a list of strings as TOML has it. JSON leaves the character 7F, TOML does not allow it."""
+    """Format a value as TOML: JSON's quoting, but for the character 7F, which TOML does not allow."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,7 +1,7 @@
-"""What a file unpacks to, looked at before it is unpacked: so that a small file takes neither memory nor time.
+"""Bounds on what a file may unpack to, checked before it is unpacked.
 
-A few megabytes of zeros unpack to gigabytes, arrays may be stated that were never written, lists may stand in each
-other until the library that reads them ends the process, and a file may name others. Readings do none of that.
+A few megabytes of zeros unpack to gigabytes, arrays may be stated that were never written, lists may be nested until
+the library that reads them ends the process, and a file may name others. Readings do none of that.
 """
 
 from __future__ import annotations
@@ -12,60 +12,38 @@ import struct
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from bayescal._tables.raw_table import bytes_text, unusable
 
+# How many times its size a format may unpack to, and how many bytes whatever its size. Measured: a sheet of constants
+# 10 times, MATLAB's compressed doubles 4 to 7 times, and 700 times a constant alone.
+SHEET, ARRAYS = (25, 2e7), (100, 1e8)
+MAX_HDF5_OBJECTS = 100_000
+# Cells and structures of a MATLAB file: their reader is recursive, and some thousands in each other end the process.
+MAX_MATLAB_CONTAINERS = 2000
+# "MAT-File Format", The MathWorks, chapter 1: a compressed element; classes of arrays that contain others.
+_COMPRESSED, _CONTAINERS = 15, b"\x01\x02\x03\x10\x11"
 _CHUNK = 1 << 20  # bytes unpacked at a time
 
 
-class Limit(NamedTuple):
-    """How much a format may unpack to: so many times its size, and whatever that is, so many bytes.
-
-    Measured: a sheet of constants 10 times, MATLAB's compressed doubles 4 to 7 times, and 700 times a constant alone.
-    """
-
-    times: float
-    free: float
-
-
-SHEET, ARRAYS = Limit(25, 2e7), Limit(100, 1e8)
-_OBJECTS = 100_000  # groups and arrays of an HDF5 file
-
-
-def refuse_unpacked(file: str, packed: float, unpacked: float, limit: Limit) -> None:
-    """Refuse a file that unpacks to far more than readings do.
-
-    Raises:
-        InputError: it does.
-    """
-    if unpacked > max(limit.free, limit.times * packed):
-        raise unusable(
-            file,
-            f"holds {bytes_text(packed)} that unpack to {bytes_text(unpacked)} or more, at least "
-            f"{unpacked / packed:,.0f} times as much; at most {limit.times:g} times are read",
-            "Save the readings as CSV",
-        )
+def refuse_unpacked(file: str, packed: float, unpacked: float, limit: tuple[float, float]) -> None:
+    """Raise InputError where a file unpacks to far more than readings do."""
+    if unpacked > max(limit[1], limit[0] * packed):
+        came = f"holds {bytes_text(packed)} that unpack to {bytes_text(unpacked)} or more"
+        more = f"at least {unpacked / packed:,.0f} times as much; at most {limit[0]} times are read"
+        raise unusable(file, f"{came}, {more}", "Save the readings as CSV")
 
 
 def refuse_zip(path: Path, file: str) -> None:
-    """Look at the sizes that a ZIP archive, such as an Excel file, states; no more than these are ever unpacked.
-
-    Raises:
-        InputError: it unpacks to too much.
-        zipfile.BadZipFile: it is none.
-    """
+    """Raise InputError where the sizes that a ZIP archive states, beyond which nothing is unpacked, are too large."""
     with zipfile.ZipFile(path) as archive:
-        total = sum(one.file_size for one in archive.infolist())
+        total = sum(member.file_size for member in archive.infolist())
     refuse_unpacked(file, path.stat().st_size, total, SHEET)
 
 
 def refuse_hdf5(opened: Any, file: str, size: int) -> None:
-    """Look at an open HDF5 file: what its arrays state, whether its groups end, whether it names other files.
-
-    Raises:
-        InputError: it states too much, a group stands in itself, or it leads elsewhere.
-    """
+    """Raise InputError where an open HDF5 file states too much, has a group in itself, or links to other files."""
     import h5py  # a tenth of a second that other formats do without
     from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
 
@@ -78,74 +56,57 @@ def refuse_hdf5(opened: Any, file: str, size: int) -> None:
             array = isinstance(node, h5py.Dataset)
             if not hard or (array and (node.is_virtual or node.external)):
                 came = f"{inner} is a link to somewhere else, or its numbers stand in another file"
-                raise unusable(
-                    file, f"is not all there: {came}", "Save the readings in the file itself"
-                )
+                cure = "Save the readings in the file itself"
+                raise unusable(file, f"is not all there: {came}", cure)
             address = h5o.get_info(node.id).addr
-            if len(seen) > _OBJECTS or (address in seen and not array):
-                came = f"has the group {inner} twice, or over {_OBJECTS:,} arrays and groups"
+            if len(seen) > MAX_HDF5_OBJECTS or (address in seen and not array):
+                came = (
+                    f"has the group {inner} twice, or over {MAX_HDF5_OBJECTS:,} arrays and groups"
+                )
                 raise unusable(file, came, "Save the readings as CSV")
             seen.add(address)
-            if array:
-                total += int(node.size or 0) * node.dtype.itemsize
-            else:
-                waiting += [node] * isinstance(node, h5py.Group)
+            total += int(node.size or 0) * node.dtype.itemsize if array else 0
+            waiting += [node] * isinstance(node, h5py.Group)
     refuse_unpacked(file, size, total, ARRAYS)
 
 
-# Elements of a MATLAB file up to 7.2, and classes of arrays that hold others: cells, structures, objects, functions,
-# opaque ones ("MAT-File Format", The MathWorks, 1999 to 2024, chapter 1).
-_MATRIX, _COMPRESSED, _HOLDS_OTHERS = 14, 15, b"\x01\x02\x03\x10\x11"
-_MOST_HOLDING = 2000  # of these in a file: their reader calls itself, and some thousands in each other end the process
-
-
 def refuse_matlab(path: Path, file: str) -> None:
-    """Look through a MATLAB file up to 7.2: what its variables unpack to, how many cells and structures it has.
-
-    Raises:
-        InputError: it unpacks to too much, has more of them than any, or states more entries than it holds.
-    """
-    size, total, holding = path.stat().st_size, 0, 0
+    """Raise InputError where a MATLAB file up to 7.2 unpacks to too much, or states or nests too many containers."""
+    size, total, containers = path.stat().st_size, 0, 0
     with path.open("rb") as handle:
         head = handle.read(128)
         if 0 in head[:4]:  # version 4: plain matrices, each as long as the file has bytes for
             return
         order = ">" if head[126:] == b"MI" else "<"
-        classes = (b"..." * (order == ">")) + b"[" + re.escape(_HOLDS_OTHERS) + b"]"
+        classes = (b"..." * (order == ">")) + b"[" + re.escape(_CONTAINERS) + b"]"
         flags = re.compile(re.escape(struct.pack(f"{order}II", 6, 8)) + classes, re.DOTALL)
         while len(tag := handle.read(8)) == 8:
             kind, length = struct.unpack(f"{order}II", tag)
             if length > size - handle.tell():
                 raise ValueError("a variable is longer than the file")
-            data = handle.read(length)
+            data, packed = bytearray(), handle.read(length)
             if kind == _COMPRESSED:
-                data = _inflated(data, file, size, total)
+                inflater = zlib.decompressobj()
+                while part := inflater.decompress(packed, _CHUNK):
+                    data += part
+                    packed = inflater.unconsumed_tail
+                    refuse_unpacked(file, size, total + len(data), ARRAYS)
                 total += len(data)
-            for found in flags.finditer(data):
-                holding += 1
-                count = _entries(data, found.start() + 16, order)
-                if holding > _MOST_HOLDING or 8 * count > len(data):
-                    came = f"has over {_MOST_HOLDING:,} cells and structures, or states {count:,} that it does not hold"
-                    raise unusable(file, came, "save the readings as CSV")
+            for found in flags.finditer(data or packed):
+                containers += 1
+                count = _entries(data or packed, found.start() + 16, order)
+                if containers > MAX_MATLAB_CONTAINERS or 8 * count > len(data or packed):
+                    came = f"has over {MAX_MATLAB_CONTAINERS:,} cells and structures, or states {count:,}"
+                    raise unusable(
+                        file, f"{came} that it does not hold", "save the readings as CSV"
+                    )
 
 
-def _inflated(packed: bytes, file: str, size: int, before: int) -> bytes:
-    """A compressed variable, unpacked as long as the whole stays within what a file may unpack to."""
-    inflater, parts, total = zlib.decompressobj(), list[bytes](), before
-    while part := inflater.decompress(packed, _CHUNK):
-        parts.append(part)
-        total += len(part)
-        refuse_unpacked(file, size, total, ARRAYS)
-        packed = inflater.unconsumed_tail
-    return b"".join(parts)
-
-
-def _entries(data: bytes, at: int, order: str) -> int:
-    """How many entries an array states whose dimensions stand at a place; none where none do."""
+def _entries(data: bytes | bytearray, at: int, order: str) -> int:
+    """Number of entries that the dimensions at a place in a MATLAB file state; 0 where there are none."""
     if len(data) < at + 8:
         return 0
     kind, length = struct.unpack_from(f"{order}II", data, at)
-    begin, length = (
-        (at + 4, kind >> 16) if kind >> 16 else (at + 8, min(length, len(data) - at - 8))
-    )
+    small = kind >> 16  # bytes of an element packed into its own tag
+    begin, length = (at + 4, small) if small else (at + 8, min(length, len(data) - at - 8))
     return math.prod(struct.unpack_from(f"{order}{length // 4}i", data, begin))
