@@ -38,14 +38,7 @@ def average(
     step: str | float,
     names: str,
 ) -> tuple[dict[str, np.ndarray], dict[str, str | None], str]:
-    """Average readings whose labels all agree over times that follow each other.
-
-    Args:
-        columns: readings, numbers and labels.
-        units: of the numbers; None for labels.
-        output: name of the output column.
-        step: to average over, "1 s" or a number of seconds.
-        names: the files, for messages.
+    """Average readings whose labels all agree over times that follow each other, `step` (such as "1 s", or s) long.
 
     Returns:
         Means of numbers and labels as they were, in the order of time within runs; their units; and a flag.

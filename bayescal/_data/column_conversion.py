@@ -6,6 +6,7 @@ import re
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -74,19 +75,10 @@ def convert_columns(
     options: ReadOptions,
     problems: Objections | None = None,
 ) -> ConvertedColumns:
-    """Check a file's columns and convert them.
+    """Convert a file's columns to the instrument's units, in its order, then what else was kept.
 
-    Args:
-        table: the file.
-        instrument: whose columns are expected.
-        options: renamings, units, gravity, scale, and what becomes of missing readings.
-        problems: to add to; the columns without any are converted all the same.
-
-    Returns:
-        Columns in the instrument's units, in its order, then what else was kept; without rows that are dropped.
-
-    Raises:
-        InputError: a column, a unit or a cell cannot be used, and there are no `problems` to add to.
+    What is wrong is added to `problems`, and the columns without any are converted all the same; where there are none
+    to add to, InputError is raised. Rows with a missing reading are dropped where the options say so.
     """
     own = Objections() if problems is None else problems
     before = len(own)
@@ -258,6 +250,9 @@ class ColumnReader:
     def _is_time(self) -> bool:
         return self.column.name == "time" and self.column.unit == "s"
 
+    def _problem(self, came: str, *about: str, **more: Any) -> None:
+        self.file.problem(self.header.raw, came, *about, **more)
+
     def _flag(self, said: str) -> None:
         self.converted.flags.append(f"{self.file.table.file}: column {self.header.raw!r} {said}")
 
@@ -267,7 +262,7 @@ class ColumnReader:
         self.converted.missing[self.column.name] = np.union1d(earlier, rows)
         if self.file.options.missing == "refuse":
             cure, given = "Fill it in, or drop such rows", option("--missing", "drop")
-            self.file.problem(self.header.raw, came, expected, cure, given, rows=rows)
+            self._problem(came, expected, cure, given, rows=rows)
 
     def _without(self, raw: np.ndarray, rows: np.ndarray, said: str) -> np.ndarray:
         """Numbers without those that stand for a missing reading."""
@@ -280,11 +275,8 @@ class ColumnReader:
 
     def _unwrapped(self, raw: np.ndarray, unit: str | None) -> np.ndarray:
         """Undo a counter's wraps, or a sign that was lost, where the user says so."""
-        names, given = (
-            (self.header.raw, self.header.name, self.column.name),
-            self.file.options.unwrap,
-        )
-        said = next((given[n] for n in names if n in given), None)
+        given = self.file.options.unwrap
+        said = next((given[n] for n in self._names if n in given), None)
         if said is None or unit is None:
             return raw
         warm = same_dimension(unit, "degC")
@@ -335,11 +327,7 @@ class ColumnReader:
     def _note_mass(self, raw: np.ndarray, unit: str | None) -> None:
         """Note a g that is hardly that of gravity, where the instrument takes whatever unit there is."""
         anything = {c.name for c in self.file.instrument.columns if c.unit == ANY}
-        said = self.file.options.units.keys() & {
-            self.header.raw,
-            self.header.name,
-            self.column.name,
-        }
+        said = self.file.options.units.keys() & {*self._names}
         if unit is None or self.column.name not in anything or said:
             return
         powers, known = parse(unit).powers, raw[np.isfinite(raw)]
@@ -351,7 +339,7 @@ class ColumnReader:
             cure = f"Is it a mass? Its unit is {mass}; if it is gravity, say so: "
             cure += option("--unit", f"{self.header.raw}={unit}")
             asked = option("--unit", f"{self.header.raw}={mass}")
-            self.file.problem(self.header.raw, came, cure=cure, option=asked)
+            self._problem(came, cure=cure, option=asked)
 
     def _note_unsigned(self, raw: np.ndarray) -> None:
         """Note signed counts that were written as unsigned: at both ends of the bits, and never between."""
@@ -367,7 +355,7 @@ class ColumnReader:
         if (known == np.round(known)).all() and np.count_nonzero(first) > 1:
             came = f"holds whole numbers near 0 and near 2^{bits}, and none between: signed counts read as unsigned"
             asked = option("--unwrap", f"{self.header.raw}=2^{bits}")
-            self.file.problem(self.header.raw, came, cure="Undo it, if that is so", option=asked)
+            self._problem(came, cure="Undo it, if that is so", option=asked)
 
     def _labels(self, labels: np.ndarray) -> None:
         if not self.column.required and (labels == "").all():
@@ -390,7 +378,7 @@ class ColumnReader:
             else:
                 continue
             rows = np.flatnonzero(labels == label)
-            self.file.problem(self.header.raw, came, expected, cure, rows=rows)
+            self._problem(came, expected, cure, rows=rows)
         if len(self.file.problems) == before:
             self.converted.values[self.column.name] = labels
             self.converted.units[self.column.name] = None
@@ -401,12 +389,9 @@ class ColumnReader:
             return cells
         dates, fitting = cells.in_order(self.file.options.date_order), cells.fitting_orders
         if dates.orders:
-            came = "its dates leave open which number is the day, or whether they are times"
-            came = (
-                came
-                if fitting
-                else "its dates are not all dates in one order of month, day and year"
-            )
+            came = "its dates are not all dates in one order of month, day and year"
+            if fitting:
+                came = "its dates leave open which number is the day, or whether they are times"
             orders = fitting or [n for n, v in cells.orders.items() if not np.isnan(v).all()]
             firsts = {n: date_text(float(np.nanmin(cells.orders[n]))).split() for n in orders}
             begin = ", ".join(f"{n} if it begins {f[n == 'hms']}" for n, f in firsts.items())
@@ -415,7 +400,7 @@ class ColumnReader:
                 f"Say in which order they are: {begin}",
             )
             asked = option("--date-order", orders[0])
-            self.file.problem(self.header.raw, came, expected, cure, asked)
+            self._problem(came, expected, cure, asked)
         return dates
 
     def _as_numbers(self, cells: Cells) -> Cells:
@@ -440,7 +425,7 @@ class ColumnReader:
         if unit is None:
             own = self.column.example
             cure = f"UNIT is what its numbers are in, such as {own}; in a header, '{self.header.name} [{own}]'"
-            self.file.problem(self.header.raw, "the header has no unit", "one", cure, asked)
+            self._problem("the header has no unit", "one", cure, asked)
             return None
         if self.column.unit not in (None, ANY):
             unit = unit_in(unit, (self.column.unit,)) or unit
@@ -450,11 +435,15 @@ class ColumnReader:
             sentence = f"{self._where}: {error}. Correct the header, or say the unit"
             near = "".join(re.findall(r"\(([^()]*meant\?)\)", str(error))[:1])
             came, expected = f"the unit [{unit}]", "a unit known here"
-            self.file.problem(self.header.raw, came, expected, near, asked, sentence=sentence)
+            self._problem(came, expected, near, asked, sentence=sentence)
             return None
         if self.header.unit and unit != self.header.unit:
             self._flag(f"taken as [{unit}], as --unit says")
         return unit
+
+    @property
+    def _names(self) -> tuple[str, str, str]:
+        return self.header.raw, self.header.name, self.column.name
 
     @property
     def _where(self) -> str:
@@ -474,15 +463,12 @@ class ColumnReader:
         came = ", ".join(repr(text[:60]) for text in texts[:_TEXTS]) + " …" * (len(texts) > _TEXTS)
         if cells.bad:
             rows = sorted(cells.bad)
-            self.file.problem(self.header.raw, f"reads {came}", expected, hint, rows=rows)
+            self._problem(f"reads {came}", expected, hint, rows=rows)
 
     def _convert(self, values: np.ndarray, unit: str) -> np.ndarray | None:
         """Numbers in `unit` in the column's, or by the nominal scale; None, and a problem, if neither can be."""
-        target, gravity, own = (
-            self.column.unit or "1",
-            self.file.options.gravity,
-            self.file.options.nominal_scale,
-        )
+        target, gravity = self.column.unit or "1", self.file.options.gravity
+        own = self.file.options.nominal_scale
         difference, asked = (
             self.column.name == UNCERTAINTY,
             option("--unit", f"{self.header.raw}=UNIT"),
@@ -499,7 +485,7 @@ class ColumnReader:
                     self._flag(f"[{unit}] taken as temperatures above absolute zero")
                     return absolute
                 said = f"{self._where}: {error}"
-                self.file.problem(self.header.raw, str(error), option=asked, sentence=said)
+                self._problem(str(error), option=asked, sentence=said)
                 return None
         raw_output = self.column.name == output_name(self.file.instrument) or difference
         if raw_output and scale is not None and same_dimension(unit, scale.unit):
@@ -523,7 +509,7 @@ class ColumnReader:
         hint = f" Or say how many {unit} one {target} is, such as {how}" * raw_output
         cure = f"Correct the header, or give the unit that is meant.{hint}"
         came, expected = f"its unit is [{unit}]", f"one that converts to {target}{also}"
-        self.file.problem(self.header.raw, came, expected, cure, asked)
+        self._problem(came, expected, cure, asked)
         return None
 
     def _not_finite(self, values: np.ndarray) -> np.ndarray:
@@ -543,7 +529,7 @@ class ColumnReader:
             first = float(raw[infinite[0]])
             came = _reading(first) + ", too large" * bool(np.isfinite(first))
             cure = "Fill it in, or remove the row"
-            self.file.problem(self.header.raw, came, expected, cure, rows=infinite)
+            self._problem(came, expected, cure, rows=infinite)
 
     def _note_implausible(self, raw: np.ndarray, values: np.ndarray, unit: str) -> None:
         low = -np.inf if self.column.low is None else self.column.low
@@ -574,7 +560,7 @@ class ColumnReader:
             came = f"{came}; a counter of {period:g} °C that began anew"
             cure, given = "Undo it, if that is so", unwrap_option(self.header.raw, period)
         rows = np.flatnonzero(wrong)
-        self.file.problem(self.header.raw, came, "", cure, given, rows=rows)
+        self._problem(came, "", cure, given, rows=rows)
 
     def _period(self, values: np.ndarray, low: float, high: float) -> float | None:
         """The period, °C, of a counter without whose wraps all temperatures are plausible; None where there is none."""

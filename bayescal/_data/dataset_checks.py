@@ -463,9 +463,9 @@ def _of_runs(record: CheckedRecord) -> Iterator[str]:
         level = values[first[0]]
         if np.count_nonzero(values == level) <= len(first):
             yield (
-                f"column {record.output!r} reads exactly {level:g} at the first reading of every run: was it set there, or "
-                "does a filter in the logger (a high-pass) begin so? What the output was before that filter is not "
-                "known"
+                f"column {record.output!r} reads exactly {level:g} at the first reading of every run: was it set "
+                "there, or does a filter in the logger (a high-pass) begin so? What the output was before that filter "
+                "is not known"
             )
 
 
@@ -506,23 +506,15 @@ def resolution(values: np.ndarray, fewest: int = 3) -> float:
 
 
 def repeated_rows(columns: Columns) -> np.ndarray:
-    """Rows that repeat an earlier one in every column: looked for among those whose hashes agree, to save memory."""
-    bits = [_bits(values) for values in columns.values()]
-    hashes = np.zeros(len(bits[0]), np.uint64)
-    for own in bits:  # of SplitMix64 (G. Steele, D. Lea and C. Flood, OOPSLA 2014): its mixer
-        hashes += own + np.uint64(0x9E3779B97F4A7C15)
-        for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
-            hashes = (hashes ^ (hashes >> np.uint64(shift))) * np.uint64(factor)
-        hashes ^= hashes >> np.uint64(31)
-    ordered = np.sort(hashes)
-    alike = np.flatnonzero(np.isin(hashes, ordered[1:][ordered[1:] == ordered[:-1]]))
-    rows = np.stack([own[alike] for own in bits], axis=1)
-    return np.delete(alike, np.unique(rows, axis=0, return_index=True)[1])
-
-
-def _bits(values: np.ndarray) -> np.ndarray:
-    """Numbers as whole ones that are equal where these are, NaN and NaN too; labels as their numbers (n,)."""
-    if values.dtype.kind != "f":
-        return distinct([values])[1].astype(np.uint64)
-    plain = np.where(values == values, values + 0.0, np.nan)  # −0 is 0
-    return plain.astype(np.float64).view(np.uint64)
+    """Return the rows that repeat an earlier one in every column, NaN equal to NaN; few columns tell most apart."""
+    codes = np.zeros(len(next(iter(columns.values()))), np.int64)
+    for name in sorted(columns, key=lambda name: (name != "time", columns[name].dtype.kind != "f")):
+        values = columns[name]
+        number = values.dtype.kind == "f"
+        own = np.unique(values, return_inverse=True)[1] if number else distinct([values])[1]
+        _, first, codes = np.unique(
+            codes * (int(own.max()) + 1) + own, return_index=True, return_inverse=True
+        )
+        if len(first) == len(codes):
+            break
+    return np.setdiff1d(np.arange(len(codes)), first)

@@ -207,22 +207,22 @@ def _scale_in_words(
     zero: str | None,
     local_gravity: float,
 ) -> NominalScale | None:
-    """The nominal scale that is said: its gain as "250 V/g" (or "61 ug/count"), its zero as "1.21 V"."""
+    """Parse the nominal scale: its gain as "250 V/g" (or "61 ug/count"), its zero as "1.21 V"."""
     if isinstance(scale, str):
         scale = _scale_from(instrument, scale, local_gravity)
     if zero is None:
         return scale
-    scale = scale or instrument.nominal_scale
+    scale, said = scale or instrument.nominal_scale, f"nominal_zero={zero!r} (--nominal-zero)"
     if scale is None:
         raise InputError(
-            f"nominal_zero={zero!r} (--nominal-zero) and no scale: {instrument.name!r} has none of its own. Say how "
-            "the raw output becomes the instrument's: --nominal-scale '250 V/g'"
+            f"{said} and no scale: {instrument.name!r} has none of its own. Say how the raw output becomes the "
+            "instrument's: --nominal-scale '250 V/g'"
         )
     value, unit = _number_and_unit(zero, "nominal_zero", "--nominal-zero", f"1.21 {scale.unit}")
     if not same_dimension(unit, scale.unit):
         raise InputError(
-            f"nominal_zero={zero!r} (--nominal-zero) is in {unit}, the nominal scale is of a raw output in "
-            f"{scale.unit}: give the raw output at zero in that unit"
+            f"{said} is in {unit}, the nominal scale is of a raw output in {scale.unit}: give the raw output at zero "
+            "in that unit"
         )
     return replace(scale, offset=float(convert(value, unit, scale.unit)))
 
@@ -575,10 +575,7 @@ class MatchedFile:
                     self.expected[name] = replace(column, unit=fixed_unit(unit))
 
     def could_be(self, header: Header) -> str | None:
-        """The column that the instrument could use, which the file lacks and a header names in part; None for none.
-
-        What the file must have is none of them: that it lacks it is said of the file.
-        """
+        """Return the column, not one that the file must have, which it lacks and a header names in part."""
         free = (n for n, c in self.expected.items() if n not in self.positions and not _needed(c))
         return next((name for name in free if self.rule(name).could_be(header)), None)
 
@@ -703,11 +700,7 @@ def _needed(column: Column) -> bool:
 
 
 def period_of(text: str) -> tuple[float, str]:
-    """What a counter holds when it begins anew, a number and its unit: "2^32us", "604800 s", "65536".
-
-    Raises:
-        InputError: it is not of that form.
-    """
+    """Parse what a counter holds when it begins anew, a number and its unit: "2^32us", "604800 s", "65536"."""
     found = _PERIOD.fullmatch(text.strip())
     if not found or not float(found[1]) > 0:
         raise InputError(
@@ -723,11 +716,7 @@ _PERIOD = re.compile(r"(\d+\.?\d*)(?:\^(\d{1,2}))?\s*([^\d\s.^].*)?")
 
 
 def parse_begin(text: str) -> tuple[float, bool]:
-    """Parse when a first reading was taken: seconds, and whether they count from 1970 (else on a calibration's clock).
-
-    Raises:
-        InputError: it is neither a date nor a time.
-    """
+    """Parse when a first reading was taken: seconds, and whether they count from 1970 or on a calibration's clock."""
     with contextlib.suppress(ValueError):
         (found,) = unix_seconds(text).values()
         if found >= EARLIEST:
@@ -742,28 +731,23 @@ def parse_begin(text: str) -> tuple[float, bool]:
 
 
 def unused_options(tables: Sequence[Table], options: ReadOptions, problems: Objections) -> None:
-    """Note each unit for a column that no file has, and each column to ignore: it was meant for one."""
-    known = {
-        name
-        for t in tables
-        for h in t.headers
-        for name in (h.raw, *(r.name for r in readings_of(h)))
-    }
-    if "" in options.begin and len(tables) > 1:
+    """Note each unit, each column to ignore and each counter that is said for a column that no file has."""
+    first, *others = [t.file for t in tables]
+    headers = [h for t in tables for h in t.headers]
+    known = {n for h in headers for n in (h.raw, *(r.name for r in readings_of(h)))}
+    known |= {*options.columns, *options.headers} | ({"time"} & options.unwrap.keys())
+    if "" in options.begin and others:
         came = f"one begin, {options.begin['']!r}, for {len(tables)} files"
-        asked = option("--begin", f"{tables[0].file}={options.begin['']}")
-        problems.append(Objection(tables[0].file, came, cure="Say of each", option=asked))
-    known |= {*options.columns, *options.headers}
-    known |= {"time"} & options.unwrap.keys()
+        asked = option("--begin", f"{first}={options.begin['']}")
+        problems.append(Objection(first, came, cure="Say of each", option=asked))
     said = {name: option("--unit", f"{name}={unit}") for name, unit in options.units.items()}
     said |= {name: option("--ignore", name) for name in options.ignore}
     said |= {name: option("--unwrap", f"{name}={text}") for name, text in options.unwrap.items()}
-    for name, asked in said.items():
-        if name not in known:
-            came = f"no such column, but {asked}"
-            others = "".join(f", nor has {t.file!r}" for t in tables[1:])
-            cure = _there(tables[0], name) + others
-            problems.append(Objection(tables[0].file, came, cure=cure, column=name))
+    for name in (n for n in said if n not in known):
+        cure = _there(tables[0], name) + "".join(f", nor has {file!r}" for file in others)
+        problems.append(
+            Objection(first, f"no such column, but {said[name]}", cure=cure, column=name)
+        )
 
 
 def names_in(table: Table) -> str:

@@ -27,9 +27,8 @@ def joined(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> Converte
 
 def _label_runs(parts: Sequence[ConvertedColumns], labels: Sequence[str]) -> None:
     """Give the files without a column `run` a run of their own, and say which runs span files."""
-    own = [set(part.values["run"]) if "run" in part.values else set() for part in parts]
-    named = set().union(*own)
-    seen: dict[str, str] = {}
+    own = [set(part.values.get("run", ())) for part in parts]
+    named, seen = set().union(*own), dict[str, str]()
     for part, label, runs in zip(parts, labels, own, strict=True):
         (table,) = part.tables
         if "run" not in part.values:
@@ -84,9 +83,8 @@ def _first_files(
     parts: Sequence[ConvertedColumns], have: Sequence[bool]
 ) -> tuple[str | None, str | None]:
     """The first file that has something, and the first that has not."""
-    files = [part.tables[0].file for part in parts]
-    with_it = next((file for file, has in zip(files, have, strict=True) if has), None)
-    return with_it, next((file for file, has in zip(files, have, strict=True) if not has), None)
+    first = {has: part.tables[0].file for part, has in reversed([*zip(parts, have, strict=True)])}
+    return first.get(True), first.get(False)
 
 
 def _on_one_clock(parts: Sequence[ConvertedColumns]) -> float | None:

@@ -66,7 +66,5 @@ def pieces(columns: Columns) -> list[np.ndarray]:
 def runs_of(columns: Columns) -> dict[str, np.ndarray]:
     """Rows of each run of each device and axis, by its labels, in the order of the file."""
     names = [n for n in RECORD if n in columns]
-    return {
-        " ".join(str(columns[n][rows[0]]) for n in names): rows
-        for rows in members(record_codes(columns))
-    }
+    records = members(record_codes(columns))
+    return {" ".join(str(columns[n][rows[0]]) for n in names): rows for rows in records}

@@ -233,11 +233,8 @@ def not_new(readings: Measurements, holdout: Measurements) -> int:
     """
     import pandas as pd  # half a second that reading does without
 
-    shared = [
-        n
-        for n in readings.columns
-        if n != "time" and readings.unit(n) is not None and holdout.has(n)
-    ]
+    numbers = (n for n, unit in readings.units.items() if n != "time" and unit is not None)
+    shared = [n for n in numbers if holdout.has(n)]
     mine, theirs = (pd.DataFrame({n: r[n] for n in shared}).round(12) for r in (readings, holdout))
     both = len(theirs.merge(mine.drop_duplicates(), how="inner", on=shared))
     output = readings["output"]

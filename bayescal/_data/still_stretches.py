@@ -139,8 +139,8 @@ class LoggedRun(NamedTuple):
         return np.stack([self.outputs[self.inside(*w)].mean(axis=0) for w in windows])
 
     def inside(self, begin: float, end: float) -> slice:
-        at = np.searchsorted(self.time, [begin, end])
-        return slice(int(at[0]), int(at[1]) + 1)
+        first, last = np.searchsorted(self.time, [begin, end])
+        return slice(int(first), int(last) + 1)
 
 
 def per_sample(log: Measurements) -> Measurements:

@@ -136,13 +136,8 @@ def _unjoined(
 
     Two parts join where the later begins within what the column goes over as many readings, at the end of the earlier
     or the beginning of the later. A part between them that moves does so as the body does, from a level of its own.
-
-    Args:
-        values: of the stretch, °C (n,).
-        leap: whether a change is one (n − 1,).
-        real: whether something else took part in it, and whether the output did (n,); then a part of several readings
-            is the body's. Of one number throughout the output is asked.
-        most: what noise and rounding make, °C.
+    `leap` (n − 1,) marks changes that are leaps, `real` (n,) those that something else, and the output, took part in:
+    then a part of several readings is the body's. `most` is what noise and rounding make, °C.
     """
     cuts = 1 + np.flatnonzero(leap)
     changed = np.concatenate([[True], values[1:] != values[:-1]])
@@ -180,9 +175,8 @@ def _unjoined(
     while at >= 0:
         chain.add(at)
         at = int(before[at])
-    edges = [
-        np.concatenate([[True], one[:-1] | ~leap, [True]]) for one in real
-    ]  # of each reading's two sides
+    # of each reading's two sides
+    edges = [np.concatenate([[True], one[:-1] | ~leap, [True]]) for one in real]
     body = [edges[int(span[k] == 0)][[begins[k], ends[k]]].all() for k in range(len(begins))]
     return [
         (bool(span[k] == 0), int(begins[k]), int(ends[k]))
@@ -431,14 +425,13 @@ def _told_apart(
 
 def _siblings(columns: Columns, one: str, other: str, runs: Iterable[np.ndarray]) -> bool:
     """Whether two thermometers go together, over ranges alike, in half of the runs at least."""
-    moving = [
-        r for r in runs if len(r) > 2 and np.ptp(columns[one][r]) and np.ptp(columns[other][r])
-    ]
-    found = [float(np.corrcoef(columns[one][r], columns[other][r])[0, 1]) for r in moving]
-    wide = [float(np.ptp(columns[one][r]) / np.ptp(columns[other][r])) for r in moving]
-    most = AS_WIDE_RATIO
-    together = bool(found) and float(np.median(found)) > TOGETHER_CORRELATION
-    return together and 1 / most < float(np.median(wide)) < most
+    pairs = [(columns[one][r], columns[other][r]) for r in runs if len(r) > 2]
+    pairs = [(a, b) for a, b in pairs if np.ptp(a) and np.ptp(b)]
+    if not pairs:
+        return False
+    together = float(np.median([np.corrcoef(a, b)[0, 1] for a, b in pairs])) > TOGETHER_CORRELATION
+    wide = float(np.median([np.ptp(a) / np.ptp(b) for a, b in pairs]))
+    return together and 1 / AS_WIDE_RATIO < wide < AS_WIDE_RATIO
 
 
 def _same_moments(time: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

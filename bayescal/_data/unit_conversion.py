@@ -140,11 +140,10 @@ SPELLINGS = {text: unit.name for unit in REGISTRY for text in unit.also.split()}
 WHERE_EXPECTED = {unit.name: unit.here.split(", ") for unit in REGISTRY if unit.here}
 # Of products of units, what can be meant wherever it stands; "rads" and "degs" may be words.
 _COMPOUND = {
-    text: unit.name
-    for unit in REGISTRY
-    for text in unit.here.split(", ")
-    if not unit.size and text not in ("", "rads", "degs")
+    text: unit.name for unit in REGISTRY if not unit.size for text in unit.here.split(", ")
 }
+for _word in ("", "rads", "degs"):
+    _COMPOUND.pop(_word)
 _ZEROS = {unit.name: unit.zero for unit in REGISTRY if unit.zero is not None}
 _SHOWN = {unit.name: unit.shown for unit in REGISTRY if unit.shown} | {"mdeg": "m°"}
 _REWRITTEN = {

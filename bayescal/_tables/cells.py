@@ -175,11 +175,8 @@ class Cells:
     def take(self, rows: np.ndarray) -> Cells:
         """Return the cells of some rows."""
         orders = {name: values[rows] for name, values in self.orders.items()}
-        bad = (
-            {i: self.bad[r] for i, r in enumerate(rows.tolist()) if r in self.bad}
-            if self.bad
-            else {}
-        )
+        numbered = enumerate(rows.tolist()) if self.bad else ()
+        bad = {i: self.bad[row] for i, row in numbered if row in self.bad}
         return Cells(self.values[rows], bad, self.dates, orders)
 
     def in_order(self, order: str = "") -> Cells:

@@ -96,16 +96,13 @@ def open_csv(path: Path, file: str, decimal: str = "") -> Table:
 
 @dataclass(frozen=True)
 class CsvLines:
-    """Some lines of a file as they stand.
+    """Some lines of a file as they stand, with their ends, a tab for blanks between fields; blank ones among them.
 
     Attributes:
-        lines: with their ends, a tab for blanks between fields; blank ones among them.
         table: their readings; None for the header.
-        separator: between fields.
-        decimal: between the whole and its parts.
+        separator, decimal: between fields, and between the whole and its parts.
         encoding: of the lines, "utf-8" or "windows-1252".
-        before: of the header: the lines above it.
-        behind: of the header: the row of units below it, and such.
+        before, behind: of the header: the lines above it; the row of units below it, and such.
     """
 
     lines: list[bytes]

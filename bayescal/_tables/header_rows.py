@@ -25,14 +25,10 @@ class HeaderRows(NamedTuple):
 
 
 def header_rows(rows: Sequence[Sequence[str]], first: int = 0) -> HeaderRows | None:
-    """The rows that name the columns, if `rows[first]` begins them; None if it does not.
+    """Return the rows that name the columns, if `rows[first]` (fields, blank rows left out) begins them.
 
     Names are text; readings with as many fields and a number or a date among them follow, at once or after a row of
     units. Readings may end each row with one empty field more.
-
-    Args:
-        rows: the first rows of a file, blank ones left out, as fields.
-        first: the row that may be the one of names.
     """
     names = [name.strip() for name in rows[first]]
     if len(names) < 2 or any(map(is_reading, names)) or sum(map(bool, names)) < 2:

@@ -322,9 +322,5 @@ def _bag_sensor(
     time, *values = rows.T
     channels = triad("gyro", RATE, values[:3], number)
     channels |= triad("acc", ACCELERATION, values[3:], number)
-    known = np.array(sorted(temperature)) if temperature else None
-    return (
-        Sensor(time, channels)
-        if known is None
-        else Sensor(time, channels, known[:, 1], known[:, 0])
-    )
+    known = np.array(sorted(temperature)).T[::-1] if temperature else ()
+    return Sensor(time, channels, *known)

@@ -90,14 +90,7 @@ def open_table(
     decimal: str = "",
     asked: Collection[str] = (),
 ) -> Table:
-    """Open a file as a table.
-
-    Args:
-        path: where it is.
-        name: what messages call it.
-        max_bytes: most that the file, or its numbers in memory, may take.
-        decimal: of a text file, as `open_csv` takes it.
-        asked: names of the channels of a log to read.
+    """Open a file as a table of at most `max_bytes`; `decimal` as `open_csv`, `asked` are the channels of a log.
 
     Raises:
         InputError: another suffix, a file that is not what its suffix says, or that cannot be read.

@@ -27,16 +27,13 @@ Units = Mapping[str, str | None]
 def write(
     columns: Columns, units: Units, path: str | Path, dataset: Callable[[], xr.Dataset]
 ) -> Path:
-    """Write readings in the format that the suffix names.
+    """Write readings in the format that the suffix names (.csv, .parquet or .nc), and return the path.
 
     Args:
         columns: numbers and labels by name.
         units: of the numbers; None for labels.
-        path: ending in .csv, .parquet or .nc.
+        path: to be written to.
         dataset: makes a data set of the same, for NetCDF.
-
-    Returns:
-        The path.
 
     Raises:
         InputError: another suffix, no such folder, or a place that cannot be written to.
