@@ -373,8 +373,9 @@ def _of_size(record: CheckedRecord) -> Iterator[str]:
 
 
 # Of readings at even distances in the file that lie apart: robust standard deviations beyond which one does, fewest of
-# them, the distances, and the share of the places at such a distance that they hold. Of so many rows, at most.
+# them, and the distances.
 PERIODIC_SD, PERIODIC_READINGS, PERIODIC_ROWS = 8.0, 6, (4, 200)
+# Share of the places at such a distance that they hold, of so many rows at most.
 PERIODIC_SHARE, PERIODIC_LOOKED = 0.8, 20_000
 
 
